@@ -1,0 +1,73 @@
+"""Training steps a second of all seeds together, compile time apart: `python -m benchmarks.speed --lanes 1 10 100`.
+
+Writes benchmarks/results/speed/<name>.json and .csv; a lane-step is one control step and one gradient step of one seed.
+"""
+
+import argparse
+import csv
+import json
+import statistics
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from earl_jax.algos import autonomy, birth, make_algo
+from earl_jax.envs import make
+from earl_jax.experiment import provenance
+from earl_jax.protocol import Protocol
+from earl_jax.train import per_lane
+
+
+def measure(algo: str, lanes: int, steps: int, repeats: int) -> dict:
+    """Return compile seconds and the median steps a second of `algo` on tabletop with `lanes` lanes."""
+    env = make("tabletop_organization")
+    loop = autonomy.Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    method = per_lane(make_algo(algo), lanes)
+    keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
+    lives = birth.begin(loop, method, keys, birth.capacity_for(loop, method, 100_000))
+    advance = jax.jit(lambda m, state: autonomy.run(loop, m, state, steps), donate_argnums=1)
+    began = time.perf_counter()
+    program = advance.lower(method, lives).compile()
+    compiled = time.perf_counter() - began
+    times = []
+    for _ in range(repeats + 1):
+        began = time.perf_counter()
+        lives = program(method, lives)
+        jax.block_until_ready(lives.step)
+        times.append(time.perf_counter() - began)
+    pace = steps / statistics.median(times[1:])
+    return {
+        "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2), "steps_per_s": round(pace, 1),
+        "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--lanes", type=int, nargs="+", default=[1, 4])
+    parser.add_argument("--algos", nargs="+", default=["naive"])
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/speed/run"))
+    arguments = parser.parse_args()
+    rows = []
+    for algo in arguments.algos:
+        for lanes in arguments.lanes:
+            rows.append(measure(algo, lanes, arguments.steps, arguments.repeats))
+            print(rows[-1], flush=True)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    command = "python -m benchmarks.speed --algos {} --lanes {} --steps {}".format(
+        " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
+    )
+    report = {"command": command, "provenance": provenance(), "rows": rows}
+    arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
+    with arguments.out.with_suffix(".csv").open("w", newline="") as handle:
+        writer = csv.DictWriter(handle, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

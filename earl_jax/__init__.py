@@ -1,0 +1,58 @@
+"""earl_jax: autonomous (reset-free) reinforcement learning in JAX.
+
+`make` a task, `train` a method on it over many seeds in one jitted program, look at the curves, call the policy. Names are
+loaded on first use, so importing the package costs nothing and loads no simulator.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from earl_jax.algos import Method, list_algos, make_algo, register_algo
+    from earl_jax.envs import Env, State, list_envs, make, register_env
+    from earl_jax.evaluate import evaluate
+    from earl_jax.train import Result, lifetime, select_seed, train
+
+_HOME = {
+    "Env": "envs",
+    "Method": "algos",
+    "Result": "train",
+    "State": "envs",
+    "evaluate": "evaluate",
+    "lifetime": "train",
+    "list_algos": "algos",
+    "list_envs": "envs",
+    "make": "envs",
+    "make_algo": "algos",
+    "register_algo": "algos",
+    "register_env": "envs",
+    "select_seed": "train",
+    "train": "train",
+}
+__all__ = [
+    "Env",
+    "Method",
+    "Result",
+    "State",
+    "evaluate",
+    "lifetime",
+    "list_algos",
+    "list_envs",
+    "make",
+    "make_algo",
+    "register_algo",
+    "register_env",
+    "select_seed",
+    "train",
+]
+__version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"earl_jax.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'earl_jax' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,47 @@
+"""The methods by name. Adding one is a file here and a line in the table, or `register_algo` from outside."""
+
+import dataclasses
+
+from earl_jax.algos.method import Method
+from earl_jax.algos.sac import SAC
+from earl_jax.registry import Registry
+
+__all__ = ["SAC", "Method", "list_algos", "make_algo", "register_algo"]
+
+_ALGOS = Registry(
+    "algo",
+    {
+        "fbrl": "earl_jax.algos.fbrl:FBRL",
+        "naive": "earl_jax.algos.naive:Naive",
+        "oracle": "earl_jax.algos.oracle:Oracle",
+        "r3l": "earl_jax.algos.r3l:R3L",
+        "vaprl": "earl_jax.algos.vaprl:VaPRL",
+    },
+)
+
+
+def list_algos() -> list[str]:
+    """Return the names that `make_algo` takes, sorted."""
+    return _ALGOS.names()
+
+
+def register_algo(name: str, method: type[Method]) -> None:
+    """Make `make_algo(name)` build `method`, a `Method` subclass; a name that is taken is refused."""
+    _ALGOS.register(name, method)
+
+
+def make_algo(name: str, **options) -> Method:
+    """Return the method `name`; options are its own fields and those of `SAC`, e.g. `reward_scale=10.0`.
+
+    Raises:
+        ValueError: the name or an option is unknown; the message lists the choices.
+    """
+    shared = {field.name for field in dataclasses.fields(SAC)}
+    own = {field.name for field in dataclasses.fields(_ALGOS.get(name))} - {"sac"}
+    unknown = sorted(set(options) - shared - own)
+    if unknown:
+        raise ValueError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
+    if "hidden_sizes" in options:
+        options["hidden_sizes"] = tuple(int(size) for size in options["hidden_sizes"])
+    sac = SAC(**{option: value for option, value in options.items() if option in shared})
+    return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})

@@ -1,0 +1,208 @@
+"""The one reset-free loop: act, step, store, sample, learn, for every method and all lanes at once.
+
+A lane is a life with its seed. `interact` and `learn` are written for one lane and vmapped; between them the replay is
+written and read unbatched, because it is one buffer. Resets are a select, not a branch: a branch under vmap would pay for
+both sides as well, and a select handles a lane's own resets, scheduled interventions and later faults by one rule.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from earl_jax.algos import replay as replay_lib
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.method import TASK, Commands, Goals, Method, goals_of
+from earl_jax.algos.replay import Marks, Replay, Rows
+from earl_jax.envs import Env, State
+from earl_jax.protocol import Protocol
+
+
+@struct.dataclass
+class Tally:
+    """What a lane has earned and suffered: task reward since the last report and in all, interventions, goals reached."""
+
+    window_reward: jax.Array
+    total_reward: jax.Array
+    interventions: jax.Array
+    reached: jax.Array
+    diagnostics: dict[str, jax.Array]
+
+
+@struct.dataclass
+class Lane:
+    """One life: its key, world, phase, commands, learner and tally."""
+
+    key: jax.Array
+    world: State
+    phase: jax.Array
+    phase_step: jax.Array
+    commands: Commands
+    agent: sac_lib.Agent
+    extra: Any
+    tally: Tally
+
+
+@struct.dataclass
+class Lives:
+    """All lanes (leading axis N), their replay, and the number of steps each has lived."""
+
+    lanes: Lane
+    replay: Replay
+    step: jax.Array
+
+
+class Keys(NamedTuple):
+    """A lane's randomness of one step, a function of its seed and the step alone."""
+
+    act: jax.Array
+    goal: jax.Array
+    reset: jax.Array
+    sample: jax.Array
+    relabel: jax.Array
+    update: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """The static half of a program: the world, its goals and the protocol it is lived under."""
+
+    env: Env
+    protocol: Protocol
+
+    @property
+    def goals(self) -> Goals:
+        """The goal table that replay's indices point into."""
+        return goals_of(self.env)
+
+
+def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array, explore: bool) -> tuple:
+    """Return the lane one control step later, the transition it made (`Rows` without B) and whether to list it.
+
+    `step []` counts from 0; with `explore` actions are uniform. The transition's `next_state` is the state the lane
+    goes on from.
+    """
+    env, goals = loop.env, loop.goals
+    action = _act(loop, method, lane, keys.act, explore)
+    world = env.step(lane.world, action)
+    task_reward = env.goal_reward(world, jnp.asarray(goals.table)[lane.commands.task])
+
+    reached = env.sparse & env.success(world.obs) & method.ends_on_success(lane.phase)
+    intervene = loop.protocol.intervention_due(step + 1)
+    expired = (lane.phase_step + 1 >= method.phase_length(env, lane.phase)) | intervene
+    timeout = expired & ~reached
+    over = reached | expired
+    reset = intervene | (over & method.resets)
+    marks = Marks(lane.commands.goal, reached, timeout, reset)
+
+    phase = jnp.where(intervene, TASK, jnp.where(over, (lane.phase + 1) % method.phases, lane.phase))
+    fresh = method.next_goal(keys.goal, goals, phase, lane.commands, lane.extra)
+    commands = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, lane.commands)
+    earned = world.reward
+    world = jax.tree.map(lambda new, old: jnp.where(reset, new, old), env.reset(keys.reset), world)
+    world = env.with_goal(world, jnp.asarray(goals.table)[commands.goal])
+
+    before, after = lane.world.obs[: env.state_size], world.obs[: env.state_size]
+    transition = Rows(before, action, after, earned, marks)
+    bootstrapped = timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
+    tally = lane.tally.replace(
+        window_reward=lane.tally.window_reward + task_reward,
+        interventions=lane.tally.interventions + reset,
+        reached=lane.tally.reached + (reached & (lane.phase == TASK)),
+    )
+    phase_step = jnp.where(over, 0, lane.phase_step + 1)
+    lane = lane.replace(world=world, phase=phase, phase_step=phase_step, commands=commands, tally=tally)
+    return lane, transition, ~(reset & bootstrapped)
+
+
+def _act(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> jax.Array:
+    size = loop.env.action_size
+    if explore:
+        return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+    actor = _take(lane.agent.actor, controller_of(method, lane.phase))
+    return sac_lib.act(method.sac, actor, lane.world.obs, key, size)
+
+
+def controller_of(method: Method, phase: jax.Array) -> jax.Array:
+    """Return which controller acts in `phase`: with one controller always 0."""
+    return jnp.minimum(phase, method.controllers - 1)
+
+
+def learn(loop: Loop, method: Method, lane: Lane, keys: Keys, rows: Rows, phase: jax.Array) -> Lane:
+    """Return the lane after one SAC step of the controller that acted in `phase`, on sampled transitions `rows [B]`."""
+    table = jnp.asarray(loop.goals.table)
+    rows = method.relabel(keys.relabel, loop.env, loop.goals, rows)
+    goal = table[rows.marks.goal]
+    batch = sac_lib.Batch(
+        obs=jnp.concatenate([rows.state, goal], axis=-1),
+        action=rows.action,
+        reward=method.reward(rows, phase, lane.extra),
+        terminal=method.terminal(rows),
+        next_obs=jnp.concatenate([rows.next_state, goal], axis=-1),
+    )
+    controller = controller_of(method, phase)
+    agent, diagnostics = sac_lib.update(method.sac, _take(lane.agent, controller), batch, keys.update)
+    extra = method.learn_extra(lane.extra, rows, phase)
+    tally = lane.tally.replace(diagnostics=diagnostics)
+    return lane.replace(agent=_put(lane.agent, agent, controller), extra=extra, tally=tally)
+
+
+def _take(stacked: Any, index: jax.Array) -> Any:
+    """Return one controller of a stacked tree; a stack of one needs no gather."""
+    return jax.tree.map(lambda leaf: leaf[0] if leaf.shape[0] == 1 else leaf[index], stacked)
+
+
+def _put(stacked: Any, single: Any, index: jax.Array) -> Any:
+    def put(leaf, value):
+        return value[None] if leaf.shape[0] == 1 else leaf.at[index].set(value)
+
+    return jax.tree.map(put, stacked, single)
+
+
+def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) -> Lives:
+    """Return all lanes one step later: act, step, store and, unless exploring, one gradient step a lane.
+
+    `method`'s float leaves have a leading lane axis.
+    """
+    step, phase = lives.step, lives.lanes.phase
+    keys = jax.vmap(lambda key: Keys(*jax.random.split(jax.random.fold_in(key, step), len(Keys._fields))))(lives.lanes.key)
+    act = jax.vmap(lambda *lane: interact(loop, *lane, step, explore))
+    lanes, transition, listed = act(method, lives.lanes, keys)
+    controller = controller_of(method, phase)
+    replay = replay_lib.write(lives.replay, transition, listed, controller)
+    if not explore:
+        rows = replay_lib.sample(replay, keys.sample, controller, method.sac.batch_size)
+        lanes = jax.vmap(lambda *lane: learn(loop, *lane))(method, lanes, keys, rows, phase)
+    return Lives(lanes, replay, step + 1)
+
+
+def run(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool = False) -> Lives:
+    """Return all lanes `steps` later in one scan; k calls equal one call of k times the steps, bit for bit.
+
+    A method's `refresh` runs at the start of every block of `refresh_every` steps counted from the call.
+    """
+    block = method.refresh_every or steps
+    if steps % block:
+        raise ValueError(f"{method.name} refreshes every {block} steps, so run it for a multiple of that, not {steps}")
+
+    def body(carry, _):
+        return step_lives(loop, method, carry, explore), None
+
+    def refreshed_block(carry, _):
+        return jax.lax.scan(body, refresh(loop, method, carry), length=block)[0], None
+
+    if method.refresh_every == 0 or explore:
+        return jax.lax.scan(body, lives, length=steps)[0]
+    return jax.lax.scan(refreshed_block, lives, length=steps // block)[0]
+
+
+def refresh(loop: Loop, method: Method, lives: Lives) -> Lives:
+    """Return the lanes with what their method derives from the agent brought up to date."""
+
+    def one(m, lane):
+        key = jax.random.fold_in(jax.random.fold_in(lane.key, lives.step), 1)
+        return m.refresh(key, loop.env, loop.goals, lane.agent, lane.extra)
+
+    return lives.replace(lanes=lives.lanes.replace(extra=jax.vmap(one)(method, lives.lanes)))

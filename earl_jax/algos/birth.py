@@ -1,0 +1,110 @@
+"""How lives begin: fresh agents, s0 ~ rho, and demonstrations as the first rows of the replay."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.algos import replay as replay_lib
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.autonomy import Commands, Lane, Lives, Loop, Tally
+from earl_jax.algos.method import TASK, Method, trajectory_states
+from earl_jax.algos.replay import Marks, Replay
+
+
+class DemoRows(NamedTuple):
+    """Demonstrations laid out as replay rows: R states, and T transitions with the row and controller of each."""
+
+    states: np.ndarray
+    rows: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    controllers: np.ndarray
+
+
+def demo_rows(loop: Loop, method: Method) -> DemoRows | None:
+    """Return the demonstrations that `method` puts in its replay, or None where the task has none.
+
+    Raises:
+        ValueError: the method cannot work without demonstrations and the task has none.
+    """
+    if not assets.has_demos(loop.env.name):
+        if method.needs_demos:
+            raise ValueError(f"{method.name} needs demonstrations, and {loop.env.name} has none")
+        return None
+    parts, first = [], 0
+    for number, direction in enumerate(method.demo_directions):
+        demos = assets.demos(loop.env.name, direction)
+        states = trajectory_states(demos)
+        rows = first + np.arange(len(demos.ends)) + np.concatenate([[0], np.cumsum(demos.ends)[:-1]])
+        controllers = np.full(len(rows), min(number, method.controllers - 1))
+        parts.append(DemoRows(states, rows, demos.actions, _goal_indices(loop, demos.goals), controllers))
+        first += len(states)
+    return DemoRows(*[np.concatenate(field) for field in zip(*parts, strict=True)])
+
+
+def _goal_indices(loop: Loop, goals: np.ndarray) -> np.ndarray:
+    """Return the table entries [T] of demonstrated goals [T, g], which are task goals or initial states."""
+    known = loop.goals.table[: loop.goals.tasks + loop.goals.initials]
+    distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
+    if distance.min(axis=1).max() > 1e-6:
+        raise ValueError(f"a demonstration of {loop.env.name} has a goal that is neither a task goal nor an initial state")
+    return distance.argmin(axis=1)
+
+
+def capacity_for(loop: Loop, method: Method, steps: int) -> int:
+    """Return the replay rows that `steps` and the demonstrations take: nothing is ever evicted."""
+    demos = demo_rows(loop, method)
+    return steps + (0 if demos is None else len(demos.states))
+
+
+def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay:
+    env, demos = loop.env, demo_rows(loop, method)
+    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse)
+    if demos is None:
+        return replay
+    obs = jnp.concatenate([demos.states[demos.rows + 1], loop.goals.table[demos.goals]], axis=-1)
+    reached = env.success(obs) & env.sparse
+    no = jnp.zeros_like(reached)
+    words = replay_lib.pack(Marks(jnp.asarray(demos.goals), reached, no, no))
+    mine, other = [demos.rows[demos.controllers == number] for number in (0, 1)]
+    index = replay.index.at[: len(mine)].set(mine[:, None])
+    index = index.at[capacity - len(other) :].set(other[::-1, None])
+    return replay.replace(
+        state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
+        action=replay.action.at[demos.rows].set(demos.actions[:, None]),
+        marks=replay.marks.at[demos.rows].set(words[:, None]),
+        reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
+        index=index,
+        counts=jnp.broadcast_to(jnp.array([len(mine), len(other)], jnp.int32), (lanes, 2)),
+        row=jnp.asarray(len(demos.states), jnp.int32),
+    )
+
+
+def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
+    env, goals = loop.env, loop.goals
+    agent_key, extra_key, world_key, goal_key, life_key = jax.random.split(key, 5)
+
+    def agent(part):
+        return sac_lib.init(part, method.sac, env.obs_size, env.action_size, method.critics)
+
+    extra = method.init_extra(extra_key, env, goals)
+    nothing = Commands(jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
+    phase = jnp.asarray(TASK, jnp.int32)
+    commands = method.next_goal(goal_key, goals, phase, nothing, extra)
+    world = env.with_goal(env.reset(world_key), jnp.asarray(goals.table)[commands.goal])
+    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    tally = Tally(zero, zero, none, none, dict.fromkeys(sac_lib.DIAGNOSTICS, zero))
+    agents = jax.vmap(agent)(jax.random.split(agent_key, method.controllers))
+    return Lane(life_key, world, phase, none, commands, agents, extra, tally)
+
+
+def begin(loop: Loop, method: Method, keys: jax.Array, capacity: int) -> Lives:
+    """Return N lives at step 0 from PRNG keys [N]; `method`'s float leaves have a leading lane axis."""
+    lanes = jax.vmap(lambda m, key: _newborn(loop, m, key))(method, keys)
+    replay = _first_rows(loop, method, keys.shape[0], capacity)
+    start = lanes.world.obs[None, :, : loop.env.state_size]
+    state = jax.lax.dynamic_update_slice(replay.state, start, (replay.row, 0, 0))
+    return Lives(lanes, replay.replace(state=state), jnp.zeros((), jnp.int32))

@@ -1,0 +1,29 @@
+"""Forward-backward RL: one controller does the task, another brings the world back to where it began."""
+
+from typing import Any, ClassVar
+
+import jax
+from flax import struct
+
+from earl_jax.algos.method import RETURN, Commands, Goals, Method
+
+
+@struct.dataclass
+class FBRL(Method):
+    """Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
+
+    Source: Han et al. 2015 and Eysenbach et al. 2018 as run by Sharma et al. 2022. Both phases end on success or after H_E
+    steps; only the acting controller learns (the released variants differ; this one has the published cycle of 92 steps).
+    """
+
+    name: ClassVar[str] = "fbrl"
+    controllers: ClassVar[int] = 2
+    phases: ClassVar[int] = 2
+    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+
+    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
+        task_key, initial_key = jax.random.split(key)
+        task = jax.random.randint(task_key, (), 0, goals.tasks)
+        initial = goals.tasks + jax.random.randint(initial_key, (), 0, goals.initials)
+        back = phase == RETURN
+        return Commands(goal=jax.numpy.where(back, initial, task), task=jax.numpy.where(back, lane.task, task))

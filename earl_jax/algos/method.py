@@ -1,0 +1,122 @@
+"""What a method is: a few pure functions that the one loop of `autonomy` asks, with naive RL's answers as defaults."""
+
+import functools
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import numpy as np
+from flax import struct
+
+from earl_jax import assets
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.replay import Rows
+from earl_jax.algos.sac import SAC, Agent
+from earl_jax.envs import Env
+
+TASK, RETURN = 0, 1
+"""The two phases of a life: reach the task goal, then do whatever the method does to be able to try again."""
+
+
+class Goals(NamedTuple):
+    """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, then demo states."""
+
+    table: np.ndarray
+    tasks: int
+    initials: int
+
+    @property
+    def candidates(self) -> np.ndarray:
+        """Demonstration states [C, g], the subgoals a curriculum chooses from."""
+        return self.table[self.tasks + self.initials :]
+
+
+@functools.cache
+def goals_of(env: Env) -> Goals:
+    """Return the goal table of `env`; without demonstrations it holds task goals and initial states only."""
+    parts = [env.goal_states, env.initial_states]
+    if assets.has_demos(env.name) and env.state_size == env.goal_size:
+        for direction in assets.DIRECTIONS:
+            demos = assets.demos(env.name, direction)
+            parts.append(trajectory_states(demos))
+    table = np.concatenate(parts).astype(np.float32)
+    if len(table) > 1 << 16:
+        raise ValueError(f"{env.name} has {len(table)} goals, replay packs at most 65,536")
+    return Goals(table, len(env.goal_states), len(env.initial_states))
+
+
+def trajectory_states(demos: assets.Demos) -> np.ndarray:
+    """Return every state [T + D, s] of D demonstrations in order, each with its final state."""
+    pieces = np.split(np.arange(len(demos.ends)), np.flatnonzero(demos.ends)[:-1] + 1)
+    return np.concatenate([np.vstack([demos.states[piece], demos.next_states[piece[-1:]]]) for piece in pieces])
+
+
+@struct.dataclass
+class Method:
+    """A way to live without resets. Subclasses override what differs; fields that are floats are vmappable leaves."""
+
+    sac: SAC = SAC()
+
+    name: ClassVar[str]
+    controllers: ClassVar[int] = 1
+    """Separate actor-critics, one a phase, each with its own share of the replay."""
+    phases: ClassVar[int] = 1
+    critics: ClassVar[int] = sac_lib.SOFT_CRITICS
+    resets: ClassVar[bool] = False
+    """Whether the end of a phase also resets the world: the oracle's privilege."""
+    needs_demos: ClassVar[bool] = False
+    demo_directions: ClassVar[tuple[str, ...]] = ("forward",)
+    """Demonstrations put first in the replay; with two controllers, backward ones go to the second."""
+    refresh_every: ClassVar[int] = 0
+    """Steps between calls of `refresh`; 0 for never."""
+
+    def phase_length(self, env: Env, phase: jax.Array) -> jax.Array | int:
+        """Return the steps after which `phase` times out; H_E unless a method says otherwise."""
+        del phase
+        return env.eval_horizon
+
+    def ends_on_success(self, phase: jax.Array) -> jax.Array | bool:
+        """Return whether reaching the commanded goal ends `phase` (sparse tasks only)."""
+        del phase
+        return True
+
+    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: "Commands", extra: Any) -> "Commands":
+        """Return the goals of the phase that begins: by default a fresh task goal, the current one included."""
+        del phase, lane, extra
+        task = jax.random.randint(key, (), 0, goals.tasks)
+        return Commands(goal=task, task=task)
+
+    def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
+        """Return the sampled transitions of one lane, `rows [B]`, with the goals they are learnt under."""
+        del key, env, goals
+        return rows
+
+    def reward(self, rows: Rows, phase: jax.Array, extra: Any) -> jax.Array:
+        """Return the rewards [B] of sampled transitions; the task's by default."""
+        del phase, extra
+        return rows.reward
+
+    def terminal(self, rows: Rows) -> jax.Array:
+        """Return where [B] the target stops: at success and, unless bootstrapped through, at time-outs."""
+        return rows.marks.reached | (rows.marks.timeout & ~jax.numpy.asarray(self.sac.timeout_bootstrap, bool))
+
+    def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> Any:
+        """Return what the method itself learns or remembers, a pytree; nothing by default."""
+        del key, env, goals
+        return ()
+
+    def learn_extra(self, extra: Any, rows: Rows, phase: jax.Array) -> Any:
+        """Return `extra` after a step on the batch that the active controller just learnt from."""
+        del rows, phase
+        return extra
+
+    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, extra: Any) -> Any:
+        """Return `extra` brought up to date with `agent` (leading controller axis) every `refresh_every` steps."""
+        del key, env, goals, agent
+        return extra
+
+
+class Commands(NamedTuple):
+    """Indices into the goal table: the `goal` that is commanded now and the `task` that the world rewards."""
+
+    goal: jax.Array
+    task: jax.Array

@@ -1,0 +1,33 @@
+"""The learner's networks: Brax's multilayer perceptron and tanh-squashed normal, with the paper's parameters."""
+
+import contextlib
+import io
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import linen
+
+# Brax imports MJX, which prints a line to stdout for each optional engine that is not installed; stdout may be JSON.
+with contextlib.redirect_stdout(io.StringIO()):
+    from brax.training import distribution, networks
+
+LOG_STD_RANGE = (-20.0, 2.0)
+
+
+class TanhNormal(distribution.NormalTanhDistribution):
+    """Tanh-squashed normal whose log standard deviation is the clipped network output, as in the paper.
+
+    Brax's own passes it through a softplus; everything else is Brax's.
+    """
+
+    def create_dist(self, parameters: jax.Array) -> Any:
+        """Return the normal before squashing, from `parameters [..., 2a]`: means, then log standard deviations."""
+        loc, log_std = jnp.split(parameters, 2, axis=-1)
+        return type(super().create_dist(parameters))(loc, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE)))
+
+
+def mlp(hidden_sizes: tuple[int, ...], outputs: int) -> networks.MLP:
+    """Return a ReLU network with Glorot-uniform weights and zero biases, as the released TF-Agents code has them."""
+    init = jax.nn.initializers.glorot_uniform()
+    return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init)

@@ -1,0 +1,80 @@
+"""R3L: a perturbation controller, rewarded for novelty, scatters the world between attempts at the task."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from earl_jax.algos.method import RETURN, TASK, Commands, Goals, Method
+from earl_jax.algos.networks import mlp
+from earl_jax.algos.replay import Rows
+from earl_jax.envs import Env
+
+EMBEDDING = 512
+_NETWORK = mlp((256, 256), EMBEDDING)
+_ADAM = optax.scale_by_adam()
+
+
+@struct.dataclass
+class RND:
+    """Random network distillation: a fixed target, its predictor with Adam's moments, and the running scale sigma."""
+
+    target: Any
+    predictor: Any
+    moments: Any
+    sigma: jax.Array
+
+    def error(self, predictor: Any, states: jax.Array) -> jax.Array:
+        """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
+        return jnp.square(_NETWORK.apply(self.target, states) - _NETWORK.apply(predictor, states)).mean(axis=-1)
+
+
+@struct.dataclass
+class R3L(Method):
+    """Alternate the task controller with H_E steps of a controller that seeks novel states (RND), never ended early.
+
+    Source: Zhu et al. 2020 as run by Sharma et al. 2022: the true reward, no classifier. Novelty is the error on the state
+    without the goal, divided by an exponential average of its own spread, as in the authors' released block; the
+    predictor learns at the shared rate of the paper. The perturbing controller gets no demonstrations.
+    """
+
+    rnd_decay: float = 0.99
+    """Decay of the running scale, the table's "RND gamma"."""
+    rnd_clip: float = 1000.0
+    """Upper bound of the intrinsic reward (released code)."""
+
+    name: ClassVar[str] = "r3l"
+    controllers: ClassVar[int] = 2
+    phases: ClassVar[int] = 2
+
+    def ends_on_success(self, phase: jax.Array) -> jax.Array:
+        return phase == TASK
+
+    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
+        task = jax.random.randint(key, (), 0, goals.tasks)
+        keep = phase == RETURN
+        return Commands(goal=jnp.where(keep, lane.goal, task), task=jnp.where(keep, lane.task, task))
+
+    def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> RND:
+        blank = jnp.zeros((env.state_size,))
+        target, predictor = [_NETWORK.init(part, blank) for part in jax.random.split(key)]
+        return RND(target, predictor, _ADAM.init(predictor), jnp.ones(()))
+
+    def reward(self, rows: Rows, phase: jax.Array, extra: RND) -> jax.Array:
+        novelty = jnp.clip(extra.error(extra.predictor, rows.state) / extra.sigma, 0.0, self.rnd_clip)
+        return jnp.where(phase == RETURN, novelty, rows.reward)
+
+    def learn_extra(self, extra: RND, rows: Rows, phase: jax.Array) -> RND:
+        def loss(predictor):
+            errors = extra.error(predictor, rows.state)
+            return errors.mean(), errors
+
+        grads, errors = jax.grad(loss, has_aux=True)(extra.predictor)
+        step, moments = _ADAM.update(grads, extra.moments)
+        predictor = jax.tree.map(lambda p, s: p - self.sac.learning_rate * s, extra.predictor, step)
+        spread = jnp.maximum((errors / extra.sigma).std(), 1e-3)
+        sigma = self.rnd_decay * extra.sigma + (1 - self.rnd_decay) * spread
+        learnt = extra.replace(predictor=predictor, moments=moments, sigma=sigma)
+        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), learnt, extra)

@@ -1,0 +1,131 @@
+"""One time-ordered replay buffer for all lanes, written in place and never evicted.
+
+Rows are time: row t of `state` is s_t, of `action` a_t, and s_{t+1} is row t + 1. Goals are an index into a static table,
+so a relabelled copy costs nothing. Which rows may be sampled, and by which controller, is kept in one list a lane that
+fills from both ends: the task controller's rows from the left, the other's from the right.
+
+Every function works on the whole batch of lanes: `jax.vmap` of a write would turn it into a scatter over the buffer, and
+of a read into a transpose of it.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+GOAL_BITS = 16
+REACHED, TIMEOUT, LOST = (1 << GOAL_BITS, 1 << (GOAL_BITS + 1), 1 << (GOAL_BITS + 2))
+
+
+class Marks(NamedTuple):
+    """What a transition was: `goal` index, and whether it `reached` it, hit a `timeout`, or `lost` its successor.
+
+    A successor is lost where a reset overwrote it with the start of the next episode.
+    """
+
+    goal: jax.Array
+    reached: jax.Array
+    timeout: jax.Array
+    lost: jax.Array
+
+
+class Rows(NamedTuple):
+    """Sampled transitions of every lane: `state, next_state [N, B, s]`, `action [N, B, a]`, `reward [N, B]`, `marks`."""
+
+    state: jax.Array
+    action: jax.Array
+    next_state: jax.Array
+    reward: jax.Array
+    marks: Marks
+
+
+@struct.dataclass
+class Replay:
+    """The buffer of N lanes and capacity C; `reward` has no rows where the reward is a success bit.
+
+    `state [C + 1, N, s]`, `action [C, N, a]`, packed `marks [C, N]`, `reward [C or 0, N]`, `index [C, N]` of row numbers,
+    `counts [N, 2]` rows listed for each controller, `row []` the next free row.
+    """
+
+    state: jax.Array
+    action: jax.Array
+    marks: jax.Array
+    reward: jax.Array
+    index: jax.Array
+    counts: jax.Array
+    row: jax.Array
+
+    @property
+    def capacity(self) -> int:
+        """Transitions that fit."""
+        return self.action.shape[0]
+
+
+def bytes_per_transition(state_size: int, action_size: int, sparse: bool) -> int:
+    """Return what one transition of one lane occupies, in bytes."""
+    return 4 * (state_size + action_size + 2 + (not sparse))
+
+
+def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse: bool) -> Replay:
+    """Return an empty buffer; goals are packed into 16 bits, so a goal table may hold 65,536 entries."""
+    return Replay(
+        state=jnp.zeros((capacity + 1, lanes, state_size)),
+        action=jnp.zeros((capacity, lanes, action_size)),
+        marks=jnp.zeros((capacity, lanes), jnp.int32),
+        reward=jnp.zeros((0 if sparse else capacity, lanes)),
+        index=jnp.zeros((capacity, lanes), jnp.int32),
+        counts=jnp.zeros((lanes, 2), jnp.int32),
+        row=jnp.zeros((), jnp.int32),
+    )
+
+
+def pack(marks: Marks) -> jax.Array:
+    """Return the int32 words of `marks`."""
+    flags = REACHED * marks.reached + TIMEOUT * marks.timeout + LOST * marks.lost
+    return marks.goal.astype(jnp.int32) | flags.astype(jnp.int32)
+
+
+def unpack(words: jax.Array) -> Marks:
+    """Return the `Marks` of int32 `words`."""
+    bits = [(words & bit) != 0 for bit in (REACHED, TIMEOUT, LOST)]
+    return Marks(words & (REACHED - 1), *bits)
+
+
+def write(replay: Replay, transition: Rows, valid: jax.Array, controller: jax.Array) -> Replay:
+    """Append one transition a lane (fields without the B axis), listed for `controller [N]` where `valid [N]`.
+
+    `transition.next_state` is the state the lane goes on from, which after a reset is the new start.
+    """
+    row, lanes = replay.row, jnp.arange(valid.shape[0])
+
+    def put(buffer, values, at):
+        return jax.lax.dynamic_update_slice(buffer, values[None], (at,) + (0,) * values.ndim)
+
+    filled = replay.counts[lanes, controller]
+    slot = jnp.where(controller == 0, filled, replay.capacity - 1 - filled)
+    slot = jnp.where(valid, slot, replay.capacity)
+    return replay.replace(
+        state=put(replay.state, transition.next_state, row + 1),
+        action=put(replay.action, transition.action, row),
+        marks=put(replay.marks, pack(transition.marks), row),
+        reward=put(replay.reward, transition.reward, row) if replay.reward.shape[0] else replay.reward,
+        index=replay.index.at[slot, lanes].set(row, mode="drop"),
+        counts=replay.counts.at[lanes, controller].add(valid.astype(jnp.int32)),
+        row=row + 1,
+    )
+
+
+def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int) -> Rows:
+    """Return `size` transitions a lane, uniform with replacement over what is listed for `controller [N]`.
+
+    A lane's draw depends on its own key and counts only, never on how many lanes run beside it.
+    """
+    lanes = jnp.arange(controller.shape[0])[:, None]
+    filled = jnp.maximum(replay.counts[lanes[:, 0], controller], 1)
+    draw = jax.vmap(lambda key, count: jax.random.randint(key, (size,), 0, count))(keys, filled)
+    slot = jnp.where(controller[:, None] == 0, draw, replay.capacity - 1 - draw)
+    rows = replay.index[slot, lanes]
+    marks = unpack(replay.marks[rows, lanes])
+    reward = replay.reward[rows, lanes] if replay.reward.shape[0] else marks.reached.astype(jnp.float32)
+    return Rows(replay.state[rows, lanes], replay.action[rows, lanes], replay.state[rows + 1, lanes], reward, marks)

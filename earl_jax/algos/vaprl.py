@@ -1,0 +1,88 @@
+"""VaPRL: one goal-conditioned agent that practises from wherever its own values say it may already succeed."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.method import RETURN, Commands, Goals, Method
+from earl_jax.algos.replay import Rows
+from earl_jax.algos.sac import Agent
+from earl_jax.envs import Env
+
+
+@struct.dataclass
+class Curriculum:
+    """How well the agent thinks it would do: values [G, C] of starting at each demo state, for each task goal."""
+
+    values: jax.Array
+
+
+@struct.dataclass
+class VaPRL(Method):
+    """Alternate task episodes with episodes towards a subgoal: the demo state nearest rho whose value passes epsilon.
+
+    Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`.
+    Differences, each on purpose: values come from a pair of critics without entropy bonus in units of one reward, so
+    that epsilon is a discounted success probability (the release has a flag for it); the table of values is refreshed every
+    200 steps rather than at every phase; goals are relabelled when sampled rather than stored in copies.
+    """
+
+    epsilon: float = 0.1
+    """Least value of a subgoal, discounted success probability (silent in the papers; 0.01 to 0.3 are worth a look)."""
+    relabel_share: float = 0.8
+    """Share of sampled transitions that get another goal: N of N + 1 with N = 4 (VaPRL paper)."""
+    value_samples: int = struct.field(pytree_node=False, default=4)
+    """Actions averaged in a value (released code: 10)."""
+
+    refresh_every: int = struct.field(pytree_node=False, default=200)
+    """Steps between evaluations of the value table."""
+
+    name: ClassVar[str] = "vaprl"
+    phases: ClassVar[int] = 2
+    critics: ClassVar[int] = 2 * sac_lib.SOFT_CRITICS
+    needs_demos: ClassVar[bool] = True
+    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+
+    def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
+        return Curriculum(jnp.zeros((goals.tasks, len(goals.candidates))))
+
+    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Curriculum) -> Commands:
+        """Queue a task goal and command its subgoal when a return phase begins; then command the queued one."""
+        queued = jnp.where(phase == RETURN, jax.random.randint(key, (), 0, goals.tasks), lane.task)
+        subgoal = goals.tasks + goals.initials + self.choose(extra.values[queued], goals)
+        return Commands(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
+
+    def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
+        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon, else the best valued."""
+        start = goals.table[goals.tasks : goals.tasks + goals.initials].mean(axis=0)
+        distance = jnp.linalg.norm(goals.candidates - start, axis=-1)
+        able = values >= self.epsilon
+        return jnp.where(able.any(), jnp.argmin(jnp.where(able, distance, jnp.inf)), jnp.argmax(values))
+
+    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, extra: Curriculum) -> Curriculum:
+        agent = jax.tree.map(lambda leaf: leaf[0], agent)
+        value_pair = jax.tree.map(lambda leaf: leaf[sac_lib.SOFT_CRITICS :], agent.critics)
+        tasks, count = goals.table[: goals.tasks], len(goals.candidates)
+        obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
+
+        def value(sample_key):
+            action = sac_lib.act(self.sac, agent.actor, obs, sample_key, env.action_size)
+            return sac_lib.q_values(self.sac, value_pair, obs, action).min(axis=0)
+
+        values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
+        return Curriculum(values.reshape(goals.tasks, count) / self.sac.reward_scale)
+
+    def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
+        """Give a share of the transitions a goal drawn from the whole table; one without a successor keeps its own."""
+        share_key, goal_key = jax.random.split(key)
+        goal = jax.random.randint(goal_key, rows.reward.shape, 0, len(goals.table))
+        chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~rows.marks.lost
+        obs = jnp.concatenate([rows.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
+        marks = rows.marks._replace(
+            goal=jnp.where(chosen, goal, rows.marks.goal),
+            reached=jnp.where(chosen, env.success(obs) & env.sparse, rows.marks.reached),
+        )
+        return rows._replace(reward=jnp.where(chosen, env.reward(obs), rows.reward), marks=marks)

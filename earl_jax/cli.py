@@ -1,0 +1,185 @@
+"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos`."""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from earl_jax import algos, envs
+
+Positional = tyro.conf.Positional
+JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
+Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
+
+
+def _say(result: dict[str, Any], as_json: bool, text: str) -> None:
+    print(json.dumps(result) if as_json else text)
+
+
+def _value(text: str) -> Any:
+    """Return a JSON value where `text` is one, else the text itself, so that names need no quotes."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def _options(pairs: tuple[str, ...], env: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the task's and the method's options among name=value `pairs`."""
+    known = {field.name for field in dataclasses.fields(envs.make(env))}
+    parts: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals:
+            raise ValueError(f"--set takes name=value, not {pair!r}")
+        parts[0 if name in known else 1][name] = _value(text)
+    return parts
+
+
+def list_(json: JSON = False) -> None:
+    """Show the tasks and methods by name."""
+    names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
+    _say(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
+
+
+def train(
+    env: Positional[str],
+    algo: str = "fbrl",
+    seeds: int = 5,
+    steps: int = 100_000,
+    out: Path = Path("runs/latest"),
+    eval_every: int = 10_000,
+    eval_episodes: int = 10,
+    checkpoint_every: int = 100_000,
+    set: Set = (),  # noqa: A002
+    json: JSON = False,
+) -> None:
+    """Train a method on a task without resets, all seeds in one program.
+
+    Args:
+        env: the task, a name of `earl-jax list`.
+        algo: the method, a name of `earl-jax list`.
+        seeds: how many seeds, 0 upwards.
+        steps: training steps of each seed.
+        out: a new folder for config.json, metrics.csv and checkpoints.
+        eval_every: steps between evaluations.
+        eval_episodes: greedy episodes of each deployed evaluation.
+        checkpoint_every: steps between checkpoints.
+    """
+    from earl_jax import train as training
+
+    env_options, options = _options(set, env)
+    result = training.train(
+        envs.make(env, **env_options), algos.make_algo(algo, **options), seeds=seeds, steps=steps, out=out,
+        eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
+    )  # fmt: skip
+    _report_run(result, out, json)
+
+
+def resume(folder: Positional[Path], steps: int | None = None, json: JSON = False) -> None:
+    """Go on with a run from its newest checkpoint; the end is bit-identical to that of a run never stopped.
+
+    Args:
+        folder: a run folder.
+        steps: make the run this long instead of what it was started with.
+    """
+    from earl_jax.experiment import RunFolder
+    from earl_jax.train import execute
+
+    run = RunFolder.open(folder)
+    if steps is not None:
+        run = run.extended(steps)
+    _report_run(execute(run.experiment, run, progress=True), folder, json)
+
+
+def _report_run(result: Any, out: Path, as_json: bool) -> None:
+    from earl_jax.metrics.statistics import summarise
+
+    final = summarise(result.metrics["deployed/success"][:, -1])
+    answer = {"out": str(out), "steps": int(result.steps[-1]), "deployed/success": final._asdict()}
+    text = f"{out}: deployed/success {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
+    _say(answer, as_json, text)
+
+
+def evaluate(folder: Positional[Path], episodes: int = 100, seed: int = 0, json: JSON = False) -> None:
+    """Evaluate the newest policies of a run on fresh greedy episodes.
+
+    Args:
+        folder: a run folder with a checkpoint.
+        episodes: episodes for each seed's policy.
+        seed: of starts and goals.
+    """
+    from earl_jax.evaluate import evaluate as measure
+
+    results = measure(folder, episodes, seed)
+    lines = [f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()]
+    _say({name: values.tolist() for name, values in results.items()}, json, "\n".join(lines))
+
+
+def plot(folders: Positional[tuple[Path, ...]], out: Path = Path("curves.png")) -> None:
+    """Draw deployed and continuing curves of runs, one line a method, with 95 % bands.
+
+    Args:
+        folders: run folders.
+        out: the picture, .png, .pdf or .svg.
+    """
+    from earl_jax.report.plots import plot_runs
+
+    print(plot_runs(folders, out))
+
+
+def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None = None, json: JSON = False) -> None:
+    """Print the paper's two tables for runs, beside the published figures where there are any.
+
+    Args:
+        folders: run folders.
+        last: evaluations averaged at the end of each run; the paper's tables use 1.
+        out: also write the table here, .md or .csv.
+    """
+    from earl_jax.report.tables import markdown, tabulate, write
+
+    rows = tabulate(folders, last)
+    if out:
+        write(rows, out)
+    _say({"rows": rows}, json, markdown(rows))
+
+
+def demos(env: Positional[str], out: Path, seed: int = 0) -> None:
+    """Make a task's demonstrations anew with its scripted expert.
+
+    Args:
+        env: the task.
+        out: an npz file.
+        seed: of the expert's noise; 0 gives the file that ships.
+    """
+    from earl_jax import demos as making
+
+    making.save(making.make(envs.make(env), seed), out)
+    print(out)
+
+
+COMMANDS = {
+    "list": list_,
+    "train": train,
+    "resume": resume,
+    "evaluate": evaluate,
+    "plot": plot,
+    "table": table,
+    "demos": demos,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; what the user got wrong is one line on stderr and exit code 2."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=arguments, description=__doc__)
+    except (ValueError, OSError) as error:
+        print(f"earl-jax: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""The tasks by name. Adding one is a file here and a line in the table, or `register_env` from outside."""
+
+from earl_jax.envs.base import Env, State
+from earl_jax.registry import Registry
+
+__all__ = ["Env", "State", "list_envs", "make", "register_env"]
+
+_ENVS = Registry(
+    "env",
+    {
+        "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
+    },
+)
+
+
+def list_envs() -> list[str]:
+    """Return the names that `make` takes, sorted."""
+    return _ENVS.names()
+
+
+def register_env(name: str, factory: type[Env]) -> None:
+    """Make `make(name)` build `factory`, an `Env` subclass; a name that is taken is refused."""
+    _ENVS.register(name, factory)
+
+
+def make(name: str, **options) -> Env:
+    """Return the task `name` with its options set, e.g. `make("tabletop_organization", reward_type="dense")`.
+
+    Raises:
+        ValueError: the name or an option is unknown; the message lists the choices.
+    """
+    return _ENVS.build(name, options)

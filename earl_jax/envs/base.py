@@ -1,0 +1,137 @@
+"""The contract that every task keeps: `State`, `Env`, and what a goal-conditioned world must answer."""
+
+import abc
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+REWARD_TYPES = ("sparse", "dense")
+
+
+@struct.dataclass
+class State:
+    """One moment of a world: physics `data`, `obs [s + g]`, scalar float32 `reward` and `done`, `metrics`, `info`.
+
+    The tree keeps its structure, dtypes and weak types from `reset` on, so it can be a scan's carry.
+    """
+
+    data: Any
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    metrics: dict[str, jax.Array]
+    info: dict[str, jax.Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class Env(abc.ABC):
+    """A goal-conditioned world without resets: pure `reset` and `step`, unbatched, jittable, hashable.
+
+    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`, actions lie in
+    [-1, 1] and are clipped. An env never resets itself and never ends by itself: that is the protocol's business.
+    """
+
+    reward_type: str = "sparse"
+    train_horizon: int = 200_000
+    eval_horizon: int = 200
+
+    name: ClassVar[str]
+    state_size: ClassVar[int]
+    goal_size: ClassVar[int]
+    action_size: ClassVar[int]
+    goal_change: ClassVar[int]
+    """Steps between goal changes in the paper's continuing setting."""
+
+    def __post_init__(self):
+        if self.reward_type not in REWARD_TYPES:
+            raise ValueError(f"reward_type {self.reward_type!r} is not one of {', '.join(REWARD_TYPES)}")
+        for field in ("train_horizon", "eval_horizon"):
+            if getattr(self, field) < 1:
+                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+
+    @property
+    def obs_size(self) -> int:
+        """Length of `obs`: state and goal."""
+        return self.state_size + self.goal_size
+
+    @property
+    def sparse(self) -> bool:
+        """Whether the reward is 1 on success and 0 elsewhere, so that reaching a goal ends a virtual episode."""
+        return self.reward_type == "sparse"
+
+    @property
+    @abc.abstractmethod
+    def goal_states(self) -> np.ndarray:
+        """Task goals, float32 [G, g]."""
+
+    @property
+    @abc.abstractmethod
+    def initial_states(self) -> np.ndarray:
+        """Representative states of the initial distribution rho, float32 [I, s], in the layout of a goal."""
+
+    @abc.abstractmethod
+    def reset(self, key: jax.Array) -> State:
+        """Return a state with s0 ~ rho and a task goal drawn uniformly."""
+
+    @abc.abstractmethod
+    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+        """Return the next physics data, the next state vector [s] and the info fields that changed."""
+
+    @abc.abstractmethod
+    def success(self, obs: jax.Array) -> jax.Array:
+        """Return whether the state part of `obs [..., s + g]` has reached its goal part, bool [...]."""
+
+    @abc.abstractmethod
+    def reward(self, obs: jax.Array) -> jax.Array:
+        """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
+
+    def expert(self, obs: jax.Array) -> jax.Array:
+        """Return the action [a] of a scripted controller that reaches the goal in `obs [s + g]`.
+
+        Raises:
+            NotImplementedError: this task has no scripted controller.
+        """
+        raise NotImplementedError(f"{self.name} has no scripted expert")
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Return the state after one control step with `action [a]` in [-1, 1].
+
+        Raises:
+            ValueError: the action has another shape, or (outside jit, where values are known) is not finite.
+        """
+        check_action(action, self.action_size)
+        data, vector, changed = self._advance(state, jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0))
+        info = {**state.info, **changed}
+        return self._state(data, vector, info)
+
+    def _state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
+        obs = jnp.concatenate([vector, info["goal"]])
+        metrics = {"success": self.success(obs).astype(jnp.float32)}
+        return State(data, obs, self.reward(obs), jnp.zeros((), jnp.float32), metrics, info)
+
+    def sample_goal(self, key: jax.Array) -> jax.Array:
+        """Return a task goal [g], uniform over `goal_states`."""
+        goals = jnp.asarray(self.goal_states)
+        return goals[jax.random.randint(key, (), 0, goals.shape[0])]
+
+    def with_goal(self, state: State, goal: jax.Array) -> State:
+        """Return `state` commanded to reach `goal [g]`; reward and metrics still speak of the last transition."""
+        obs = jnp.concatenate([state.obs[: self.state_size], goal])
+        return state.replace(obs=obs, info={**state.info, "goal": goal})
+
+    def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
+        """Return what `state` would have earned under `goal [g]`, whichever goal is commanded now."""
+        return self.reward(jnp.concatenate([state.obs[: self.state_size], goal]))
+
+
+def check_action(action: jax.Array, size: int) -> None:
+    """Refuse an action of another shape than [size], or one that is known not to be finite."""
+    shape = jnp.shape(action)
+    if shape != (size,):
+        raise ValueError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
+    if not isinstance(action, jax.core.Tracer) and not np.isfinite(np.asarray(action)).all():
+        raise ValueError(f"action is not finite: {np.asarray(action).tolist()}")

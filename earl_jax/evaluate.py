@@ -1,0 +1,35 @@
+"""Deployed evaluation of a finished or running run, from its folder."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.experiment import RunFolder
+from earl_jax.metrics.deployed import deployed
+from earl_jax.policy import Policy
+from earl_jax.train import load_lanes
+
+
+def evaluate(folder: str | Path, episodes: int = 100, seed: int = 0) -> dict[str, np.ndarray]:
+    """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, over fresh episodes.
+
+    Args:
+        folder: a run folder with a checkpoint.
+        episodes: greedy episodes of H_E steps for each seed's policy.
+        seed: of starts and goals; the same for every policy, so that they are compared on the same episodes.
+
+    Raises:
+        ValueError: not a run folder, or a missing or damaged checkpoint.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, not {episodes}")
+    _, env, method, lanes = load_lanes(RunFolder.open(Path(folder)))
+
+    def one(m, lane):
+        return deployed(env, Policy.of(env, m, lane), jax.random.key(seed), env.eval_horizon, episodes)
+
+    return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(one))(method, lanes).items()}
+
+

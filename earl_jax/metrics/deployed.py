@@ -1,0 +1,49 @@
+"""Deployed evaluation: what the learnt policy does when it is set down at s0 ~ rho, greedily and without learning."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.autonomy import Lane, Loop
+from earl_jax.algos.method import TASK, Method
+from earl_jax.envs import Env
+
+EVALUATION = 2
+"""Folded into a lane's key, so that evaluating neither shifts nor repeats the randomness of the life."""
+
+
+def episode(env: Env, policy: Callable, key: jax.Array, horizon: int) -> dict[str, jax.Array]:
+    """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`."""
+
+    def step(carry, _):
+        state, success, total = carry
+        state = env.step(state, policy(state.obs))
+        return (state, success | env.success(state.obs), total + state.reward), None
+
+    start = (env.reset(key), jnp.zeros((), bool), jnp.zeros(()))
+    (_, success, total), _ = jax.lax.scan(step, start, length=horizon)
+    return {"success": success.astype(jnp.float32), "return": total}
+
+
+def deployed(env: Env, policy: Callable, key: jax.Array, horizon: int, episodes: int) -> dict[str, jax.Array]:
+    """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
+
+    Success counts at any step, as the released evaluations do (their values are exact multiples of 0.1), although the
+    paper's text speaks of returns.
+    """
+    keys = jax.random.split(key, episodes)
+    results = jax.vmap(lambda part: episode(env, policy, part, horizon))(keys)
+    return {f"deployed/{name}": values.mean() for name, values in results.items()}
+
+
+def deployed_lane(loop: Loop, method: Method, lane: Lane, step: jax.Array) -> dict[str, jax.Array]:
+    """Return the deployed evaluation of one lane's task controller after `step` steps, under the loop's protocol."""
+    actor = jax.tree.map(lambda leaf: leaf[TASK], lane.agent.actor)
+
+    def policy(obs):
+        return sac_lib.greedy(method.sac, actor, obs, loop.env.action_size)
+
+    key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION)
+    return deployed(loop.env, policy, key, loop.protocol.eval_horizon, loop.protocol.eval_episodes)

@@ -1,0 +1,54 @@
+"""Statistics over seeds: mean, standard error, interquartile mean and stratified-bootstrap intervals.
+
+Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", section 4.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+RESAMPLES = 2000
+
+
+class Summary(NamedTuple):
+    """Scores of some seeds in short: `mean`, `stderr`, `iqm` with its 95 % interval `low` to `high`, and `seeds`."""
+
+    mean: float
+    stderr: float
+    iqm: float
+    low: float
+    high: float
+    seeds: int
+
+
+def stderr(scores: np.ndarray) -> np.ndarray:
+    """Return the standard error over the first axis: population deviation over the root of n, as the paper prints it."""
+    return np.std(scores, axis=0) / np.sqrt(np.shape(scores)[0])
+
+
+def iqm(scores: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Return the mean of the middle half of `scores`, a quarter of the runs cut at either end."""
+    return stats.trim_mean(scores, 0.25, axis=axis)
+
+
+def bootstrap(scores: np.ndarray, statistic=iqm, level: float = 0.95, seed: int = 0) -> tuple[float, float]:
+    """Return the percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
+
+    One task may be given as [seeds]. The same seed gives the same interval.
+    """
+    table = np.asarray(scores, float).reshape(len(scores), -1)
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(len(table), size=(RESAMPLES, *table.shape))
+    resampled = table[picks, np.arange(table.shape[1])].reshape(RESAMPLES, -1)
+    low, high = np.quantile(statistic(resampled, axis=1), [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def summarise(scores: np.ndarray) -> Summary:
+    """Return the `Summary` of `scores [seeds]`; an empty or non-finite array is a ValueError."""
+    scores = np.asarray(scores, float)
+    if scores.ndim != 1 or not len(scores) or not np.isfinite(scores).all():
+        raise ValueError(f"expected finite scores of at least one seed, got {scores}")
+    low, high = bootstrap(scores)
+    return Summary(float(scores.mean()), float(stderr(scores)), float(iqm(scores)), low, high, len(scores))

@@ -1,0 +1,34 @@
+"""A learnt policy that one can call."""
+
+from typing import Any
+
+import jax
+from flax import struct
+
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.autonomy import Lane
+from earl_jax.algos.method import TASK, Method
+from earl_jax.algos.sac import SAC
+from earl_jax.envs import Env
+
+
+@struct.dataclass
+class Policy:
+    """The greedy task policy of one lane: `policy(obs [..., o]) -> action [..., a]`, pure, works under jit and vmap."""
+
+    sac: SAC
+    actor: Any
+    obs_size: int = struct.field(pytree_node=False)
+    action_size: int = struct.field(pytree_node=False)
+
+    @classmethod
+    def of(cls, env: Env, method: Method, lane: Lane) -> "Policy":
+        """Return the policy of one lane (no lane axis) of `method` on `env`."""
+        actor = jax.tree.map(lambda leaf: leaf[TASK], lane.agent.actor)
+        return cls(method.sac, actor, env.obs_size, env.action_size)
+
+    def __call__(self, obs: jax.Array) -> jax.Array:
+        """Return the greedy action; an observation of another size is a ValueError."""
+        if obs.shape[-1] != self.obs_size:
+            raise ValueError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
+        return sac_lib.greedy(self.sac, self.actor, obs, self.action_size)

@@ -1,0 +1,51 @@
+"""What a run shows while it runs: a bar with success and speed on a terminal, a line per evaluation elsewhere."""
+
+import sys
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+if TYPE_CHECKING:
+    from earl_jax.experiment import Experiment, Row
+
+SMOOTHING = 0.8
+
+
+class Progress:
+    """A context that is told of steps and evaluations and shows them on stderr."""
+
+    def __init__(self, experiment: "Experiment", done: int, show: bool):
+        self._experiment, self._step, self._speed, self._success = experiment, done, 0.0, float("nan")
+        self._console = Console(stderr=True)
+        self._bar = Bar(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
+            TextColumn("success {task.fields[success]}  {task.fields[speed]} steps/s"), TimeRemainingColumn(),
+            console=self._console, disable=not (show and self._console.is_terminal),
+        )  # fmt: skip
+        self._plain = show and not self._console.is_terminal
+        label = f"{experiment.algo} x {len(experiment.seeds)} on {experiment.env}"
+        self._task = self._bar.add_task(label, total=experiment.steps, completed=done, success="-", speed="-")
+
+    def __enter__(self) -> "Progress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def advance(self, steps: int, seconds: float) -> None:
+        """Count `steps` of every lane that took `seconds`; the speed shown is of all lanes together."""
+        now = steps * len(self._experiment.seeds) / seconds
+        self._speed = now if not self._speed else SMOOTHING * self._speed + (1 - SMOOTHING) * now
+        self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
+
+    def report(self, step: int, rows: list["Row"]) -> None:
+        """Show an evaluation: mean deployed success and continuing reward over seeds."""
+        success = sum(row["deployed/success"] for row in rows) / len(rows)
+        self._bar.update(self._task, success=f"{success:.2f}")
+        if self._plain:
+            reward = sum(row["continuing/reward"] for row in rows) / len(rows)
+            line = f"step {step}/{self._experiment.steps}  deployed/success {success:.3f}  continuing/reward {reward:.5f}"
+            print(f"{line}  steps/s {self._speed:.0f}", file=sys.stderr, flush=True)

@@ -1,0 +1,258 @@
+"""Seeds in, curves out: chunks of the jitted loop, with evaluations, logs and checkpoints between them."""
+
+import dataclasses
+import functools
+import math
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos import Method, autonomy, birth, make_algo
+from earl_jax.algos.autonomy import Lane, Lives, Loop
+from earl_jax.checkpoint import restore, save
+from earl_jax.envs import Env, make
+from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.metrics.continuing import continuing_lane
+from earl_jax.metrics.deployed import deployed_lane
+from earl_jax.policy import Policy
+from earl_jax.progress import Progress
+from earl_jax.protocol import Protocol
+
+
+@functools.partial(jax.jit, static_argnames=("loop", "capacity"))
+def _begin(loop: Loop, method: Method, keys: jax.Array, capacity: int) -> Lives:
+    return birth.begin(loop, method, keys, capacity)
+
+
+@functools.partial(jax.jit, static_argnames=("loop", "steps", "explore"), donate_argnames="lives")
+def _advance(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool) -> Lives:
+    return autonomy.run(loop, method, lives, steps, explore)
+
+
+@functools.partial(jax.jit, static_argnames="loop", donate_argnames="lives")
+def _judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
+    return judge(loop, method, lives)
+
+
+def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
+    """Return the lives with their reward window closed, and every metric [N] under both of the paper's protocols."""
+    since = jnp.asarray(loop.protocol.eval_every, jnp.float32)
+    step = lives.step.astype(jnp.float32)
+    deployed = jax.vmap(lambda m, lane: deployed_lane(loop, m, lane, lives.step))(method, lives.lanes)
+    lanes, continuing = jax.vmap(lambda lane: continuing_lane(lane, step, since))(lives.lanes)
+    return lives.replace(lanes=lanes), {**deployed, **continuing, **lanes.tally.diagnostics}
+
+
+def per_lane(method: Method, lanes: int) -> Method:
+    """Return `method` with every float leaf as an array [lanes]; a leaf that is one already keeps its values.
+
+    Raises:
+        ValueError: a leaf is neither a scalar nor of length `lanes`.
+    """
+
+    def spread(leaf):
+        array = np.asarray(leaf)
+        array = array.astype(bool if array.dtype == bool else np.float32)
+        if array.shape not in ((), (lanes,)):
+            raise ValueError(f"a hyper-parameter has shape {array.shape}; give one value, or one for each of {lanes} lanes")
+        return jnp.asarray(np.broadcast_to(array, (lanes,)))
+
+    return jax.tree.map(spread, method)
+
+
+def _chunk(method: Method, protocol: Protocol) -> int:
+    """Return the steps of one jitted call: as many as fit both the random start and the evaluations."""
+    chunk = math.gcd(method.sac.random_steps, protocol.eval_every)
+    if method.refresh_every and chunk % method.refresh_every:
+        raise ValueError(
+            f"{method.name} refreshes every {method.refresh_every} steps, which divides neither random_steps "
+            f"{method.sac.random_steps} nor eval_every {protocol.eval_every}; set refresh_every to a divisor of {chunk}"
+        )
+    return chunk
+
+
+def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:
+    """Return final lives and metrics [N, E] of whole lives of `steps`, as one pure function for jit, vmap or a notebook.
+
+    Args:
+        loop: the world and its protocol (static).
+        method: the method, scalar leaves or [N].
+        keys: typed PRNG keys [N], one a seed.
+        steps: training steps, a multiple of the protocol's `eval_every`.
+    """
+    every, method = loop.protocol.eval_every, _traced_per_lane(method, keys.shape[0])
+    chunk = _chunk(method, loop.protocol)
+    warm = min(method.sac.random_steps, steps)
+    lives = birth.begin(loop, method, keys, birth.capacity_for(loop, method, steps))
+
+    def part(carry, start, stop):
+        for begin, end, explore in _segments(start, stop, warm):
+            carry = _scan_chunks(loop, method, carry, (end - begin) // chunk, chunk, explore)
+        return judge(loop, method, carry)
+
+    first = -(-warm // every) * every
+    early = []
+    for start in range(0, first, every):
+        lives, metrics = part(lives, start, start + every)
+        early.append(metrics)
+    lives, rest = jax.lax.scan(lambda carry, _: part(carry, first, first + every), lives, length=(steps - first) // every)
+    curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
+    return lives, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
+
+
+def _traced_per_lane(method: Method, lanes: int) -> Method:
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), (lanes,)), method)
+
+
+def _scan_chunks(loop: Loop, method: Method, lives: Lives, count: int, chunk: int, explore: bool) -> Lives:
+    def body(carry, _):
+        return autonomy.run(loop, method, carry, chunk, explore), None
+
+    return jax.lax.scan(body, lives, length=count)[0]
+
+
+def _segments(start: int, stop: int, warm: int) -> Iterable[tuple[int, int, bool]]:
+    """Yield the spans of start to stop that are explored (before step `warm`) and learnt in."""
+    middle = min(max(warm, start), stop)
+    return [(a, b, explore) for a, b, explore in ((start, middle, True), (middle, stop, False)) if a < b]
+
+
+@dataclasses.dataclass
+class Result:
+    """What training returns: `steps [E]`, `metrics` of arrays [N, E], the final `lives` of N `seeds`."""
+
+    experiment: Experiment
+    env: Env
+    method: Method
+    seeds: tuple[int, ...]
+    steps: np.ndarray
+    metrics: dict[str, np.ndarray]
+    lives: Lives
+
+    def policy(self, seed: int = 0) -> Policy:
+        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o]."""
+        return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.lives, seed))
+
+
+def select_seed(state: Any, i: int) -> Any:
+    """Return lane `i` of `state`: a `Lane` out of `Lives`, or any tree of arrays with a leading lane axis.
+
+    Raises:
+        IndexError: there is no such lane.
+    """
+    lanes = state.lanes if isinstance(state, Lives) else state
+    count = jax.tree.leaves(lanes)[0].shape[0]
+    if not -count <= i < count:
+        raise IndexError(f"no lane {i}: there are {count}")
+    return jax.tree.map(lambda leaf: leaf[i], lanes)
+
+
+def train(
+    env: str | Env,
+    algo: str | Method,
+    *,
+    seeds: int | Sequence[int] = 5,
+    steps: int = 100_000,
+    eval_every: int = 10_000,
+    eval_episodes: int = 10,
+    out: str | Path | None = None,
+    checkpoint_every: int = 100_000,
+    progress: bool = False,
+    **options: Any,
+) -> Result:
+    """Return the curves and final lives of `algo` on `env`, all seeds in one jitted program.
+
+    Args:
+        env: a name of `list_envs()` or an `Env`.
+        algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
+        seeds: how many seeds (0, 1, ...) or which.
+        steps: training steps of each seed.
+        eval_every: steps between evaluations; the last one is at `steps`.
+        eval_episodes: greedy episodes of each deployed evaluation.
+        out: a folder for config, metrics and checkpoints; without it nothing is written.
+        checkpoint_every: steps between checkpoints, where `out` is given.
+        progress: show a bar, or on a plain stream a line per evaluation.
+        options: hyper-parameters by name; a list gives each lane its own value.
+
+    Raises:
+        ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
+    """
+    env = make(env) if isinstance(env, str) else env
+    method = make_algo(algo, **options) if isinstance(algo, str) else _with_options(algo, options)
+    which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
+    experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every)
+    folder = RunFolder.create(Path(out), experiment) if out is not None else None
+    return execute(experiment, folder, env=env, method=method, progress=progress)
+
+
+def _with_options(method: Method, options: dict[str, Any]) -> Method:
+    if options:
+        raise ValueError(f"options {', '.join(options)} go with an algo's name; this one is built: use .replace(...)")
+    return method
+
+
+def execute(
+    experiment: Experiment,
+    folder: RunFolder | None = None,
+    *,
+    env: Env | None = None,
+    method: Method | None = None,
+    progress: bool = False,
+) -> Result:
+    """Return the result of `experiment`, carried on from the newest checkpoint in `folder` where there is one."""
+    env, method = env or experiment.build_env(), method or experiment.build_method()
+    loop = Loop(env, experiment.protocol(env))
+    lanes = per_lane(method, len(experiment.seeds))
+    chunk, warm = _chunk(method, loop.protocol), method.sac.random_steps
+    lives = _start(loop, lanes, experiment, folder)
+    step = int(lives.step)
+    rows = folder.rows_until(step) if folder else []
+    with Progress(experiment, step, show=progress) as bar:
+        while step < experiment.steps:
+            began = time.perf_counter()
+            lives = _advance(loop, lanes, lives, chunk, step < warm)
+            lives.step.block_until_ready()
+            step += chunk
+            bar.advance(chunk, time.perf_counter() - began)
+            if step % loop.protocol.eval_every:
+                continue
+            lives, metrics = _judge(loop, lanes, lives)
+            fresh = experiment.rows(step, {name: np.asarray(values) for name, values in metrics.items()})
+            rows += fresh
+            bar.report(step, fresh)
+            if folder:
+                folder.append(fresh)
+                if experiment.checkpoint_due(step):
+                    save(folder.checkpoints, lives)
+    return Result(experiment, env, lanes, experiment.seeds, *experiment.curves(rows), lives)
+
+
+def _start(loop: Loop, lanes: Method, experiment: Experiment, folder: RunFolder | None) -> Lives:
+    keys = jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
+    capacity = birth.capacity_for(loop, lanes, experiment.steps)
+    fresh = functools.partial(_begin, loop, lanes, keys, capacity)
+    if folder and (saved := restore(folder.checkpoints, jax.eval_shape(fresh))) is not None:
+        return saved
+    return fresh()
+
+
+def load_lanes(folder: RunFolder) -> tuple[Experiment, Env, Method, Lane]:
+    """Return the experiment, env, method [N] and final lanes [N] that a run folder's newest checkpoint holds.
+
+    Raises:
+        ValueError: the folder has no checkpoint yet, or a damaged one.
+    """
+    experiment = folder.experiment
+    env, method = experiment.build_env(), per_lane(experiment.build_method(), len(experiment.seeds))
+    loop = Loop(env, experiment.protocol(env))
+    keys = jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
+    shape = jax.eval_shape(functools.partial(birth.begin, loop, method, keys, birth.capacity_for(loop, method, 1)))
+    lives = restore(folder.checkpoints, shape, with_replay=False)
+    if lives is None:
+        raise ValueError(f"{folder.path} has no checkpoint yet; earl-jax resume {folder.path} goes on with the run")
+    return experiment, env, method, lives.lanes
