@@ -144,6 +144,7 @@ def _filled(replay: Replay) -> dict[str, np.ndarray]:
         "mine": np.asarray(replay.index[:mine]),
         "other": np.asarray(replay.index[capacity - other :]),
         "counts": np.asarray(replay.counts),
+        "demos": np.asarray(replay.demos),
         "row": np.asarray(row, np.int32),
     }
     return {name: array for name, array in rows.items() if array.size}
@@ -164,4 +165,5 @@ def _spread(saved: dict[str, np.ndarray], like: Replay) -> Replay:
         if name in saved:
             index[place][: len(saved[name])] = saved[name][place]
     rows = {name: pad(name) for name in ("state", "action", "marks", "reward")}
-    return Replay(**rows, index=jnp.asarray(index), counts=jnp.asarray(saved["counts"]), row=jnp.asarray(saved["row"]))
+    whole = {name: jnp.asarray(saved[name]) for name in ("counts", "demos", "row")}
+    return Replay(**rows, index=jnp.asarray(index), **whole)

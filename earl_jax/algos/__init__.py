@@ -1,6 +1,9 @@
 """The methods by name. Adding one is a file here and a line in the table, or `register_algo` from outside."""
 
 import dataclasses
+from typing import Any
+
+import numpy as np
 
 from earl_jax.algos.method import Method
 from earl_jax.algos.sac import SAC
@@ -31,7 +34,9 @@ def register_algo(name: str, method: type[Method]) -> None:
 
 
 def make_algo(name: str, **options) -> Method:
-    """Return the method `name`; options are its own fields and those of `SAC`, e.g. `reward_scale=10.0`.
+    """Return the method `name`; options are its own fields and those of `SAC`.
+
+    A float field takes a list too, a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two lanes.
 
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
@@ -41,7 +46,13 @@ def make_algo(name: str, **options) -> Method:
     unknown = sorted(set(options) - shared - own)
     if unknown:
         raise ValueError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
-    if "hidden_sizes" in options:
-        options["hidden_sizes"] = tuple(int(size) for size in options["hidden_sizes"])
+    options = {option: _leaf(option, value) for option, value in options.items()}
     sac = SAC(**{option: value for option, value in options.items() if option in shared})
     return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})
+
+
+def _leaf(option: str, value: Any) -> Any:
+    """Return a list, which JSON and the command line give, as what the field holds: layer sizes, or a value a lane."""
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(int(size) for size in value) if option == "hidden_sizes" else np.asarray(value, np.float32)

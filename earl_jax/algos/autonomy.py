@@ -15,7 +15,7 @@ from flax import struct
 from earl_jax.algos import replay as replay_lib
 from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.method import TASK, Commands, Goals, Method, goals_of
-from earl_jax.algos.replay import Marks, Replay, Rows
+from earl_jax.algos.replay import Marks, Replay, Rows, Transition
 from earl_jax.envs import Env, State
 from earl_jax.protocol import Protocol
 
@@ -79,10 +79,9 @@ class Loop:
 
 
 def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array, explore: bool) -> tuple:
-    """Return the lane one control step later, the transition it made (`Rows` without B) and whether to list it.
+    """Return the lane one control step later, the `Transition` it made and whether replay should list it.
 
-    `step []` counts from 0; with `explore` actions are uniform. The transition's `next_state` is the state the lane
-    goes on from.
+    `step []` counts from 0; with `explore` actions are uniform.
     """
     env, goals = loop.env, loop.goals
     action = _act(loop, method, lane, keys.act, explore)
@@ -104,8 +103,7 @@ def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array
     world = jax.tree.map(lambda new, old: jnp.where(reset, new, old), env.reset(keys.reset), world)
     world = env.with_goal(world, jnp.asarray(goals.table)[commands.goal])
 
-    before, after = lane.world.obs[: env.state_size], world.obs[: env.state_size]
-    transition = Rows(before, action, after, earned, marks)
+    transition = Transition(action, world.obs[: env.state_size], earned, marks)
     bootstrapped = timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
     tally = lane.tally.replace(
         window_reward=lane.tally.window_reward + task_reward,
@@ -173,7 +171,7 @@ def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) 
     controller = controller_of(method, phase)
     replay = replay_lib.write(lives.replay, transition, listed, controller)
     if not explore:
-        rows = replay_lib.sample(replay, keys.sample, controller, method.sac.batch_size)
+        rows = replay_lib.sample(replay, keys.sample, controller, method.sac.batch_size, method.sac.demo_share)
         lanes = jax.vmap(lambda *lane: learn(loop, *lane))(method, lanes, keys, rows, phase)
     return Lives(lanes, replay, step + 1)
 

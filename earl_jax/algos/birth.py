@@ -10,18 +10,24 @@ from earl_jax import assets
 from earl_jax.algos import replay as replay_lib
 from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.autonomy import Commands, Lane, Lives, Loop, Tally
-from earl_jax.algos.method import TASK, Method, trajectory_states
+from earl_jax.algos.method import TASK, Method, trajectories
 from earl_jax.algos.replay import Marks, Replay
 
 
 class DemoRows(NamedTuple):
-    """Demonstrations laid out as replay rows: R states, and T transitions with the row and controller of each."""
+    """Demonstrations laid out as replay rows: R states, and T transitions with row, controller and copies of each."""
 
     states: np.ndarray
     rows: np.ndarray
     actions: np.ndarray
     goals: np.ndarray
     controllers: np.ndarray
+    copies: np.ndarray
+
+    def listed(self, controller: int) -> np.ndarray:
+        """Return the rows that `controller` samples from, each as often as it is to be listed."""
+        mine = self.controllers == controller
+        return np.repeat(self.rows[mine], self.copies[mine])
 
 
 def demo_rows(loop: Loop, method: Method) -> DemoRows | None:
@@ -37,10 +43,11 @@ def demo_rows(loop: Loop, method: Method) -> DemoRows | None:
     parts, first = [], 0
     for number, direction in enumerate(method.demo_directions):
         demos = assets.demos(loop.env.name, direction)
-        states = trajectory_states(demos)
-        rows = first + np.arange(len(demos.ends)) + np.concatenate([[0], np.cumsum(demos.ends)[:-1]])
+        states, last = trajectories(demos)
+        rows = np.flatnonzero(np.arange(len(states)) < last)
         controllers = np.full(len(rows), min(number, method.controllers - 1))
-        parts.append(DemoRows(states, rows, demos.actions, _goal_indices(loop, demos.goals), controllers))
+        goals, copies = _goal_indices(loop, demos.goals), method.demo_copies(last[rows] - rows)
+        parts.append(DemoRows(states, first + rows, demos.actions, goals, controllers, copies))
         first += len(states)
     return DemoRows(*[np.concatenate(field) for field in zip(*parts, strict=True)])
 
@@ -57,7 +64,7 @@ def _goal_indices(loop: Loop, goals: np.ndarray) -> np.ndarray:
 def capacity_for(loop: Loop, method: Method, steps: int) -> int:
     """Return the replay rows that `steps` and the demonstrations take: nothing is ever evicted."""
     demos = demo_rows(loop, method)
-    return steps + (0 if demos is None else len(demos.states))
+    return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
 
 
 def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay:
@@ -69,7 +76,7 @@ def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay
     reached = env.success(obs) & env.sparse
     no = jnp.zeros_like(reached)
     words = replay_lib.pack(Marks(jnp.asarray(demos.goals), reached, no, no))
-    mine, other = [demos.rows[demos.controllers == number] for number in (0, 1)]
+    mine, other = demos.listed(0), demos.listed(1)
     index = replay.index.at[: len(mine)].set(mine[:, None])
     index = index.at[capacity - len(other) :].set(other[::-1, None])
     return replay.replace(
@@ -79,6 +86,7 @@ def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay
         reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
         index=index,
         counts=jnp.broadcast_to(jnp.array([len(mine), len(other)], jnp.int32), (lanes, 2)),
+        demos=jnp.array([len(mine), len(other)], jnp.int32),
         row=jnp.asarray(len(demos.states), jnp.int32),
     )
 

@@ -9,7 +9,7 @@ from flax import struct
 
 from earl_jax import assets
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.replay import Rows
+from earl_jax.algos.replay import GOAL_BITS, Rows
 from earl_jax.algos.sac import SAC, Agent
 from earl_jax.envs import Env
 
@@ -18,11 +18,15 @@ TASK, RETURN = 0, 1
 
 
 class Goals(NamedTuple):
-    """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, then demo states."""
+    """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, then demo states.
+
+    Demo states stand in the order of the replay's first rows; `ends [C]` is the last state of each one's demonstration.
+    """
 
     table: np.ndarray
     tasks: int
     initials: int
+    ends: np.ndarray
 
     @property
     def candidates(self) -> np.ndarray:
@@ -33,21 +37,24 @@ class Goals(NamedTuple):
 @functools.cache
 def goals_of(env: Env) -> Goals:
     """Return the goal table of `env`; without demonstrations it holds task goals and initial states only."""
-    parts = [env.goal_states, env.initial_states]
+    parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if assets.has_demos(env.name) and env.state_size == env.goal_size:
         for direction in assets.DIRECTIONS:
-            demos = assets.demos(env.name, direction)
-            parts.append(trajectory_states(demos))
+            states, last = trajectories(assets.demos(env.name, direction))
+            parts.append(states)
+            ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
-    if len(table) > 1 << 16:
-        raise ValueError(f"{env.name} has {len(table)} goals, replay packs at most 65,536")
-    return Goals(table, len(env.goal_states), len(env.initial_states))
+    if len(table) > 1 << GOAL_BITS:
+        raise ValueError(f"{env.name} has {len(table)} goals, replay packs at most {1 << GOAL_BITS}")
+    return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
 
 
-def trajectory_states(demos: assets.Demos) -> np.ndarray:
-    """Return every state [T + D, s] of D demonstrations in order, each with its final state."""
+def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:
+    """Return every state [T + D, s] of D demonstrations in order, final ones included, and each one's last index."""
     pieces = np.split(np.arange(len(demos.ends)), np.flatnonzero(demos.ends)[:-1] + 1)
-    return np.concatenate([np.vstack([demos.states[piece], demos.next_states[piece[-1:]]]) for piece in pieces])
+    states = [np.vstack([demos.states[piece], demos.next_states[piece[-1:]]]) for piece in pieces]
+    lengths = np.array([len(part) for part in states])
+    return np.concatenate(states), np.repeat(np.cumsum(lengths) - 1, lengths)
 
 
 @struct.dataclass
@@ -68,6 +75,10 @@ class Method:
     """Demonstrations put first in the replay; with two controllers, backward ones go to the second."""
     refresh_every: ClassVar[int] = 0
     """Steps between calls of `refresh`; 0 for never."""
+
+    def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
+        """Return how often [T] each demonstrated transition is listed, given the steps [T] to its demonstration's end."""
+        return np.ones_like(steps_left)
 
     def phase_length(self, env: Env, phase: jax.Array) -> jax.Array | int:
         """Return the steps after which `phase` times out; H_E unless a method says otherwise."""

@@ -30,9 +30,20 @@ class Marks(NamedTuple):
     lost: jax.Array
 
 
-class Rows(NamedTuple):
-    """Sampled transitions of every lane: `state, next_state [N, B, s]`, `action [N, B, a]`, `reward [N, B]`, `marks`."""
+class Transition(NamedTuple):
+    """What one step adds, one row a lane: `action [N, a]`, `next_state [N, s]` to go on from, `reward [N]`, `marks`."""
 
+    action: jax.Array
+    next_state: jax.Array
+    reward: jax.Array
+    marks: Marks
+
+
+class Rows(NamedTuple):
+    """Sampled transitions of every lane: `row [N, B]` they stand in, `state, next_state [N, B, s]`, `action`, `reward`,
+    `marks`."""
+
+    row: jax.Array
     state: jax.Array
     action: jax.Array
     next_state: jax.Array
@@ -45,7 +56,8 @@ class Replay:
     """The buffer of N lanes and capacity C; `reward` has no rows where the reward is a success bit.
 
     `state [C + 1, N, s]`, `action [C, N, a]`, packed `marks [C, N]`, `reward [C or 0, N]`, `index [C, N]` of row numbers,
-    `counts [N, 2]` rows listed for each controller, `row []` the next free row.
+    `counts [N, 2]` rows listed for each controller, the first `demos [2]` of them demonstrations, `row []` the next free
+    row.
     """
 
     state: jax.Array
@@ -54,6 +66,7 @@ class Replay:
     reward: jax.Array
     index: jax.Array
     counts: jax.Array
+    demos: jax.Array
     row: jax.Array
 
     @property
@@ -76,6 +89,7 @@ def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse:
         reward=jnp.zeros((0 if sparse else capacity, lanes)),
         index=jnp.zeros((capacity, lanes), jnp.int32),
         counts=jnp.zeros((lanes, 2), jnp.int32),
+        demos=jnp.zeros((2,), jnp.int32),
         row=jnp.zeros((), jnp.int32),
     )
 
@@ -92,10 +106,10 @@ def unpack(words: jax.Array) -> Marks:
     return Marks(words & (REACHED - 1), *bits)
 
 
-def write(replay: Replay, transition: Rows, valid: jax.Array, controller: jax.Array) -> Replay:
-    """Append one transition a lane (fields without the B axis), listed for `controller [N]` where `valid [N]`.
+def write(replay: Replay, transition: Transition, valid: jax.Array, controller: jax.Array) -> Replay:
+    """Append one transition a lane, listed for `controller [N]` where `valid [N]`.
 
-    `transition.next_state` is the state the lane goes on from, which after a reset is the new start.
+    After a reset the state to go on from is the new start, and the successor is lost.
     """
     row, lanes = replay.row, jnp.arange(valid.shape[0])
 
@@ -116,16 +130,25 @@ def write(replay: Replay, transition: Rows, valid: jax.Array, controller: jax.Ar
     )
 
 
-def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int) -> Rows:
+def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array) -> Rows:
     """Return `size` transitions a lane, uniform with replacement over what is listed for `controller [N]`.
 
-    A lane's draw depends on its own key and counts only, never on how many lanes run beside it.
+    A share `demo_share [N]` of them is drawn from the demonstrations alone. A lane's draw depends on its own key and
+    counts only, never on how many lanes run beside it.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
-    filled = jnp.maximum(replay.counts[lanes[:, 0], controller], 1)
-    draw = jax.vmap(lambda key, count: jax.random.randint(key, (size,), 0, count))(keys, filled)
-    slot = jnp.where(controller[:, None] == 0, draw, replay.capacity - 1 - draw)
+    draw = jax.vmap(_draw, (0, 0, 0, 0, None))
+    listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
+    slot = jnp.where(controller[:, None] == 0, listed, replay.capacity - 1 - listed)
     rows = replay.index[slot, lanes]
     marks = unpack(replay.marks[rows, lanes])
     reward = replay.reward[rows, lanes] if replay.reward.shape[0] else marks.reached.astype(jnp.float32)
-    return Rows(replay.state[rows, lanes], replay.action[rows, lanes], replay.state[rows + 1, lanes], reward, marks)
+    state, action, following = replay.state[rows, lanes], replay.action[rows, lanes], replay.state[rows + 1, lanes]
+    return Rows(rows, state, action, following, reward, marks)
+
+
+def _draw(key: jax.Array, count: jax.Array, demos: jax.Array, demo_share: jax.Array, size: int) -> jax.Array:
+    """Return positions [size] in one lane's list of `count` rows; integers, because float32 tells no two of 2**24 apart."""
+    share_key, place_key = jax.random.split(key)
+    from_demos = (jax.random.uniform(share_key, (size,)) < demo_share) & (demos > 0)
+    return jax.random.randint(place_key, (size,), 0, jnp.maximum(jnp.where(from_demos, demos, count), 1))

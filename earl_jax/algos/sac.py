@@ -35,6 +35,8 @@ class SAC:
     """Target entropy = this times the action size (released code: -|A|/2; the paper is silent)."""
     timeout_bootstrap: bool = False
     """Bootstrap through the end of a phase that timed out; off as in EARL, where every phase end is terminal."""
+    demo_share: float = 0.0
+    """Share of a batch drawn from the demonstrations alone; 0 as in EARL, whose sampling is uniform over all."""
     batch_size: int = struct.field(pytree_node=False, default=256)
     """Transitions a gradient step, uniform with replacement (paper)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256))

@@ -4,6 +4,7 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from earl_jax.algos import sac as sac_lib
@@ -11,6 +12,9 @@ from earl_jax.algos.method import RETURN, Commands, Goals, Method
 from earl_jax.algos.replay import Rows
 from earl_jax.algos.sac import Agent
 from earl_jax.envs import Env
+
+DEMO_SHARE = 0.2
+"""1 / (N + 1): how a relabelled copy of a demonstration weighs against a transition of one's own, stored N + 1 times."""
 
 
 @struct.dataclass
@@ -75,10 +79,21 @@ class VaPRL(Method):
         values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
         return Curriculum(values.reshape(goals.tasks, count) / self.sac.reward_scale)
 
+    def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
+        """List a demonstrated transition once for every N + 1 later states that it is a way to."""
+        return np.maximum(1, np.rint(steps_left * DEMO_SHARE).astype(int))
+
     def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
-        """Give a share of the transitions a goal drawn from the whole table; one without a successor keeps its own."""
+        """Give a share of the transitions another goal: demonstrations a later state of their own, others any of the table.
+
+        A transition without a successor keeps its goal.
+        """
         share_key, goal_key = jax.random.split(key)
-        goal = jax.random.randint(goal_key, rows.reward.shape, 0, len(goals.table))
+        draw = jax.random.uniform(goal_key, rows.reward.shape)
+        last = jnp.asarray(goals.ends)[jnp.minimum(rows.row, len(goals.ends) - 1)]
+        later = rows.row + 1 + jnp.floor(draw * (last - rows.row)).astype(jnp.int32)
+        anything = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
+        goal = jnp.where(rows.row < len(goals.ends), goals.tasks + goals.initials + later, anything)
         chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~rows.marks.lost
         obs = jnp.concatenate([rows.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
         marks = rows.marks._replace(

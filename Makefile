@@ -1,0 +1,36 @@
+# Two commands on a fresh machine: make quickstart, make test.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+OUT ?= runs/quickstart
+
+.PHONY: quickstart test check demos lock clean
+
+$(STAMP): pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[plot,test]'
+	touch $@
+
+quickstart: $(STAMP)
+	$(BIN)/earl-jax quickstart --out $(OUT)
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+test: check
+	$(BIN)/pytest -n 2 --durations=10
+
+# Exact versions for every supported Python, without an index address.
+lock: $(STAMP)
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 --extra plot --extra test --no-emit-index-url --no-header --no-annotate --upgrade -o requirements.lock
+
+demos: $(STAMP)
+	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz
+
+clean:
+	rm -rf $(VENV) .cache

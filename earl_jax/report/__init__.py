@@ -1,0 +1,1 @@
+"""What is made of run folders: tables beside the published ones, and plots."""

@@ -1,0 +1,111 @@
+"""The paper's two tables out of run folders, beside the published figures."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.metrics.statistics import summarise
+from earl_jax.report.runs import Curves, label, read_all
+
+WINDOW = 10
+"""Evaluations in the trailing mean that a crossing is read from."""
+LEVELS = (0.5, 0.9)
+CONVERGED = 0.25
+"""Share of a run, at its end, that the converged reward rate is measured over."""
+
+
+def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
+    """Return one row a method: deployed and continuing scores over seeds, crossings, and what the paper published.
+
+    Args:
+        folders: run folders; seeds of the same task, method and options are pooled.
+        last: evaluations averaged at the end of a run; the paper's Table 1 uses 1.
+    """
+    if last < 1:
+        raise ValueError(f"last must be at least 1, not {last}")
+    return [_row(curves, last) for curves in read_all(folders)]
+
+
+def _row(curves: Curves, last: int) -> dict[str, Any]:
+    experiment = curves.experiment
+    metric = "deployed/return" if experiment.env_options.get("reward_type") == "dense" else "deployed/success"
+    deployed = summarise(curves.metrics[metric][:, -last:].mean(axis=1))
+    continuing = summarise(curves.metrics["continuing/reward"][:, -1])
+    mean_curve = curves.metrics[metric].mean(axis=0)
+    return {
+        "env": experiment.env,
+        "algo": label(curves),
+        "seeds": deployed.seeds,
+        "steps": int(curves.steps[-1]),
+        "deployed": deployed.mean,
+        "deployed_stderr": deployed.stderr,
+        "deployed_iqm": deployed.iqm,
+        "deployed_low": deployed.low,
+        "deployed_high": deployed.high,
+        "published_deployed": _published("table1", experiment.env, experiment.algo),
+        "continuing": continuing.mean,
+        "continuing_stderr": continuing.stderr,
+        "published_continuing": _published("table2", experiment.env, experiment.algo),
+        **{f"steps_to_{level}": crossing(curves.steps, mean_curve, level) for level in LEVELS},
+        "steps_per_reward": steps_per_reward(curves),
+    }
+
+
+def crossing(steps: np.ndarray, curve: np.ndarray, level: float) -> int | None:
+    """Return the first step at which the mean of the last 10 evaluations of `curve [E]` reaches `level`, or None."""
+    trailing = np.array([curve[max(0, end - WINDOW) : end].mean() for end in range(1, len(curve) + 1)])
+    reached = np.flatnonzero(trailing >= level)
+    return int(steps[reached[0]]) if len(reached) else None
+
+
+def steps_per_reward(curves: Curves) -> float | None:
+    """Return the median over seeds of steps per +1 of task reward in the last quarter, of seeds that earn at all there."""
+    recent = curves.metrics["continuing/recent"]
+    rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
+    return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
+
+
+def _published(table: str, env: str, algo: str) -> str | None:
+    for row in assets.published(table):
+        if row["env"] == env and row["algo"] == algo:
+            return f"{row['mean']} ({row['stderr']})"
+    return None
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """Return `rows` as a table for people: mean (standard error) [95 % interval of the IQM], published beside."""
+    header = ["env", "algo", "seeds", "steps", "deployed", "IQM [95 %]", "published", "continuing", "published"]
+    header += ["to 0.5", "to 0.9", "steps/reward"]
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    for row in rows:
+        cells = [
+            row["env"], row["algo"], row["seeds"], f"{row['steps']:,}",
+            f"{row['deployed']:.3f} ({row['deployed_stderr']:.3f})",
+            f"{row['deployed_iqm']:.3f} [{row['deployed_low']:.3f}, {row['deployed_high']:.3f}]",
+            row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
+            row["published_continuing"] or "-", *(_steps(row[f"steps_to_{level}"]) for level in LEVELS),
+            "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
+        ]  # fmt: skip
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def _steps(step: int | None) -> str:
+    return "-" if step is None else f"{step / 1e6:.2f}M"
+
+
+def write(rows: list[dict[str, Any]], path: Path) -> None:
+    """Write `rows` to `path` as markdown (.md) or csv (.csv); another ending is a ValueError."""
+    if path.suffix == ".md":
+        path.write_text(markdown(rows) + "\n")
+    elif path.suffix == ".csv":
+        with path.open("w", newline="") as handle:
+            writer = csv.DictWriter(handle, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+    else:
+        raise ValueError(f"{path}: tables are written as .md or .csv")

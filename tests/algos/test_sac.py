@@ -1,0 +1,103 @@
+"""The learner against closed forms: targets, densities, and a world whose value is known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from earl_jax.algos import sac as sac_lib
+from earl_jax.algos.networks import TanhNormal, mlp
+from earl_jax.algos.sac import SAC, Batch
+
+SMALL = SAC(hidden_sizes=(32, 32), batch_size=64)
+
+
+def batch(size=8, terminal=None, seed=0, obs_size=4, action_size=2):
+    keys = jax.random.split(jax.random.key(seed), 4)
+    return Batch(
+        jax.random.normal(keys[0], (size, obs_size)),
+        jax.random.uniform(keys[1], (size, action_size), minval=-1, maxval=1),
+        jax.random.normal(keys[2], (size,)),
+        jnp.zeros(size, bool) if terminal is None else terminal,
+        jax.random.normal(keys[3], (size, obs_size)),
+    )
+
+
+@pytest.mark.parametrize("critics", [2, 4])
+def test_the_target_at_a_terminal_is_exactly_the_scaled_reward(critics):
+    sac = SMALL.replace(reward_scale=10.0)
+    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics)
+    data = batch(terminal=jnp.arange(8) < 4)
+    target = sac_lib.td_target(sac, agent, data, jax.random.key(1))
+    np.testing.assert_array_equal(target[:, :4], jnp.tile(10.0 * data.reward[:4], (critics, 1)))
+    assert (np.abs(target[:, 4:] - 10.0 * data.reward[4:]) > 1e-4).all()
+
+
+def test_the_soft_target_written_out():
+    sac = SMALL.replace(initial_temperature=0.3)
+    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics=4)
+    data, key = batch(), jax.random.key(1)
+    action, log_prob = sac_lib.act_with_log_prob(sac, agent.actor, data.next_obs, key, 2)
+    q = np.asarray(sac_lib.q_values(sac, agent.targets, data.next_obs, action))
+    soft = data.reward + 0.99 * (q[:2].min(axis=0) - 0.3 * log_prob)
+    plain = data.reward + 0.99 * q[2:].min(axis=0)
+    expected = np.stack([soft, soft, plain, plain])
+    np.testing.assert_allclose(sac_lib.td_target(sac, agent, data, key), expected, rtol=1e-5)
+
+
+def test_tanh_normal_has_the_paper_s_density():
+    parameters = jnp.array([0.3, -0.8, -0.5, 5.0])
+    raw = jnp.array([0.1, -0.4])
+    std = np.exp([-0.5, 2.0])
+    density = stats.norm.logpdf([0.1, -0.4], [0.3, -0.8], std) - np.log(1 - np.tanh([0.1, -0.4]) ** 2)
+    np.testing.assert_allclose(TanhNormal(2).log_prob(parameters, raw), density.sum(), rtol=1e-5)
+    np.testing.assert_allclose(TanhNormal(2).mode(parameters), np.tanh([0.3, -0.8]), rtol=1e-5)
+
+
+def test_networks_start_glorot_uniform_with_zero_biases():
+    params = mlp((256, 256), 3).init(jax.random.key(0), jnp.zeros(12))["params"]
+    kernel = np.asarray(params["hidden_0"]["kernel"])
+    bound = np.sqrt(6 / (12 + 256))
+    assert 0.98 * bound < np.abs(kernel).max() <= bound
+    assert all(not layer["bias"].any() for layer in params.values())
+    assert params["hidden_2"]["kernel"].shape == (256, 3)
+
+
+def test_one_update_moves_everything_the_right_way():
+    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    after, said = jax.jit(lambda a, b, k: sac_lib.update(SMALL, a, b, k))(agent, batch(), jax.random.key(1))
+    drift = jax.tree.map(lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, agent.targets, after.critics)
+    assert max(jax.tree.leaves(drift)) < 1e-6
+    assert float(said["entropy"]) > -1.0
+    assert float(after.log_temperature) == pytest.approx(-3e-4, rel=1e-3)
+    assert all(np.abs(a - b).max() > 0 for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(agent.actor), strict=True))
+
+
+def test_sac_solves_a_bandit_chain_of_known_value():
+    """Two states in a row; action > 0 in the first pays nothing and leads on, in the second it pays 1 and ends.
+
+    The best return is gamma; a policy that stops at once earns 0.2. The entropy-free pair must come to the true values.
+    """
+    sac = SMALL.replace(learning_rate=3e-3, initial_temperature=0.1, target_rate=0.02, discount=0.9)
+    keys = jax.random.split(jax.random.key(0), 3)
+    place = jax.random.bernoulli(keys[0], 0.5, (2000,))
+    action = jax.random.uniform(keys[1], (2000, 1), minval=-1, maxval=1)
+    go = action[:, 0] > 0
+    obs = jnp.stack([place, ~place], axis=1).astype(jnp.float32)
+    reward = jnp.where(place, go, 0.2 * ~go).astype(jnp.float32)
+    data = Batch(obs, action, reward, place | ~go, jnp.tile(jnp.array([1.0, 0.0]), (2000, 1)))
+    agent = sac_lib.init(keys[2], sac, 2, 1, critics=4)
+
+    def step(agent, key):
+        pick = jax.random.randint(key, (64,), 0, 2000)
+        return sac_lib.update(sac, agent, jax.tree.map(lambda leaf: leaf[pick], data), key)
+
+    agent, _ = jax.jit(lambda a, k: jax.lax.scan(step, a, k))(agent, jax.random.split(jax.random.key(9), 3000))
+    both = jnp.array([[0.0, 1.0], [1.0, 0.0]])
+    best = sac_lib.greedy(sac, agent.actor, both, 1)
+    assert (best > 0.1).all()
+    values = sac_lib.q_values(sac, agent.critics, both, best)[2:]
+    np.testing.assert_allclose(values.mean(axis=0), [0.9, 1.0], atol=0.1)
+    stop = sac_lib.q_values(sac, agent.critics, both, -jnp.full((2, 1), 0.6))[2:]
+    np.testing.assert_allclose(stop.mean(axis=0), [0.2, 0.0], atol=0.1)

@@ -1,0 +1,102 @@
+"""What every task of the registry must keep, whoever wrote it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.envs import list_envs, make, register_env
+from tests.conftest import assert_same
+
+EVERY = pytest.mark.parametrize(("name", "reward_type"), [(n, r) for n in list_envs() for r in ("sparse", "dense")])
+
+
+def described(tree):
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.tree.map(jax.core.get_aval, tree))
+
+
+@EVERY
+def test_state_keeps_structure_dtypes_and_weak_types(name, reward_type):
+    env = make(name, reward_type=reward_type)
+    state = jax.jit(env.reset)(jax.random.key(0))
+    after = jax.jit(env.step)(state, jnp.zeros(env.action_size))
+    assert described(state) == described(after)
+    assert described(state) == described(env.with_goal(after, jnp.asarray(env.initial_states[0])))
+    assert state.obs.shape == (env.obs_size,)
+    assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
+
+
+@EVERY
+def test_step_compiles_once_and_scans(name, reward_type):
+    env = make(name, reward_type=reward_type)
+    traces = []
+
+    @jax.jit
+    def step(state, action):
+        traces.append(1)
+        return env.step(state, action)
+
+    state = env.reset(jax.random.key(0))
+    for _ in range(3):
+        state = step(state, jnp.ones(env.action_size))
+    assert len(traces) == 1
+    actions = jax.random.uniform(jax.random.key(1), (50, env.action_size), minval=-1, maxval=1)
+    final, rewards = jax.lax.scan(lambda s, a: (lambda n: (n, n.reward))(env.step(s, a)), state, actions)
+    assert rewards.shape == (50,)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(final))
+
+
+@EVERY
+def test_vmap_equals_a_loop(name, reward_type):
+    env = make(name, reward_type=reward_type)
+    keys = jax.random.split(jax.random.key(3), 4)
+    actions = jax.random.uniform(jax.random.key(4), (4, env.action_size), minval=-1, maxval=1)
+    batch = jax.jit(jax.vmap(lambda k, a: env.step(env.reset(k), a)))(keys, actions)
+    for i in range(4):
+        one = jax.jit(lambda k, a: env.step(env.reset(k), a))(keys[i], actions[i])
+        assert_same(jax.tree.map(lambda leaf: leaf[i], batch), one, rtol=1e-6, atol=1e-6)  # noqa: B023
+
+
+@EVERY
+def test_goals_are_states_and_their_own_success(name, reward_type):
+    env = make(name, reward_type=reward_type)
+    assert env.goal_states.shape[1] == env.goal_size
+    if env.goal_size == env.state_size:
+        assert np.asarray(env.success(jnp.concatenate([env.goal_states, env.goal_states], axis=1))).all()
+    state = env.reset(jax.random.key(0))
+    goal = jnp.asarray(env.goal_states[-1])
+    np.testing.assert_array_equal(env.with_goal(state, goal).obs[env.state_size :], goal)
+    draws = jax.vmap(env.sample_goal)(jax.random.split(jax.random.key(5), 200))
+    assert {tuple(row) for row in np.asarray(draws).tolist()} == {tuple(row) for row in env.goal_states.tolist()}
+
+
+@EVERY
+def test_an_env_is_a_hashable_constant(name, reward_type):
+    env = make(name, reward_type=reward_type)
+    assert hash(env) == hash(make(name, reward_type=reward_type))
+    assert dataclasses.replace(env, eval_horizon=7).eval_horizon == 7
+    assert reward_type in repr(env)
+
+
+@EVERY
+@pytest.mark.parametrize("bad", ["shape", "nan", "inf"])
+def test_bad_actions_are_refused(name, reward_type, bad):
+    env = make(name, reward_type=reward_type)
+    state = env.reset(jax.random.key(0))
+    action = np.zeros(env.action_size + (bad == "shape"), np.float32)
+    action[-1] = {"shape": 0.0, "nan": np.nan, "inf": np.inf}[bad]
+    with pytest.raises(ValueError, match="shape" if bad == "shape" else "not finite"):
+        env.step(state, action)
+
+
+def test_unknown_names_and_options_name_the_choices():
+    with pytest.raises(ValueError, match="tabletop_organization"):
+        make("tabletop")
+    with pytest.raises(ValueError, match=r"no option 'colour'.*reward_type"):
+        make("tabletop_organization", colour="red")
+    with pytest.raises(ValueError, match="sparse, dense"):
+        make("tabletop_organization", reward_type="shaped")
+    with pytest.raises(ValueError, match="exists already"):
+        register_env("tabletop_organization", type(make("tabletop_organization")))
