@@ -17,7 +17,7 @@ from earl_jax.algos import autonomy, birth, make_algo
 from earl_jax.envs import make
 from earl_jax.experiment import provenance
 from earl_jax.protocol import Protocol
-from earl_jax.train import per_lane
+from earl_jax.training import per_lane
 
 
 def measure(algo: str, lanes: int, steps: int, repeats: int) -> dict:

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, register_algo
     from earl_jax.envs import Env, State, list_envs, make, register_env
-    from earl_jax.evaluate import evaluate
-    from earl_jax.train import Result, lifetime, select_seed, train
+    from earl_jax.evaluation import evaluate
+    from earl_jax.training import Result, lifetime, select_seed, train
 
 _HOME = {
     "Env": "envs",
     "Method": "algos",
-    "Result": "train",
+    "Result": "training",
     "State": "envs",
-    "evaluate": "evaluate",
-    "lifetime": "train",
+    "evaluate": "evaluation",
+    "lifetime": "training",
     "list_algos": "algos",
     "list_envs": "envs",
     "make": "envs",
     "make_algo": "algos",
     "register_algo": "algos",
     "register_env": "envs",
-    "select_seed": "train",
-    "train": "train",
+    "select_seed": "training",
+    "train": "training",
 }
 __all__ = [
     "Env",

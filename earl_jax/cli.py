@@ -54,7 +54,7 @@ def train(
     eval_every: int = 10_000,
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
-    set: Set = (),  # noqa: A002
+    set: Set = (),
     json: JSON = False,
 ) -> None:
     """Train a method on a task without resets, all seeds in one program.
@@ -69,7 +69,7 @@ def train(
         eval_episodes: greedy episodes of each deployed evaluation.
         checkpoint_every: steps between checkpoints.
     """
-    from earl_jax import train as training
+    from earl_jax import training
 
     env_options, options = _options(set, env)
     result = training.train(
@@ -87,7 +87,7 @@ def resume(folder: Positional[Path], steps: int | None = None, json: JSON = Fals
         steps: make the run this long instead of what it was started with.
     """
     from earl_jax.experiment import RunFolder
-    from earl_jax.train import execute
+    from earl_jax.training import execute
 
     run = RunFolder.open(folder)
     if steps is not None:
@@ -112,10 +112,12 @@ def evaluate(folder: Positional[Path], episodes: int = 100, seed: int = 0, json:
         episodes: episodes for each seed's policy.
         seed: of starts and goals.
     """
-    from earl_jax.evaluate import evaluate as measure
+    from earl_jax.evaluation import evaluate as measure
 
     results = measure(folder, episodes, seed)
-    lines = [f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()]
+    lines = [
+        f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()
+    ]
     _say({name: values.tolist() for name, values in results.items()}, json, "\n".join(lines))
 
 

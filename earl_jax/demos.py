@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.assets import DIRECTIONS, Demos
-from earl_jax.envs.base import State
+from earl_jax.envs.base import Env, State
 from earl_jax.envs.tabletop import STEP, TabletopOrganization
 
 PACE = 0.5
@@ -49,8 +49,14 @@ def record(env: TabletopOrganization, state: State, rng: np.random.Generator) ->
     raise RuntimeError(f"the scripted expert of {env.name} missed {np.asarray(state.info['goal'])}")
 
 
-def make(env: TabletopOrganization, seed: int = 0) -> dict[str, Demos]:
-    """Return forward and backward demonstrations, three a task goal, each backward one from where its forward one ended."""
+def make(env: Env, seed: int = 0) -> dict[str, Demos]:
+    """Return forward and backward demonstrations, three a task goal, each backward one from where its forward one ended.
+
+    Raises:
+        ValueError: the task has no demonstrator.
+    """
+    if not isinstance(env, TabletopOrganization):
+        raise ValueError(f"{env.name} has no demonstrator; choose from {TabletopOrganization.name}")
     rng = np.random.default_rng(seed)
     found: dict[str, list[tuple]] = {direction: [] for direction in DIRECTIONS}
     for goal in np.repeat(env.goal_states, PER_GOAL, axis=0):

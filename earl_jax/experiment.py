@@ -49,7 +49,14 @@ class Experiment:
 
     @classmethod
     def of(
-        cls, env: Env, method: Method, seeds: Sequence[int], steps: int, every: int, episodes: int, checkpoint_every: int
+        cls,
+        env: Env,
+        method: Method,
+        seeds: Sequence[int],
+        steps: int,
+        every: int,
+        episodes: int,
+        checkpoint_every: int,
     ) -> "Experiment":
         """Return the experiment of built objects; `every` is shortened to `steps` where a run is shorter than that."""
         env_options = {
@@ -94,7 +101,8 @@ class Experiment:
         names = [name for name in rows[0] if name not in ("step", "seed")]
         table = {(int(row["step"]), int(row["seed"])): row for row in rows}
         return steps, {
-            name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds]) for name in names
+            name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds])
+            for name in names
         }
 
 

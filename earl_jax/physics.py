@@ -5,6 +5,7 @@ kinematic tasks train on a machine without it.
 """
 
 import functools
+import importlib
 from typing import Any
 
 import jax
@@ -14,8 +15,7 @@ from flax import struct
 from earl_jax import assets
 
 
-@struct.dataclass
-class Integration:
+class Integration(struct.PyTreeNode):
     """MuJoCo's integration state of one lane: `qpos [nq]`, `qvel [nv]`, `act [na]`, mocap `[nmocap, 3 or 4]`, warmstart, time."""
 
     qpos: jax.Array
@@ -38,8 +38,7 @@ class Integration:
 @functools.cache
 def load_model(name: str) -> Any:
     """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`; a missing file is a ValueError with the choices."""
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     return mujoco.MjModel.from_xml_path(str(assets.mjcf(name)))
 
 
@@ -54,8 +53,7 @@ def mjx_data(name: str, state: Integration) -> Any:
 
 def mujoco_data(name: str, state: Integration) -> Any:
     """Return the full `mujoco.MjData` of `state` in the model `name`, after `mj_forward`: what a renderer draws."""
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     model = load_model(name)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.act[:] = state.qpos, state.qvel, state.act

@@ -12,8 +12,7 @@ from earl_jax.algos.sac import SAC
 from earl_jax.envs import Env
 
 
-@struct.dataclass
-class Policy:
+class Policy(struct.PyTreeNode):
     """The greedy task policy of one lane: `policy(obs [..., o]) -> action [..., a]`, pure, works under jit and vmap."""
 
     sac: SAC

@@ -47,5 +47,7 @@ class Progress:
         self._bar.update(self._task, success=f"{success:.2f}")
         if self._plain:
             reward = sum(row["continuing/reward"] for row in rows) / len(rows)
-            line = f"step {step}/{self._experiment.steps}  deployed/success {success:.3f}  continuing/reward {reward:.5f}"
+            line = (
+                f"step {step}/{self._experiment.steps}  deployed/success {success:.3f}  continuing/reward {reward:.5f}"
+            )
             print(f"{line}  steps/s {self._speed:.0f}", file=sys.stderr, flush=True)

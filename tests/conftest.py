@@ -14,7 +14,7 @@ from earl_jax.algos import autonomy, birth, make_algo
 from earl_jax.algos.autonomy import Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
-from earl_jax.train import per_lane
+from earl_jax.training import per_lane
 
 CACHE = Path(__file__).parent.parent / ".cache" / "jax"
 TINY = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 20}

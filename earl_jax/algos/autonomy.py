@@ -20,8 +20,7 @@ from earl_jax.envs import Env, State
 from earl_jax.protocol import Protocol
 
 
-@struct.dataclass
-class Tally:
+class Tally(struct.PyTreeNode):
     """What a lane has earned and suffered: task reward since the last report and in all, interventions, goals reached."""
 
     window_reward: jax.Array
@@ -31,8 +30,7 @@ class Tally:
     diagnostics: dict[str, jax.Array]
 
 
-@struct.dataclass
-class Lane:
+class Lane(struct.PyTreeNode):
     """One life: its key, world, phase, commands, learner and tally."""
 
     key: jax.Array
@@ -45,8 +43,7 @@ class Lane:
     tally: Tally
 
 
-@struct.dataclass
-class Lives:
+class Lives(struct.PyTreeNode):
     """All lanes (leading axis N), their replay, and the number of steps each has lived."""
 
     lanes: Lane
@@ -63,6 +60,12 @@ class Keys(NamedTuple):
     sample: jax.Array
     relabel: jax.Array
     update: jax.Array
+
+
+def keys_of(key: jax.Array, step: jax.Array) -> Keys:
+    """Return the randomness of one lane at `step`."""
+    parts = jax.random.split(jax.random.fold_in(key, step), len(Keys._fields))
+    return Keys(*[parts[number] for number in range(len(Keys._fields))])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,14 +168,17 @@ def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) 
     `method`'s float leaves have a leading lane axis.
     """
     step, phase = lives.step, lives.lanes.phase
-    keys = jax.vmap(lambda key: Keys(*jax.random.split(jax.random.fold_in(key, step), len(Keys._fields))))(lives.lanes.key)
-    act = jax.vmap(lambda *lane: interact(loop, *lane, step, explore))
+    keys = jax.vmap(keys_of, (0, None))(lives.lanes.key, step)
+    act = jax.vmap(lambda m, lane, key: interact(loop, m, lane, key, step, explore))
     lanes, transition, listed = act(method, lives.lanes, keys)
     controller = controller_of(method, phase)
     replay = replay_lib.write(lives.replay, transition, listed, controller)
     if not explore:
-        rows = replay_lib.sample(replay, keys.sample, controller, method.sac.batch_size, method.sac.demo_share)
-        lanes = jax.vmap(lambda *lane: learn(loop, *lane))(method, lanes, keys, rows, phase)
+        rows = replay_lib.sample(
+            replay, keys.sample, controller, method.sac.batch_size, jnp.asarray(method.sac.demo_share)
+        )
+        improve = jax.vmap(lambda m, lane, key, batch, acted: learn(loop, m, lane, key, batch, acted))
+        lanes = improve(method, lanes, keys, rows, phase)
     return Lives(lanes, replay, step + 1)
 
 

@@ -57,7 +57,9 @@ def _goal_indices(loop: Loop, goals: np.ndarray) -> np.ndarray:
     known = loop.goals.table[: loop.goals.tasks + loop.goals.initials]
     distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
     if distance.min(axis=1).max() > 1e-6:
-        raise ValueError(f"a demonstration of {loop.env.name} has a goal that is neither a task goal nor an initial state")
+        raise ValueError(
+            f"a demonstration of {loop.env.name} has a goal that is neither a task goal nor an initial state"
+        )
     return distance.argmin(axis=1)
 
 

@@ -3,12 +3,10 @@
 from typing import Any, ClassVar
 
 import jax
-from flax import struct
 
 from earl_jax.algos.method import RETURN, Commands, Goals, Method
 
 
-@struct.dataclass
 class FBRL(Method):
     """Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
 

@@ -57,8 +57,7 @@ def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(states), np.repeat(np.cumsum(lengths) - 1, lengths)
 
 
-@struct.dataclass
-class Method:
+class Method(struct.PyTreeNode):
     """A way to live without resets. Subclasses override what differs; fields that are floats are vmappable leaves."""
 
     sac: SAC = SAC()

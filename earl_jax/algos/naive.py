@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import jax
-from flax import struct
 
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
@@ -11,7 +10,6 @@ from earl_jax.envs import Env
 BIASED_TD_STEPS = 1000
 
 
-@struct.dataclass
 class Naive(Method):
     """Keep the task goal until it is reached or 1000 steps have passed, then draw the next; the world stays as it is.
 

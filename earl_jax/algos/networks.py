@@ -27,7 +27,10 @@ class TanhNormal(distribution.NormalTanhDistribution):
         return type(super().create_dist(parameters))(loc, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE)))
 
 
-def mlp(hidden_sizes: tuple[int, ...], outputs: int) -> networks.MLP:
-    """Return a ReLU network with Glorot-uniform weights and zero biases, as the released TF-Agents code has them."""
+def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> networks.MLP:
+    """Return a ReLU network with Glorot-uniform weights and zero biases, as the released TF-Agents code has them.
+
+    `layer_norm` normalises every hidden layer.
+    """
     init = jax.nn.initializers.glorot_uniform()
-    return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init)
+    return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init, layer_norm=layer_norm)

@@ -2,12 +2,9 @@
 
 from typing import ClassVar
 
-from flax import struct
-
 from earl_jax.algos.method import Method
 
 
-@struct.dataclass
 class Oracle(Method):
     """SAC with an extrinsic reset at the end of every episode of H_E steps; resets are counted as interventions.
 

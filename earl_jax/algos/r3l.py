@@ -17,8 +17,11 @@ _NETWORK = mlp((256, 256), EMBEDDING)
 _ADAM = optax.scale_by_adam()
 
 
-@struct.dataclass
-class RND:
+def _embed(params: Any, states: jax.Array) -> jax.Array:
+    return jnp.asarray(_NETWORK.apply(params, states))
+
+
+class RND(struct.PyTreeNode):
     """Random network distillation: a fixed target, its predictor with Adam's moments, and the running scale sigma."""
 
     target: Any
@@ -28,10 +31,9 @@ class RND:
 
     def error(self, predictor: Any, states: jax.Array) -> jax.Array:
         """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
-        return jnp.square(_NETWORK.apply(self.target, states) - _NETWORK.apply(predictor, states)).mean(axis=-1)
+        return jnp.square(_embed(self.target, states) - _embed(predictor, states)).mean(axis=-1)
 
 
-@struct.dataclass
 class R3L(Method):
     """Alternate the task controller with H_E steps of a controller that seeks novel states (RND), never ended early.
 

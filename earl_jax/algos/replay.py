@@ -51,8 +51,7 @@ class Rows(NamedTuple):
     marks: Marks
 
 
-@struct.dataclass
-class Replay:
+class Replay(struct.PyTreeNode):
     """The buffer of N lanes and capacity C; `reward` has no rows where the reward is a success bit.
 
     `state [C + 1, N, s]`, `action [C, N, a]`, packed `marks [C, N]`, `reward [C or 0, N]`, `index [C, N]` of row numbers,

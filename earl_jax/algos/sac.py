@@ -14,11 +14,10 @@ from flax import struct
 from earl_jax.algos.networks import TanhNormal, mlp
 
 SOFT_CRITICS = 2
-DIAGNOSTICS = ("critic_loss", "entropy", "temperature")
+DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
 
 
-@struct.dataclass
-class SAC:
+class SAC(struct.PyTreeNode):
     """Hyper-parameters of the learner; floats are leaves, so lanes of one program may differ in them."""
 
     learning_rate: float = 3e-4
@@ -41,6 +40,8 @@ class SAC:
     """Transitions a gradient step, uniform with replacement (paper)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256))
     """ReLU layers of actor and critics (paper)."""
+    layer_norm: bool = struct.field(pytree_node=False, default=False)
+    """Normalise the critics' hidden layers; off as in the paper, on in later work (MEDAL, RLPD), where it tames them."""
     random_steps: int = struct.field(pytree_node=False, default=1000)
     """Uniformly random actions, without updates, at the start of a life (paper)."""
 
@@ -55,8 +56,7 @@ class Batch(NamedTuple):
     next_obs: jax.Array
 
 
-@struct.dataclass
-class Agent:
+class Agent(struct.PyTreeNode):
     """One controller: actor, K stacked critics and their targets, log temperature, Adam's moments.
 
     The first two critics are SAC's. Critics beyond them are trained without the entropy term, for methods that read
@@ -73,12 +73,16 @@ class Agent:
 _ADAM = optax.scale_by_adam()
 
 
+def _critic(sac: SAC) -> Any:
+    return mlp(sac.hidden_sizes, 1, sac.layer_norm)
+
+
 def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int = SOFT_CRITICS) -> Agent:
     """Return a fresh `Agent` for observations [o] and actions [a] with `critics` >= 2 stacked critics."""
     actor_key, critic_key = jax.random.split(key)
     actor = mlp(sac.hidden_sizes, 2 * action_size).init(actor_key, jnp.zeros((obs_size,)))
     blank = jnp.zeros((obs_size + action_size,))
-    critic = jax.vmap(mlp(sac.hidden_sizes, 1).init, (0, None))(jax.random.split(critic_key, critics), blank)
+    critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critics), blank)
     log_temperature = jnp.log(jnp.asarray(sac.initial_temperature, jnp.float32))
     moments = {
         "actor": _ADAM.init(actor),
@@ -108,7 +112,7 @@ def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size
 def q_values(sac: SAC, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
     """Return the values [K, ...] that K stacked critics give to `obs [..., o]` and `action [..., a]`."""
     pair = jnp.concatenate([obs, action], axis=-1)
-    return jax.vmap(mlp(sac.hidden_sizes, 1).apply, (0, None))(critics, pair)[..., 0]
+    return jax.vmap(_critic(sac).apply, (0, None))(critics, pair)[..., 0]
 
 
 def _pair_min(values: jax.Array) -> jax.Array:
@@ -176,5 +180,5 @@ def update(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent,
     agent, log_prob = _update_actor(sac, agent, batch, actor_key)
     agent = _update_temperature(sac, agent, log_prob, batch.action.shape[-1])
     targets = jax.tree.map(lambda slow, fast: slow + sac.target_rate * (fast - slow), agent.targets, agent.critics)
-    diagnostics = dict(zip(DIAGNOSTICS, (critic_loss, -log_prob, jnp.exp(agent.log_temperature)), strict=True))
-    return agent.replace(targets=targets), diagnostics
+    said = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
+    return agent.replace(targets=targets), dict(zip(DIAGNOSTICS, said, strict=True))

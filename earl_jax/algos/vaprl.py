@@ -1,6 +1,6 @@
 """VaPRL: one goal-conditioned agent that practises from wherever its own values say it may already succeed."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +17,12 @@ DEMO_SHARE = 0.2
 """1 / (N + 1): how a relabelled copy of a demonstration weighs against a transition of one's own, stored N + 1 times."""
 
 
-@struct.dataclass
-class Curriculum:
+class Curriculum(struct.PyTreeNode):
     """How well the agent thinks it would do: values [G, C] of starting at each demo state, for each task goal."""
 
     values: jax.Array
 
 
-@struct.dataclass
 class VaPRL(Method):
     """Alternate task episodes with episodes towards a subgoal: the demo state nearest rho whose value passes epsilon.
 

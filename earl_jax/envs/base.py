@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jax.core import Tracer
 
 REWARD_TYPES = ("sparse", "dense")
 
 
-@struct.dataclass
-class State:
+class State(struct.PyTreeNode):
     """One moment of a world: physics `data`, `obs [s + g]`, scalar float32 `reward` and `done`, `metrics`, `info`.
 
     The tree keeps its structure, dtypes and weak types from `reset` on, so it can be a scan's carry.
@@ -133,5 +133,5 @@ def check_action(action: jax.Array, size: int) -> None:
     shape = jnp.shape(action)
     if shape != (size,):
         raise ValueError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
-    if not isinstance(action, jax.core.Tracer) and not np.isfinite(np.asarray(action)).all():
+    if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
         raise ValueError(f"action is not finite: {np.asarray(action).tolist()}")

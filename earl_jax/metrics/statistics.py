@@ -3,7 +3,7 @@
 Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", section 4.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -27,7 +27,7 @@ def stderr(scores: np.ndarray) -> np.ndarray:
     return np.std(scores, axis=0) / np.sqrt(np.shape(scores)[0])
 
 
-def iqm(scores: np.ndarray, axis: int | None = None) -> np.ndarray:
+def iqm(scores: np.ndarray, axis: Any = None) -> np.ndarray:
     """Return the mean of the middle half of `scores`, a quarter of the runs cut at either end."""
     return stats.trim_mean(scores, 0.25, axis=axis)
 

@@ -45,7 +45,9 @@ def test_each_controller_samples_its_own_valid_rows():
             assert {int(row) for row in rows.row[lane]} == expected[lane]
             np.testing.assert_allclose(rows.action[lane, :, 0], 10 * rows.row[lane] + lane)
             np.testing.assert_allclose(rows.next_state[lane, :, 0], 10 * rows.row[lane] + lane + 1000)
-            np.testing.assert_allclose(rows.state[lane, :, 0], np.where(rows.row[lane] == 0, 0, 990 + 10 * rows.row[lane] + lane))
+            np.testing.assert_allclose(
+                rows.state[lane, :, 0], np.where(rows.row[lane] == 0, 0, 990 + 10 * rows.row[lane] + lane)
+            )
             np.testing.assert_allclose(rows.reward[lane], 10 * rows.row[lane] + lane)
             np.testing.assert_array_equal(rows.marks.goal[lane], rows.row[lane])
 
@@ -75,7 +77,9 @@ def test_a_share_of_the_batch_comes_from_the_demonstrations():
 def test_bytes_per_transition_are_what_create_takes():
     for sparse in (True, False):
         small, large = (replay.create(size, 3, 6, 3, sparse) for size in (100, 300))
-        grown = sum(leaf.nbytes for leaf in jax.tree.leaves(large)) - sum(leaf.nbytes for leaf in jax.tree.leaves(small))
+        grown = sum(leaf.nbytes for leaf in jax.tree.leaves(large)) - sum(
+            leaf.nbytes for leaf in jax.tree.leaves(small)
+        )
         assert grown == 200 * 3 * replay.bytes_per_transition(6, 3, sparse)
 
 
@@ -83,7 +87,9 @@ def test_no_step_copies_the_buffer(loop):
     """The buffer enters as a donated argument, as it does after a resume; a hidden copy would be ten times the bound."""
     method = tiny_method("fbrl")
     lives = newborn(loop, method, [0, 1], steps=200_000)
-    program = jax.jit(lambda m, state: autonomy.run(loop, m, state, 20), donate_argnums=1).lower(method, lives).compile()
+    program = (
+        jax.jit(lambda m, state: autonomy.run(loop, m, state, 20), donate_argnums=1).lower(method, lives).compile()
+    )
     buffer = sum(leaf.nbytes for leaf in jax.tree.leaves(lives.replay))
     memory = program.memory_analysis()
     assert buffer > 10_000_000

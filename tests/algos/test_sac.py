@@ -67,11 +67,15 @@ def test_networks_start_glorot_uniform_with_zero_biases():
 def test_one_update_moves_everything_the_right_way():
     agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
     after, said = jax.jit(lambda a, b, k: sac_lib.update(SMALL, a, b, k))(agent, batch(), jax.random.key(1))
-    drift = jax.tree.map(lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, agent.targets, after.critics)
+    drift = jax.tree.map(
+        lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, agent.targets, after.critics
+    )
     assert max(jax.tree.leaves(drift)) < 1e-6
     assert float(said["entropy"]) > -1.0
     assert float(after.log_temperature) == pytest.approx(-3e-4, rel=1e-3)
-    assert all(np.abs(a - b).max() > 0 for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(agent.actor), strict=True))
+    assert all(
+        np.abs(a - b).max() > 0 for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(agent.actor), strict=True)
+    )
 
 
 def test_sac_solves_a_bandit_chain_of_known_value():

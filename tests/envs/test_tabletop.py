@@ -104,6 +104,8 @@ def test_wide_starts_keep_their_distances_and_ask_for_the_mug_alone():
 def test_the_expert_reaches_every_goal(env):
     for goal in env.goal_states:
         state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(goal))
-        _, rewards = jax.lax.scan(lambda s, _: (lambda n: (n, n.reward))(env.step(s, env.expert(s.obs))), state, length=60)
+        _, rewards = jax.lax.scan(
+            lambda s, _: (lambda n: (n, n.reward))(env.step(s, env.expert(s.obs))), state, length=60
+        )
         assert 25 < int(np.argmax(rewards)) < 55
         assert rewards.max() == 1

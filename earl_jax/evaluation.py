@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.experiment import RunFolder
 from earl_jax.metrics.deployed import deployed
 from earl_jax.policy import Policy
-from earl_jax.train import load_lanes
+from earl_jax.training import load_lanes
 
 
 def evaluate(folder: str | Path, episodes: int = 100, seed: int = 0) -> dict[str, np.ndarray]:
@@ -31,5 +30,3 @@ def evaluate(folder: str | Path, episodes: int = 100, seed: int = 0) -> dict[str
         return deployed(env, Policy.of(env, m, lane), jax.random.key(seed), env.eval_horizon, episodes)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(one))(method, lanes).items()}
-
-

@@ -59,7 +59,9 @@ def per_lane(method: Method, lanes: int) -> Method:
         array = np.asarray(leaf)
         array = array.astype(bool if array.dtype == bool else np.float32)
         if array.shape not in ((), (lanes,)):
-            raise ValueError(f"a hyper-parameter has shape {array.shape}; give one value, or one for each of {lanes} lanes")
+            raise ValueError(
+                f"a hyper-parameter has shape {array.shape}; give one value, or one for each of {lanes} lanes"
+            )
         return jnp.asarray(np.broadcast_to(array, (lanes,)))
 
     return jax.tree.map(spread, method)
@@ -100,7 +102,9 @@ def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[L
     for start in range(0, first, every):
         lives, metrics = part(lives, start, start + every)
         early.append(metrics)
-    lives, rest = jax.lax.scan(lambda carry, _: part(carry, first, first + every), lives, length=(steps - first) // every)
+    lives, rest = jax.lax.scan(
+        lambda carry, _: part(carry, first, first + every), lives, length=(steps - first) // every
+    )
     curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
     return lives, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
 

@@ -1,0 +1,42 @@
+"""Statistics against published formulas and by hand."""
+
+import numpy as np
+import pytest
+
+from earl_jax.metrics import statistics
+
+
+def test_summary_by_hand():
+    scores = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0])
+    summary = statistics.summarise(scores)
+    assert summary.mean == pytest.approx(0.625)
+    assert summary.stderr == pytest.approx(np.sqrt(((scores - 0.625) ** 2).mean()) / np.sqrt(8))
+    assert summary.iqm == pytest.approx(np.mean([0.4, 0.6, 0.8, 1.0]))
+    assert summary.seeds == 8
+    assert summary.low < summary.iqm < summary.high
+
+
+def test_published_standard_errors_are_population_deviations():
+    """Five seeds of which one failed: the paper's 0.80 (0.11)-like cells divide by n, not n - 1."""
+    assert statistics.stderr(np.array([0.0, 1, 1, 1, 1])) == pytest.approx(0.4 / np.sqrt(5))
+
+
+def test_bootstrap_covers_the_truth_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    intervals = [statistics.bootstrap(rng.normal(size=20), np.mean, seed=i) for i in range(200)]
+    covered = np.mean([low <= 0 <= high for low, high in intervals])
+    assert 0.87 <= covered <= 0.98
+
+
+def test_bootstrap_is_stratified_and_reproducible():
+    """Two tasks of constant but different scores: resampling within tasks leaves nothing to vary."""
+    table = np.tile([0.0, 1.0], (10, 1))
+    assert statistics.bootstrap(table) == statistics.bootstrap(table) == (0.5, 0.5)
+    noisy = np.random.default_rng(1).normal(size=(10, 2))
+    assert statistics.bootstrap(noisy, seed=3) == statistics.bootstrap(noisy, seed=3)
+
+
+@pytest.mark.parametrize("bad", [[], [np.nan, 1.0], [[1.0], [2.0]]])
+def test_what_cannot_be_summarised_is_refused(bad):
+    with pytest.raises(ValueError, match="finite scores"):
+        statistics.summarise(np.array(bad))

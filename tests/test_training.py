@@ -1,0 +1,139 @@
+"""Training from Python: shapes, purity, resuming, and options that go astray."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax.algos.autonomy import Loop
+from earl_jax.experiment import RunFolder
+from earl_jax.protocol import Protocol
+from earl_jax.training import execute, lifetime, per_lane, select_seed, train
+from tests.conftest import ALGOS, assert_same, tiny_options
+
+RUN = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2}
+
+
+def tiny_train(algo="fbrl", **options):
+    return train("tabletop_organization", algo, **{**RUN, **tiny_options(algo), **options})
+
+
+@pytest.mark.parametrize("algo", ALGOS)
+def test_training_returns_a_leading_seed_axis(algo):
+    result = tiny_train(algo)
+    np.testing.assert_array_equal(result.steps, [40, 80, 120])
+    assert {values.shape for values in result.metrics.values()} == {(2, 3)}
+    assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
+    assert int(result.lives.step) == 120
+    assert all(np.isfinite(values).all() for values in result.metrics.values())
+    assert result.metrics["entropy"][0, -1] != result.metrics["entropy"][1, -1]
+
+
+@pytest.mark.parametrize("algo", ["naive", "vaprl"])
+def test_a_lifetime_under_jit_equals_training(env, algo):
+    result = tiny_train(algo)
+    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
+    method = earl_jax.make_algo(algo, **tiny_options(algo))
+    keys = jax.vmap(jax.random.key)(jnp.arange(2))
+    lives, metrics = jax.jit(lambda k: lifetime(loop, method, k, 120))(keys)
+    for name, values in metrics.items():
+        np.testing.assert_allclose(values, result.metrics[name], rtol=1e-3, atol=1e-4, err_msg=name)
+    np.testing.assert_allclose(lives.replay.action, result.lives.replay.action, atol=1e-3)
+
+
+def test_one_seed_is_selected_and_its_policy_can_be_called(env):
+    result = tiny_train("fbrl")
+    lane = select_seed(result.lives, 1)
+    assert lane.world.obs.shape == (env.obs_size,)
+    policy = result.policy(1)
+    obs = env.reset(jax.random.key(0)).obs
+    action = policy(obs)
+    assert action.shape == (3,)
+    assert (np.abs(action) <= 1).all()
+    np.testing.assert_allclose(jax.jit(policy)(jnp.stack([obs, obs]))[1], action, atol=1e-6)
+    assert np.abs(result.policy(0)(obs) - action).max() > 1e-6
+    with pytest.raises(IndexError, match="no lane 2: there are 2"):
+        select_seed(result.lives, 2)
+    with pytest.raises(ValueError, match=r"takes \(\.\.\., 12\)"):
+        policy(obs[:6])
+
+
+def test_named_seeds_are_the_same_lives():
+    all_three = tiny_train("naive", seeds=[3, 1, 2], steps=40)
+    one = tiny_train("naive", seeds=[1], steps=40)
+    np.testing.assert_allclose(all_three.metrics["entropy"][1], one.metrics["entropy"][0], rtol=1e-4)
+
+
+def test_a_list_gives_each_lane_its_own_hyper_parameter():
+    mixed = tiny_train("naive", seeds=[5, 6], reward_scale=[1.0, 10.0], learning_rate=[1e-3, 1e-4])
+    alone = tiny_train("naive", seeds=[6], reward_scale=10.0, learning_rate=1e-4)
+    np.testing.assert_allclose(mixed.metrics["entropy"][1], alone.metrics["entropy"][0], rtol=1e-3)
+    with pytest.raises(ValueError, match="each of 2 lanes"):
+        tiny_train("naive", reward_scale=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("algo", ALGOS)
+def test_a_run_resumed_from_its_folder_ends_bit_identical(tmp_path, algo):
+    whole = tiny_train(algo, out=tmp_path / "whole", checkpoint_every=40)
+    tiny_train(algo, out=tmp_path / "part", checkpoint_every=40, steps=80)
+    resumed = RunFolder.open(tmp_path / "part").extended(120)
+    result = execute(resumed.experiment, resumed)
+    assert_same(whole.lives.lanes, result.lives.lanes)
+    for name, values in whole.metrics.items():
+        np.testing.assert_array_equal(values, result.metrics[name])
+    assert (tmp_path / "whole/metrics.csv").read_text() == (tmp_path / "part/metrics.csv").read_text()
+    assert [path.name for path in (tmp_path / "part/checkpoints").iterdir()] == ["000000120"]
+
+
+def test_dense_rewards_and_other_options_travel_through_the_folder(tmp_path):
+    env = earl_jax.make("tabletop_organization", reward_type="dense", wide=True)
+    method = earl_jax.make_algo("naive", **tiny_options("naive", reward_scale=0.1))
+    train(env, method, out=tmp_path / "run", **RUN)
+    experiment = RunFolder.open(tmp_path / "run").experiment
+    assert experiment.build_env() == env
+    assert_same(experiment.build_method(), method)
+
+
+def test_a_finished_run_stays_finished(tmp_path):
+    first = tiny_train("naive", out=tmp_path / "run")
+    folder = RunFolder.open(tmp_path / "run")
+    again = execute(folder.experiment, folder)
+    assert_same(first.lives.lanes, again.lives.lanes)
+    np.testing.assert_array_equal(first.metrics["deployed/success"], again.metrics["deployed/success"])
+    with pytest.raises(ValueError, match="has lived 120 steps already"):
+        folder.extended(80)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"steps": 100, "eval_every": 40}, "not a multiple of eval_every"),
+        ({"seeds": 0}, "at least one and distinct"),
+        ({"seeds": [1, 1]}, "at least one and distinct"),
+        ({"seeds": [-1]}, "0 to 2"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"eval_episodes": 0}, "eval_episodes must be at least 1"),
+        ({"gamma": 0.9}, "no option 'gamma'"),
+    ],
+)
+def test_numbers_that_do_not_fit_are_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        tiny_train("naive", **changed)
+
+
+def test_a_refresh_that_does_not_divide_the_chunk_is_refused():
+    with pytest.raises(ValueError, match="set refresh_every to a divisor of 20"):
+        tiny_train("vaprl", refresh_every=30)
+
+
+def test_options_of_a_built_method_are_refused():
+    with pytest.raises(ValueError, match="go with an algo's name"):
+        train("tabletop_organization", earl_jax.make_algo("naive"), discount=0.9)
+
+
+def test_integer_leaves_become_floats_and_flags_stay_flags():
+    lanes = per_lane(earl_jax.make_algo("naive", reward_scale=10, timeout_bootstrap=True), 3)
+    assert lanes.sac.reward_scale.dtype == jnp.float32
+    assert lanes.sac.timeout_bootstrap.dtype == bool
+    assert lanes.sac.discount.shape == (3,)
