@@ -2,20 +2,26 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock
 STAMP := $(VENV)/.installed
-OUT ?= runs/quickstart
+TOOLS := $(VENV)/.tools
+OUT ?= runs/quickstart-$(shell date +%Y%m%d-%H%M%S)
 
 .PHONY: quickstart test check demos lock clean
 
 $(STAMP): pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[plot,test]'
+	$(PIP) -e '.[plot]'
+	touch $@
+
+$(TOOLS): $(STAMP)
+	$(PIP) -e '.[plot,test]'
 	touch $@
 
 quickstart: $(STAMP)
 	$(BIN)/earl-jax quickstart --out $(OUT)
 
-check: $(STAMP)
+check: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports

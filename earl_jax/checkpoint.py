@@ -27,9 +27,11 @@ def save(folder: Path, lives: Lives) -> Path:
     for stale in folder.glob("part-*"):
         shutil.rmtree(stale)
     part.mkdir(parents=True)
-    _write(part / "lanes", _plain(lives.lanes))
+    lanes = _plain(lives.lanes)
+    _write(part / "lanes", lanes)
     _write(part / "replay", _filled(lives.replay))
-    (part / MANIFEST).write_text(json.dumps({"step": step, "files": _checksums(part)}))
+    manifest = {"step": step, "lanes": _described(lanes), "files": _checksums(part)}
+    (part / MANIFEST).write_text(json.dumps(manifest))
     older = _found(folder)
     shutil.rmtree(done, ignore_errors=True)
     part.rename(done)
@@ -51,10 +53,12 @@ def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None
     if not found:
         return None
     path = found[-1]
-    step = _verify(path)
+    manifest = _verified(path)
+    if manifest["lanes"] != _described(_plain(like.lanes)):
+        raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
     lanes = _typed(_read(path / "lanes", _plain(like.lanes)), like.lanes)
     replay = _spread(_read(path / "replay", None), like.replay) if with_replay else like.replay
-    return Lives(lanes, replay, jnp.asarray(step, jnp.int32))
+    return Lives(lanes, replay, jnp.asarray(manifest["step"], jnp.int32))
 
 
 def _found(folder: Path) -> list[Path]:
@@ -71,11 +75,11 @@ def _checksum(path: Path) -> str:
         return hashlib.file_digest(handle, "blake2b").hexdigest()
 
 
-def _verify(path: Path) -> int:
-    """Return the step of a checkpoint whose every file is as it was written."""
+def _verified(path: Path) -> dict[str, Any]:
+    """Return the manifest of a checkpoint whose every file is as it was written."""
     try:
         manifest = json.loads((path / MANIFEST).read_text())
-        step, files = int(manifest["step"]), dict(manifest["files"])
+        files = dict(manifest["files"]) if int(manifest["step"]) and manifest["lanes"] else {}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
     for name, expected in files.items():
@@ -84,7 +88,11 @@ def _verify(path: Path) -> int:
             raise ValueError(f"checkpoint {path} is damaged: {name} is missing")
         if _checksum(file) != expected:
             raise ValueError(f"checkpoint {path} is damaged: {name} is not what was written")
-    return step
+    return manifest
+
+
+def _described(leaves: dict[str, Any]) -> dict[str, str]:
+    return {name: f"{leaf.dtype}{list(leaf.shape)}" for name, leaf in leaves.items()}
 
 
 def _write(path: Path, tree: Any) -> None:
@@ -98,10 +106,7 @@ def _read(path: Path, like: Any) -> Any:
     import orbax.checkpoint as ocp
 
     with ocp.StandardCheckpointer() as checkpointer:
-        try:
-            return checkpointer.restore(path.resolve(), like)
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"checkpoint {path.parent} is not of this experiment: {error}") from error
+        return checkpointer.restore(path.resolve(), like)
 
 
 def _is_key(leaf: Any) -> bool:

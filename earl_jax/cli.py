@@ -1,4 +1,4 @@
-"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos`."""
+"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos | quickstart`."""
 
 import dataclasses
 import json
@@ -149,6 +149,18 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     _say({"rows": rows}, json, markdown(rows))
 
 
+def quickstart(out: Path = Path("runs/quickstart"), steps: int = 150_000) -> None:
+    """Watch forward-backward RL learn tabletop organization on a CPU within minutes.
+
+    Args:
+        out: a new folder for the run, curves.png and table.md.
+        steps: training steps of each seed.
+    """
+    from earl_jax.quickstart import quickstart as learn
+
+    learn(out, steps)
+
+
 def demos(env: Positional[str], out: Path, seed: int = 0) -> None:
     """Make a task's demonstrations anew with its scripted expert.
 
@@ -171,6 +183,7 @@ COMMANDS = {
     "plot": plot,
     "table": table,
     "demos": demos,
+    "quickstart": quickstart,
 }
 
 

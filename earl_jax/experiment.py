@@ -199,7 +199,7 @@ class RunFolder:
 
     def append(self, rows: list[Row]) -> None:
         """Add rows to metrics.csv and see them on the disk."""
-        new = not self.metrics.exists()
+        new = not self.metrics.exists() or not self.metrics.stat().st_size
         with self.metrics.open("a", newline="") as handle:
             writer = csv.DictWriter(handle, rows[0])
             if new:
@@ -208,28 +208,26 @@ class RunFolder:
             handle.flush()
             os.fsync(handle.fileno())
 
+    def _lines(self) -> list[str]:
+        """Return the whole lines of metrics.csv, header first; one that a kill cut short is left out."""
+        text = self.metrics.read_text() if self.metrics.exists() else ""
+        return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
     def rows(self) -> list[Row]:
-        """Return the whole rows of metrics.csv; one that a kill cut short is left out."""
-        if not self.metrics.exists():
-            return []
-        lines = self.metrics.read_text().splitlines(keepends=True)
-        whole = [line for line in lines if line.endswith("\n")]
-        return [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(whole)]
+        """Return the whole rows of metrics.csv."""
+        return [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(self._lines())]
 
     def rows_until(self, step: int) -> list[Row]:
         """Drop rows later than `step`, which a resumed run writes again, and return the rest."""
-        kept = [row for row in self.rows() if row["step"] <= step]
+        lines = self._lines()
+        kept = [line for line in lines[1:] if int(line.split(",", 1)[0]) <= step]
         if self.metrics.exists():
-            self.metrics.rename(self.metrics.with_suffix(".old"))
-            if kept:
-                self.append(kept)
-            self.metrics.with_suffix(".old").unlink()
-        return kept
+            write_atomically(self.metrics, "".join(lines[:1] + kept) if kept else "")
+        return self.rows()
 
 
 def _number(text: str) -> float:
-    value = float(text)
-    return int(text) if text.lstrip("-").isdigit() else value
+    return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
 def write_atomically(path: Path, text: str) -> None:

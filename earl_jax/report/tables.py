@@ -27,10 +27,11 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
     """
     if last < 1:
         raise ValueError(f"last must be at least 1, not {last}")
-    return [_row(curves, last) for curves in read_all(folders)]
+    return [row_of(curves, last) for curves in read_all(folders)]
 
 
-def _row(curves: Curves, last: int) -> dict[str, Any]:
+def row_of(curves: Curves, last: int) -> dict[str, Any]:
+    """Return the row of one method, as `tabulate` describes it."""
     experiment = curves.experiment
     metric = "deployed/return" if experiment.env_options.get("reward_type") == "dense" else "deployed/success"
     deployed = summarise(curves.metrics[metric][:, -last:].mean(axis=1))

@@ -17,7 +17,7 @@ EVERY = pytest.mark.parametrize("algo", ALGOS)
 def test_scan_keeps_structure_dtypes_and_weak_types(loop, algo):
     method = tiny_method(algo)
     lives = newborn(loop, method, [0, 1])
-    before = jax.tree.map(jax.core.get_aval, lives)
+    before = jax.tree.map(jax.typeof, lives)
     after = jax.eval_shape(lambda m, state: autonomy.step_lives(loop, m, state), method, lives)
     ones, others = jax.tree.leaves(before), jax.tree.leaves(after)
     assert [(a.shape, a.dtype, a.weak_type) for a in ones] == [(b.shape, b.dtype, b.weak_type) for b in others]
@@ -115,7 +115,7 @@ def test_r3l_alternates_success_with_a_full_perturbation(loop, scripted, monkeyp
 @pytest.mark.parametrize(("algo", "length"), [("naive", 1000), ("fbrl", 200), ("r3l", 200), ("vaprl", 200)])
 def test_an_unreached_goal_times_out_after_the_published_steps(loop, monkeypatch, algo, length):
     monkeypatch.setattr(autonomy, "_act", lambda *_: jnp.zeros(3))
-    lives = lived(loop, tiny_method(algo, 1), 2 * length)
+    lives = lived(loop, tiny_method(algo, 1), 2 * length, lanes=1)
     first = int(lives.replay.row) - 2 * length
     marks = jax.tree.map(np.asarray, autonomy.replay_lib.unpack(lives.replay.marks[first:, 0]))
     ends = np.flatnonzero(marks.timeout)

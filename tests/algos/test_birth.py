@@ -22,17 +22,18 @@ def test_demonstrations_come_first_and_read_back_whole(algo, reward_type):
     lives = newborn(loop, method, [0, 1])
     rows = replay.sample(lives.replay, jax.random.split(jax.random.key(0), 2), jnp.zeros(2, int), 3000, jnp.zeros(2))
     forward = assets.demos(env.name, "forward")
-    known = {state.tobytes(): i for i, state in enumerate(forward.states)}
-    for n in range(3000):
-        i = known.get(np.asarray(rows.state[0, n]).tobytes())
-        if i is None:
-            assert algo == "vaprl"
-            continue
-        np.testing.assert_array_equal(rows.next_state[0, n], forward.next_states[i])
-        np.testing.assert_array_equal(rows.action[0, n], forward.actions[i])
-        np.testing.assert_array_equal(loop.goals.table[rows.marks.goal[0, n]], forward.goals[i])
-        if env.sparse:
-            assert float(rows.reward[0, n]) == forward.rewards[i]
+    known = {
+        (s.tobytes(), a.tobytes()): i for i, (s, a) in enumerate(zip(forward.states, forward.actions, strict=True))
+    }
+    drawn = jax.tree.map(lambda leaf: np.asarray(leaf[0]), rows)
+    found = [known.get((s.tobytes(), a.tobytes()), -1) for s, a in zip(drawn.state, drawn.action, strict=True)]
+    mine = np.array(found) >= 0
+    assert (mine.mean() < 0.9) == (algo == "vaprl")
+    which = np.array(found)[mine]
+    np.testing.assert_array_equal(drawn.next_state[mine], forward.next_states[which])
+    np.testing.assert_array_equal(loop.goals.table[drawn.marks.goal[mine]], forward.goals[which])
+    if env.sparse:
+        np.testing.assert_array_equal(drawn.reward[mine], forward.rewards[which])
     if not env.sparse:
         assert not rows.marks.reached.any()
         obs = jnp.concatenate([rows.next_state, loop.goals.table[rows.marks.goal]], axis=-1)

@@ -175,7 +175,7 @@ def test_vaprl_relabels_demonstrations_with_where_they_went(env):
     later = np.asarray(method.relabel(jax.random.key(1), env, goals, rows).marks.goal) - 5
     assert (later > row).all()
     assert (later <= goals.ends[row]).all()
-    assert set(later[row == 90].tolist()) >= set(range(92, goals.ends[90] - 1))
+    assert len(set(later[row == 60].tolist())) > 20
 
 
 def test_time_outs_are_terminal_unless_bootstrapped(env):

@@ -10,7 +10,7 @@ from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.networks import TanhNormal, mlp
 from earl_jax.algos.sac import SAC, Batch
 
-SMALL = SAC(hidden_sizes=(32, 32), batch_size=64)
+SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
 
 def batch(size=8, terminal=None, seed=0, obs_size=4, action_size=2):

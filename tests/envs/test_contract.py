@@ -14,7 +14,7 @@ EVERY = pytest.mark.parametrize(("name", "reward_type"), [(n, r) for n in list_e
 
 
 def described(tree):
-    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.tree.map(jax.core.get_aval, tree))
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.tree.map(jax.typeof, tree))
 
 
 @EVERY
