@@ -29,7 +29,15 @@ SCALES = (1.0, 10.0)
 SEEDS = 10
 ALGOS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
 RESULTS = Path(__file__).parent / "results" / "tabletop"
-KEPT = ("deployed/success", "continuing/reward", "continuing/recent", "interventions", "reached", "temperature")
+KEPT = (
+    "deployed/success",
+    "continuing/reward",
+    "continuing/recent",
+    "interventions",
+    "reached",
+    "critic_loss",
+    "temperature",
+)
 
 
 def run(algo: str, steps: int, out: Path) -> None:

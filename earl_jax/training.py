@@ -86,8 +86,13 @@ def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[L
         method: the method, scalar leaves or [N].
         keys: typed PRNG keys [N], one a seed.
         steps: training steps, a multiple of the protocol's `eval_every`.
+
+    Raises:
+        ValueError: the numbers don't fit together.
     """
     every, method = loop.protocol.eval_every, _traced_per_lane(method, keys.shape[0])
+    if steps < 1 or steps % every:
+        raise ValueError(f"steps {steps} is not a multiple of eval_every {every}")
     chunk = _chunk(method, loop.protocol)
     warm = min(method.sac.random_steps, steps)
     lives = birth.begin(loop, method, keys, birth.capacity_for(loop, method, steps))

@@ -81,41 +81,51 @@ class Loop:
         return goals_of(self.env)
 
 
+class Outcome(NamedTuple):
+    """How one step of a lane ended, bool scalars: the phase is `over` where the goal was `reached` or time ran out."""
+
+    reached: jax.Array
+    timeout: jax.Array
+    over: jax.Array
+    intervene: jax.Array
+    reset: jax.Array
+
+
+def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, step: jax.Array) -> Outcome:
+    """Return how the step that led `lane` to `world` ended: the one rule of done, for every method."""
+    reached = loop.env.sparse & loop.env.success(world.obs) & method.ends_on_success(lane.phase)
+    intervene = loop.protocol.intervention_due(step + 1)
+    expired = (lane.phase_step + 1 >= method.phase_length(loop.env, lane.phase)) | intervene
+    over = reached | expired
+    return Outcome(reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
+
+
 def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array, explore: bool) -> tuple:
     """Return the lane one control step later, the `Transition` it made and whether replay should list it.
 
     `step []` counts from 0; with `explore` actions are uniform.
     """
-    env, goals = loop.env, loop.goals
+    env, table = loop.env, jnp.asarray(loop.goals.table)
     action = _act(loop, method, lane, keys.act, explore)
     world = env.step(lane.world, action)
-    task_reward = env.goal_reward(world, jnp.asarray(goals.table)[lane.commands.task])
-
-    reached = env.sparse & env.success(world.obs) & method.ends_on_success(lane.phase)
-    intervene = loop.protocol.intervention_due(step + 1)
-    expired = (lane.phase_step + 1 >= method.phase_length(env, lane.phase)) | intervene
-    timeout = expired & ~reached
-    over = reached | expired
-    reset = intervene | (over & method.resets)
-    marks = Marks(lane.commands.goal, reached, timeout, reset)
-
-    phase = jnp.where(intervene, TASK, jnp.where(over, (lane.phase + 1) % method.phases, lane.phase))
-    fresh = method.next_goal(keys.goal, goals, phase, lane.commands, lane.extra)
-    commands = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, lane.commands)
-    earned = world.reward
-    world = jax.tree.map(lambda new, old: jnp.where(reset, new, old), env.reset(keys.reset), world)
-    world = env.with_goal(world, jnp.asarray(goals.table)[commands.goal])
-
-    transition = Transition(action, world.obs[: env.state_size], earned, marks)
-    bootstrapped = timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
+    end = outcome_of(loop, method, lane, world, step)
     tally = lane.tally.replace(
-        window_reward=lane.tally.window_reward + task_reward,
-        interventions=lane.tally.interventions + reset,
-        reached=lane.tally.reached + (reached & (lane.phase == TASK)),
+        window_reward=lane.tally.window_reward + env.goal_reward(world, table[lane.commands.task]),
+        interventions=lane.tally.interventions + end.reset,
+        reached=lane.tally.reached + (end.reached & (lane.phase == TASK)),
     )
-    phase_step = jnp.where(over, 0, lane.phase_step + 1)
-    lane = lane.replace(world=world, phase=phase, phase_step=phase_step, commands=commands, tally=tally)
-    return lane, transition, ~(reset & bootstrapped)
+    phase = jnp.where(end.intervene, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
+    fresh = method.next_goal(keys.goal, loop.goals, phase, lane.commands, lane.extra)
+    commands = jax.tree.map(lambda new, old: jnp.where(end.over, new, old), fresh, lane.commands)
+    onward = jax.tree.map(lambda new, old: jnp.where(end.reset, new, old), env.reset(keys.reset), world)
+    onward = env.with_goal(onward, table[commands.goal])
+
+    marks = Marks(lane.commands.goal, end.reached, end.timeout, end.reset)
+    transition = Transition(action, onward.obs[: env.state_size], world.reward, marks)
+    bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
+    phase_step = jnp.where(end.over, 0, lane.phase_step + 1)
+    lane = lane.replace(world=onward, phase=phase, phase_step=phase_step, commands=commands, tally=tally)
+    return lane, transition, ~(end.reset & bootstrapped)
 
 
 def _act(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> jax.Array:

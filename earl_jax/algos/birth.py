@@ -101,9 +101,9 @@ def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
         return sac_lib.init(part, method.sac, env.obs_size, env.action_size, method.critics)
 
     extra = method.init_extra(extra_key, env, goals)
-    nothing = Commands(jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
+    queued = jax.random.randint(jax.random.fold_in(goal_key, 1), (), 0, goals.tasks)
     phase = jnp.asarray(TASK, jnp.int32)
-    commands = method.next_goal(goal_key, goals, phase, nothing, extra)
+    commands = method.next_goal(goal_key, goals, phase, Commands(queued, queued), extra)
     world = env.with_goal(env.reset(world_key), jnp.asarray(goals.table)[commands.goal])
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     tally = Tally(zero, zero, none, none, dict.fromkeys(sac_lib.DIAGNOSTICS, zero))
