@@ -83,7 +83,7 @@ def cycle(curves: Curves) -> float | None:
 
 def summary(algo: str, scale: float, curves: Curves) -> dict[str, Any]:
     """Return a row of the table: ours, and the published figures beside them."""
-    found = row_of(curves, last=10)
+    found = row_of(curves, last=10, name=algo)
     published: dict[str, str] = {}
     for row in assets.published("crossings"):
         if (row["env"], row["algo"]) == (ENV, algo):

@@ -149,7 +149,7 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     _say({"rows": rows}, json, markdown(rows))
 
 
-def quickstart(out: Path = Path("runs/quickstart"), steps: int = 150_000) -> None:
+def quickstart(out: Path = Path("runs/quickstart"), steps: int = 170_000) -> None:
     """Watch forward-backward RL learn tabletop organization on a CPU within minutes.
 
     Args:

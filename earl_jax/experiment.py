@@ -201,7 +201,7 @@ class RunFolder:
         """Add rows to metrics.csv and see them on the disk."""
         new = not self.metrics.exists() or not self.metrics.stat().st_size
         with self.metrics.open("a", newline="") as handle:
-            writer = csv.DictWriter(handle, rows[0])
+            writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
             if new:
                 writer.writeheader()
             writer.writerows(rows)
@@ -210,7 +210,7 @@ class RunFolder:
 
     def _lines(self) -> list[str]:
         """Return the whole lines of metrics.csv, header first; one that a kill cut short is left out."""
-        text = self.metrics.read_text() if self.metrics.exists() else ""
+        text = self.metrics.read_bytes().decode() if self.metrics.exists() else ""
         return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
     def rows(self) -> list[Row]:

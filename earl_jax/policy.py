@@ -12,7 +12,7 @@ from earl_jax.algos.sac import SAC
 from earl_jax.envs import Env
 
 
-class Policy(struct.PyTreeNode):
+class Policy(struct.PyTreeNode, eq=False):
     """The greedy task policy of one lane: `policy(obs [..., o]) -> action [..., a]`, pure, works under jit and vmap."""
 
     sac: SAC

@@ -9,7 +9,7 @@ from earl_jax.training import Result, train
 
 ALGO = "fbrl"
 SEEDS = 2
-STEPS = 150_000
+STEPS = 170_000
 EPISODES = 20
 PRESET = {
     "hidden_sizes": (64, 64),

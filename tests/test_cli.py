@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from earl_jax.cli import main
 from tests.conftest import CACHE
 
 TINY = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
@@ -100,8 +101,9 @@ def test_evaluate_plot_and_table(finished, tmp_path):
     assert code == 0
     row = json.loads(out)["rows"][0]
     assert row["published_deployed"] == "0.94 (0.04)"
+    assert row["options"] == "batch_size=16, hidden_sizes=[16, 16], random_steps=20"
     assert row["steps"] == 400
-    assert "| fbrl (" in (tmp_path / "table.md").read_text()
+    assert "| fbrl | 2 | 400 |" in (tmp_path / "table.md").read_text()
 
 
 def test_training_into_another_run_leaves_it_alone(finished):
@@ -144,12 +146,14 @@ def test_a_damaged_checkpoint_is_one_line_and_nothing_is_overwritten(finished, t
         (["fly"], ["fly"]),
     ],
 )
-def test_mistakes_end_with_two_and_name_the_choices(arguments, words, tmp_path):
+def test_mistakes_end_with_two_and_name_the_choices(arguments, words, tmp_path, capsys):
     if arguments[0] == "train":
-        arguments = [*arguments, "--out", tmp_path / "run"]
-    code, out, err = run(*arguments)
-    assert code == 2
+        arguments = [*arguments, "--out", str(tmp_path / "run")]
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
     assert not (tmp_path / "run").exists()
+    told = capsys.readouterr()
     for word in words:
-        assert word in err + out
-    assert "Traceback" not in err
+        assert word in told.err + told.out
+    assert "Traceback" not in told.err

@@ -60,20 +60,21 @@ def test_one_seed_is_selected_and_its_policy_can_be_called(env):
 
 
 def test_named_seeds_are_the_same_lives():
-    all_three = tiny_train("naive", seeds=[3, 1, 2], steps=40)
-    one = tiny_train("naive", seeds=[1], steps=40)
-    np.testing.assert_allclose(all_three.metrics["entropy"][1], one.metrics["entropy"][0], rtol=1e-4)
+    forth, back = tiny_train("naive", seeds=[3, 1]), tiny_train("naive", seeds=[1, 3])
+    for name, values in forth.metrics.items():
+        np.testing.assert_array_equal(values[::-1], back.metrics[name], err_msg=name)
 
 
 def test_a_list_gives_each_lane_its_own_hyper_parameter():
     mixed = tiny_train("naive", seeds=[5, 6], reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
-    alone = tiny_train("naive", seeds=[6], reward_scale=5.0, learning_rate=1e-4)
-    np.testing.assert_allclose(mixed.metrics["entropy"][1], alone.metrics["entropy"][0], rtol=1e-3)
+    same = tiny_train("naive", seeds=[5, 6], reward_scale=5.0, learning_rate=1e-4)
+    np.testing.assert_array_equal(mixed.metrics["entropy"][1], same.metrics["entropy"][1])
+    assert (mixed.metrics["entropy"][0] != same.metrics["entropy"][0]).any()
     with pytest.raises(ValueError, match="each of 2 lanes"):
         tiny_train("naive", reward_scale=[1.0, 2.0, 3.0])
 
 
-@pytest.mark.parametrize("algo", ALGOS)
+@pytest.mark.parametrize("algo", ["r3l", "vaprl"])
 def test_a_run_resumed_from_its_folder_ends_bit_identical(tmp_path, algo):
     whole = tiny_train(algo, out=tmp_path / "whole", checkpoint_every=40)
     tiny_train(algo, out=tmp_path / "part", checkpoint_every=40, steps=80)

@@ -34,6 +34,13 @@ class Goals(NamedTuple):
         return self.table[self.tasks + self.initials :]
 
 
+class Commands(NamedTuple):
+    """Indices into the goal table: the `goal` that is commanded now and the `task` that the world rewards."""
+
+    goal: jax.Array
+    task: jax.Array
+
+
 @functools.cache
 def goals_of(env: Env) -> Goals:
     """Return the goal table of `env`; without demonstrations it holds task goals and initial states only."""
@@ -89,7 +96,7 @@ class Method(struct.PyTreeNode):
         del phase
         return True
 
-    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: "Commands", extra: Any) -> "Commands":
+    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
         """Return the goals of the phase that begins: by default a fresh task goal, the current one included."""
         del phase, lane, extra
         task = jax.random.randint(key, (), 0, goals.tasks)
@@ -123,10 +130,3 @@ class Method(struct.PyTreeNode):
         """Return `extra` brought up to date with `agent` (leading controller axis) every `refresh_every` steps."""
         del key, env, goals, agent
         return extra
-
-
-class Commands(NamedTuple):
-    """Indices into the goal table: the `goal` that is commanded now and the `task` that the world rewards."""
-
-    goal: jax.Array
-    task: jax.Array

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.statistics import bootstrap, iqm
-from earl_jax.report.runs import Curves, label, read_all
+from earl_jax.report.runs import Curves, labels, read_all
 
-PANELS = {"deployed": "Deployed: greedy success from s0", "continuing": "Continuing: reward a step over the lifetime"}
+PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
+AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward a step"}
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -30,11 +31,14 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     runs = read_all(folders)
     figure, axes = _canvas()
     for panel, axis in zip(PANELS, axes, strict=True):
-        for number, curves in enumerate(runs):
-            _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}")
-        axis.set(title=PANELS[panel], xlabel="environment steps", xlim=(0, None))
+        for number, (curves, name) in enumerate(zip(runs, labels(runs), strict=True)):
+            _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}", name)
+        metric = _metric(panel, runs[0])
+        axis.set(title=PANELS[panel], ylabel=AXES[metric], xlabel="environment steps of a seed", xlim=(0, None))
+        axis.xaxis.set_major_formatter("{x:,.0f}")
+        axis.locator_params(axis="x", nbins=6)
         axis.grid(alpha=0.3)
-    axes[0].legend(frameon=False, fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(", ".join(sorted({curves.experiment.env for curves in runs})))
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=150)
@@ -46,14 +50,14 @@ def _canvas() -> tuple[Any, Any]:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ValueError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
-    figure = Figure(figsize=(11, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
     return figure, figure.subplots(1, 2)
 
 
-def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str) -> None:
+def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:
     """Draw the mean over seeds [N, E] and, with several seeds, the bootstrap band of the interquartile mean."""
-    name = f"{label(curves)}, {len(values)} seed{'s' * (len(values) > 1)}"
-    axis.plot(curves.steps, values.mean(axis=0), color=colour, label=name)
+    count = f"{len(values)} seed{'s' * (len(values) > 1)}"
+    axis.plot(curves.steps, values.mean(axis=0), color=colour, label=f"{name}, {count}")
     if len(values) > 2:
         low, high = np.array([bootstrap(column, iqm) for column in values.T]).T
         axis.fill_between(curves.steps, low, high, color=colour, alpha=0.2, linewidth=0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -54,7 +54,19 @@ def _pool(group: list[Curves]) -> Curves:
     return Curves(group[0].experiment, steps, metrics)
 
 
-def label(curves: Curves) -> str:
-    """Return a method's name with the options that were changed, for a legend or a row."""
-    options = ", ".join(f"{name}={value}" for name, value in sorted(curves.experiment.options.items()))
-    return f"{curves.experiment.algo} ({options})" if options else curves.experiment.algo
+def labels(runs: Sequence[Curves]) -> list[str]:
+    """Return a name for each run: its method, with those options in which runs of that method here differ."""
+    names = []
+    for curves in runs:
+        peers = [other.experiment.options for other in runs if other.experiment.algo == curves.experiment.algo]
+        keys = sorted({key for options in peers for key in options})
+        own = curves.experiment.options
+        differing = [key for key in keys if any(options.get(key) != own.get(key) for options in peers)]
+        told = ", ".join(f"{key}={own.get(key, 'default')}" for key in differing)
+        names.append(f"{curves.experiment.algo} ({told})" if told else curves.experiment.algo)
+    return names
+
+
+def described(options: dict[str, Any]) -> str:
+    """Return changed options in one line, or that they are the defaults."""
+    return ", ".join(f"{name}={value}" for name, value in sorted(options.items())) or "the defaults"

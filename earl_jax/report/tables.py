@@ -9,7 +9,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.metrics.statistics import summarise
-from earl_jax.report.runs import Curves, label, read_all
+from earl_jax.report.runs import Curves, described, labels, read_all
 
 WINDOW = 10
 """Evaluations in the trailing mean that a crossing is read from."""
@@ -27,11 +27,12 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
     """
     if last < 1:
         raise ValueError(f"last must be at least 1, not {last}")
-    return [row_of(curves, last) for curves in read_all(folders)]
+    runs = read_all(folders)
+    return [row_of(curves, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
 
 
-def row_of(curves: Curves, last: int) -> dict[str, Any]:
-    """Return the row of one method, as `tabulate` describes it."""
+def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
+    """Return the row of one method under `name`, as `tabulate` describes it."""
     experiment = curves.experiment
     metric = "deployed/return" if experiment.env_options.get("reward_type") == "dense" else "deployed/success"
     deployed = summarise(curves.metrics[metric][:, -last:].mean(axis=1))
@@ -39,7 +40,8 @@ def row_of(curves: Curves, last: int) -> dict[str, Any]:
     mean_curve = curves.metrics[metric].mean(axis=0)
     return {
         "env": experiment.env,
-        "algo": label(curves),
+        "algo": name,
+        "options": described({**experiment.env_options, **experiment.options}),
         "seeds": deployed.seeds,
         "steps": int(curves.steps[-1]),
         "deployed": deployed.mean,
@@ -92,7 +94,8 @@ def markdown(rows: list[dict[str, Any]]) -> str:
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
         ]  # fmt: skip
         lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+    notes = [f"{row['algo']}: {row['options']}" for row in rows]
+    return "\n".join([*lines, "", *notes])
 
 
 def _steps(step: int | None) -> str:

@@ -35,7 +35,7 @@ def test_chunks_equal_one_scan_bit_for_bit(loop, algo):
     assert int(whole.step) == 60
 
 
-@EVERY
+@pytest.mark.parametrize("algo", ["fbrl", "vaprl"])
 def test_a_seed_lives_the_same_life_alone_and_in_company(loop, algo):
     together = advance(loop, tiny_method(algo, 3), newborn(loop, tiny_method(algo, 3), [4, 5, 6]), 40)
     alone = advance(loop, tiny_method(algo, 1), newborn(loop, tiny_method(algo, 1), [5]), 40)

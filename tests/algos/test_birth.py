@@ -13,8 +13,7 @@ from earl_jax.protocol import Protocol
 from tests.conftest import ALGOS, newborn, tiny_method
 
 
-@pytest.mark.parametrize("reward_type", ["sparse", "dense"])
-@pytest.mark.parametrize("algo", ALGOS)
+@pytest.mark.parametrize(("algo", "reward_type"), [*((algo, "sparse") for algo in ALGOS), ("vaprl", "dense")])
 def test_demonstrations_come_first_and_read_back_whole(algo, reward_type):
     env = make("tabletop_organization", reward_type=reward_type)
     loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))

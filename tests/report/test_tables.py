@@ -56,7 +56,10 @@ def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
     pooled, other = read_all(paths)
     assert pooled.metrics["deployed/success"].shape == (5, 3)
     assert other.metrics["deployed/success"].shape == (2, 3)
-    assert "reward_scale=1.0" in tables.markdown(tables.tabulate(paths))
+    text = tables.markdown(tables.tabulate(paths))
+    assert "| naive (reward_scale=default) |" in text
+    assert "| naive (reward_scale=1.0) |" in text
+    assert "naive (reward_scale=1.0): reward_scale=1.0" in text
 
 
 def test_a_run_cut_within_an_evaluation_is_read_up_to_the_last_whole_one(tmp_path):
@@ -85,7 +88,7 @@ def test_a_plot_has_a_line_a_method_and_both_panels(tmp_path, monkeypatch):
     paths = [write_run(tmp_path / "a", seeds=(0, 1, 2)), write_run(tmp_path / "b", "fbrl", seeds=(0, 1, 2))]
     plot_runs(paths, tmp_path / "x.png")
     deployed, continuing = drawn[0].axes
-    assert [text.get_text() for text in deployed.get_legend().get_texts()] == ["naive, 3 seeds", "fbrl, 3 seeds"]
+    assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == ["naive, 3 seeds", "fbrl, 3 seeds"]
     np.testing.assert_allclose(deployed.lines[0].get_ydata(), [0.1, 0.6, 1.1])
     np.testing.assert_allclose(continuing.lines[1].get_ydata(), [0, 0.005, 0.01])
     with pytest.raises(ValueError, match=r"\.png, \.pdf, \.svg"):
