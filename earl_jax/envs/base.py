@@ -93,9 +93,9 @@ class Env(abc.ABC):
         """Return the action [a] of a scripted controller that reaches the goal in `obs [s + g]`.
 
         Raises:
-            NotImplementedError: this task has no scripted controller.
+            ValueError: this task has no scripted controller.
         """
-        raise NotImplementedError(f"{self.name} has no scripted expert")
+        raise ValueError(f"{self.name} has no scripted expert")
 
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].
