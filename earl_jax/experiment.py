@@ -108,7 +108,7 @@ class Experiment:
 
 def method_options(method: Method) -> dict[str, Any]:
     """Return the hyper-parameters of `method` that differ from its class's defaults, as plain values."""
-    default, options = make_algo(method.name), {}
+    default, options = type(method)(), {}
     for one, other in ((method.sac, default.sac), (method, default)):
         for field in dataclasses.fields(one):
             value = getattr(one, field.name)

@@ -69,13 +69,7 @@ def per_lane(method: Method, lanes: int) -> Method:
 
 def _chunk(method: Method, protocol: Protocol) -> int:
     """Return the steps of one jitted call: as many as fit both the random start and the evaluations."""
-    chunk = math.gcd(method.sac.random_steps, protocol.eval_every)
-    if method.refresh_every and chunk % method.refresh_every:
-        raise ValueError(
-            f"{method.name} refreshes every {method.refresh_every} steps, which divides neither random_steps "
-            f"{method.sac.random_steps} nor eval_every {protocol.eval_every}; set refresh_every to a divisor of {chunk}"
-        )
-    return chunk
+    return math.gcd(method.sac.random_steps, protocol.eval_every)
 
 
 def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:

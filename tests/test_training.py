@@ -7,10 +7,11 @@ import pytest
 
 import earl_jax
 from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.naive import Naive
 from earl_jax.experiment import RunFolder
 from earl_jax.protocol import Protocol
 from earl_jax.training import execute, lifetime, per_lane, select_seed, train
-from tests.conftest import ALGOS, assert_same, tiny_options
+from tests.conftest import ALGOS, TINY, assert_same, tiny_options
 
 RUN = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2}
 
@@ -123,9 +124,22 @@ def test_numbers_that_do_not_fit_are_refused(changed, message):
         tiny_train("naive", **changed)
 
 
-def test_a_refresh_that_does_not_divide_the_chunk_is_refused():
-    with pytest.raises(ValueError, match="set refresh_every to a divisor of 20"):
-        tiny_train("vaprl", refresh_every=30)
+def test_lengths_that_share_no_round_number_train_too():
+    result = tiny_train("vaprl", steps=50, eval_every=50)
+    assert int(result.lives.step) == 50
+    assert (result.lives.lanes.extra.values != 0).all()
+
+
+def test_a_method_that_nobody_registered_trains_too():
+    class Mine(Naive):
+        """Naive RL under another name."""
+
+        name = "mine"
+
+    method = Mine(sac=earl_jax.make_algo("naive", **TINY).sac)
+    result = train("tabletop_organization", method, **RUN)
+    assert result.experiment.algo == "mine"
+    np.testing.assert_array_equal(result.metrics["entropy"], tiny_train("naive").metrics["entropy"])
 
 
 def test_options_of_a_built_method_are_refused():

@@ -6,6 +6,7 @@ both sides as well, and a select handles a lane's own resets, scheduled interven
 """
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -193,13 +194,12 @@ def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) 
 
 
 def run(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool = False) -> Lives:
-    """Return all lanes `steps` later in one scan; k calls equal one call of k times the steps, bit for bit.
+    """Return all lanes `steps` later in one scan; k calls of whole blocks equal one call of k times the steps, bit for bit.
 
-    A method's `refresh` runs at the start of every block of `refresh_every` steps counted from the call.
+    A method's `refresh` runs at the start of every block of `refresh_every` steps counted from the call, or of the
+    largest common divisor with `steps` where that is smaller.
     """
-    block = method.refresh_every or steps
-    if steps % block:
-        raise ValueError(f"{method.name} refreshes every {block} steps, so run it for a multiple of that, not {steps}")
+    block = math.gcd(method.refresh_every, steps)
 
     def body(carry, _):
         return step_lives(loop, method, carry, explore), None

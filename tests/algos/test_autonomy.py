@@ -145,10 +145,13 @@ def test_a_bootstrapped_time_out_without_successor_is_not_listed(env):
     assert counts[False] - counts[True] == 3
 
 
-def test_learning_needs_a_multiple_of_the_refresh(loop):
+def test_a_refresh_runs_at_the_start_of_every_block(loop):
     method = tiny_method("vaprl")
-    with pytest.raises(ValueError, match="refreshes every 20 steps"):
-        autonomy.run(loop, method, newborn(loop, method, [0, 1]), 30)
+    start = newborn(loop, method, [0, 1])
+    assert not start.lanes.extra.values.any()
+    by_hand = autonomy.refresh(loop, method, start).lanes.extra.values
+    np.testing.assert_allclose(advance(loop, method, start, 20).lanes.extra.values, by_hand, atol=1e-5)
+    assert np.abs(advance(loop, method, start, 40).lanes.extra.values - by_hand).max() > 1e-4
 
 
 def test_vaprl_without_demonstrations_says_so(loop, monkeypatch):
