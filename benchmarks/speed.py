@@ -4,7 +4,6 @@ Writes benchmarks/results/speed/<name>.json and .csv; a lane-step is one control
 """
 
 import argparse
-import csv
 import json
 import statistics
 import time
@@ -17,6 +16,7 @@ from earl_jax.algos import autonomy, birth, make_algo
 from earl_jax.envs import make
 from earl_jax.experiment import provenance
 from earl_jax.protocol import Protocol
+from earl_jax.report.tables import write
 from earl_jax.training import per_lane
 
 
@@ -64,10 +64,7 @@ def main() -> None:
     )
     report = {"command": command, "provenance": provenance(), "rows": rows}
     arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
-    with arguments.out.with_suffix(".csv").open("w", newline="") as handle:
-        writer = csv.DictWriter(handle, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write(rows, arguments.out.with_suffix(".csv"))
 
 
 if __name__ == "__main__":

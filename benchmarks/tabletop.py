@@ -8,7 +8,6 @@ table as csv, json and md, and the figure.
 """
 
 import argparse
-import csv
 import dataclasses
 import json
 from pathlib import Path
@@ -21,7 +20,7 @@ from earl_jax import assets
 from earl_jax.experiment import RunFolder
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves, read
-from earl_jax.report.tables import row_of
+from earl_jax.report.tables import row_of, trailing, write
 from earl_jax.training import execute, train
 
 ENV = "tabletop_organization"
@@ -114,7 +113,7 @@ def report(out: Path) -> None:
     rows = [summary(algo, scale, part) for algo, parts in runs.items() for scale, part in parts.items()]
     for algo, parts in runs.items():
         _write_curves(RESULTS / f"{algo}.csv", parts)
-    _write_csv(RESULTS / "table.csv", rows)
+    write(rows, RESULTS / "table.csv")
     configs = {algo: json.loads((out / algo / "config.json").read_text()) for algo in runs}
     command = "python -m benchmarks.tabletop run ALGO --steps STEPS --out DIR; python -m benchmarks.tabletop report DIR"
     (RESULTS / "table.json").write_text(
@@ -125,13 +124,6 @@ def report(out: Path) -> None:
     print(_markdown(rows))
 
 
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="") as handle:
-        writer = csv.DictWriter(handle, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def _write_curves(path: Path, parts: dict[float, Curves]) -> None:
     rows = []
     for scale, curves in parts.items():
@@ -139,7 +131,7 @@ def _write_curves(path: Path, parts: dict[float, Curves]) -> None:
             for lane in range(SEEDS):
                 values = {name: f"{curves.metrics[name][lane, number]:.6g}" for name in KEPT}
                 rows.append({"reward_scale": scale, "step": step, "seed": lane, **values})
-    _write_csv(path, rows)
+    write(rows, path)
 
 
 def _markdown(rows: list[dict[str, Any]]) -> str:
@@ -187,11 +179,6 @@ def _draw(runs: dict[str, dict[float, Curves]]) -> Figure:
         row[1].grid(alpha=0.3)
     grid[0][0].legend(frameon=False)
     return figure
-
-
-def trailing(curve: np.ndarray, window: int = 10) -> np.ndarray:
-    """Return the mean of the last `window` evaluations at each evaluation of `curve [N, E]`."""
-    return np.stack([curve[:, max(0, end - window) : end].mean(axis=1) for end in range(1, curve.shape[1] + 1)], axis=1)
 
 
 def main() -> None:

@@ -54,9 +54,10 @@ def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None
         return None
     path = found[-1]
     manifest = _verified(path)
-    if manifest["lanes"] != _described(_plain(like.lanes)):
+    wanted = _plain(like.lanes)
+    if manifest["lanes"] != _described(wanted):
         raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
-    lanes = _typed(_read(path / "lanes", _plain(like.lanes)), like.lanes)
+    lanes = _typed(_read(path / "lanes", wanted), like.lanes)
     replay = _spread(_read(path / "replay", None), like.replay) if with_replay else like.replay
     return Lives(lanes, replay, jnp.asarray(manifest["step"], jnp.int32))
 

@@ -149,16 +149,16 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     _say({"rows": rows}, json, markdown(rows))
 
 
-def quickstart(out: Path = Path("runs/quickstart"), steps: int = 170_000) -> None:
+def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) -> None:
     """Watch forward-backward RL learn tabletop organization on a CPU within minutes.
 
     Args:
         out: a new folder for the run, curves.png and table.md.
-        steps: training steps of each seed.
+        steps: training steps of each seed instead of the preset's.
     """
-    from earl_jax.quickstart import quickstart as learn
+    from earl_jax import quickstart as preset
 
-    learn(out, steps)
+    preset.quickstart(out, steps or preset.STEPS)
 
 
 def demos(env: Positional[str], out: Path, seed: int = 0) -> None:

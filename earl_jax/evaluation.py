@@ -24,7 +24,7 @@ def evaluate(folder: str | Path, episodes: int = 100, seed: int = 0) -> dict[str
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, not {episodes}")
-    _, env, method, lanes = load_lanes(RunFolder.open(Path(folder)))
+    env, method, lanes = load_lanes(RunFolder.open(Path(folder)))
 
     def one(m, lane):
         return deployed(env, Policy.of(env, m, lane), jax.random.key(seed), env.eval_horizon, episodes)

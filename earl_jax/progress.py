@@ -17,7 +17,7 @@ class Progress:
     """A context that is told of steps and evaluations and shows them on stderr."""
 
     def __init__(self, experiment: "Experiment", done: int, show: bool):
-        self._experiment, self._step, self._speed, self._success = experiment, done, 0.0, float("nan")
+        self._experiment, self._speed = experiment, 0.0
         self._console = Console(stderr=True)
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),

@@ -24,21 +24,6 @@ from earl_jax.progress import Progress
 from earl_jax.protocol import Protocol
 
 
-@functools.partial(jax.jit, static_argnames=("loop", "capacity"))
-def _begin(loop: Loop, method: Method, keys: jax.Array, capacity: int) -> Lives:
-    return birth.begin(loop, method, keys, capacity)
-
-
-@functools.partial(jax.jit, static_argnames=("loop", "steps", "explore"), donate_argnames="lives")
-def _advance(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool) -> Lives:
-    return autonomy.run(loop, method, lives, steps, explore)
-
-
-@functools.partial(jax.jit, static_argnames="loop", donate_argnames="lives")
-def _judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
-    return judge(loop, method, lives)
-
-
 def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
     """Return the lives with their reward window closed, and every metric [N] under both of the paper's protocols."""
     since = jnp.asarray(loop.protocol.eval_every, jnp.float32)
@@ -46,6 +31,11 @@ def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, ja
     deployed = jax.vmap(lambda m, lane: deployed_lane(loop, m, lane, lives.step))(method, lives.lanes)
     lanes, continuing = jax.vmap(lambda lane: continuing_lane(lane, step, since))(lives.lanes)
     return lives.replace(lanes=lanes), {**deployed, **continuing, **lanes.tally.diagnostics}
+
+
+_begin = jax.jit(birth.begin, static_argnames=("loop", "capacity"))
+_advance = jax.jit(autonomy.run, static_argnames=("loop", "steps", "explore"), donate_argnames="lives")
+_judge = jax.jit(judge, static_argnames="loop", donate_argnames="lives")
 
 
 def per_lane(method: Method, lanes: int) -> Method:
@@ -56,13 +46,11 @@ def per_lane(method: Method, lanes: int) -> Method:
     """
 
     def spread(leaf):
-        array = np.asarray(leaf)
-        array = array.astype(bool if array.dtype == bool else np.float32)
-        if array.shape not in ((), (lanes,)):
-            raise ValueError(
-                f"a hyper-parameter has shape {array.shape}; give one value, or one for each of {lanes} lanes"
-            )
-        return jnp.asarray(np.broadcast_to(array, (lanes,)))
+        shape = jnp.shape(leaf)
+        if shape not in ((), (lanes,)):
+            raise ValueError(f"a hyper-parameter has shape {shape}; give one value, or one for each of {lanes} lanes")
+        dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
+        return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 
     return jax.tree.map(spread, method)
 
@@ -84,7 +72,7 @@ def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[L
     Raises:
         ValueError: the numbers don't fit together.
     """
-    every, method = loop.protocol.eval_every, _traced_per_lane(method, keys.shape[0])
+    every, method = loop.protocol.eval_every, per_lane(method, keys.shape[0])
     if steps < 1 or steps % every:
         raise ValueError(f"steps {steps} is not a multiple of eval_every {every}")
     chunk = _chunk(method, loop.protocol)
@@ -106,10 +94,6 @@ def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[L
     )
     curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
     return lives, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
-
-
-def _traced_per_lane(method: Method, lanes: int) -> Method:
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), (lanes,)), method)
 
 
 def _scan_chunks(loop: Loop, method: Method, lives: Lives, count: int, chunk: int, explore: bool) -> Lives:
@@ -236,16 +220,19 @@ def execute(
 
 
 def _start(loop: Loop, lanes: Method, experiment: Experiment, folder: RunFolder | None) -> Lives:
-    keys = jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
     capacity = birth.capacity_for(loop, lanes, experiment.steps)
-    fresh = functools.partial(_begin, loop, lanes, keys, capacity)
+    fresh = functools.partial(_begin, loop, lanes, _keys(experiment), capacity)
     if folder and (saved := restore(folder.checkpoints, jax.eval_shape(fresh))) is not None:
         return saved
     return fresh()
 
 
-def load_lanes(folder: RunFolder) -> tuple[Experiment, Env, Method, Lane]:
-    """Return the experiment, env, method [N] and final lanes [N] that a run folder's newest checkpoint holds.
+def _keys(experiment: Experiment) -> jax.Array:
+    return jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
+
+
+def load_lanes(folder: RunFolder) -> tuple[Env, Method, Lane]:
+    """Return the env, method [N] and lanes [N] of a run folder's newest checkpoint.
 
     Raises:
         ValueError: the folder has no checkpoint yet, or a damaged one.
@@ -253,9 +240,9 @@ def load_lanes(folder: RunFolder) -> tuple[Experiment, Env, Method, Lane]:
     experiment = folder.experiment
     env, method = experiment.build_env(), per_lane(experiment.build_method(), len(experiment.seeds))
     loop = Loop(env, experiment.protocol(env))
-    keys = jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
-    shape = jax.eval_shape(functools.partial(birth.begin, loop, method, keys, birth.capacity_for(loop, method, 1)))
+    capacity = birth.capacity_for(loop, method, 1)
+    shape = jax.eval_shape(functools.partial(_begin, loop, method, _keys(experiment), capacity))
     lives = restore(folder.checkpoints, shape, with_replay=False)
     if lives is None:
         raise ValueError(f"{folder.path} has no checkpoint yet; earl-jax resume {folder.path} goes on with the run")
-    return experiment, env, method, lives.lanes
+    return env, method, lives.lanes

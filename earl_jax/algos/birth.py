@@ -101,7 +101,7 @@ def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
         return sac_lib.init(part, method.sac, env.obs_size, env.action_size, method.critics)
 
     extra = method.init_extra(extra_key, env, goals)
-    queued = jax.random.randint(jax.random.fold_in(goal_key, 1), (), 0, goals.tasks)
+    queued = goals.draw_task(jax.random.fold_in(goal_key, 1))
     phase = jnp.asarray(TASK, jnp.int32)
     commands = method.next_goal(goal_key, goals, phase, Commands(queued, queued), extra)
     world = env.with_goal(env.reset(world_key), jnp.asarray(goals.table)[commands.goal])

@@ -3,6 +3,7 @@
 from typing import Any, ClassVar
 
 import jax
+import jax.numpy as jnp
 
 from earl_jax.algos.method import RETURN, Commands, Goals, Method
 
@@ -21,7 +22,7 @@ class FBRL(Method):
 
     def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
         task_key, initial_key = jax.random.split(key)
-        task = jax.random.randint(task_key, (), 0, goals.tasks)
+        task = goals.draw_task(task_key)
         initial = goals.tasks + jax.random.randint(initial_key, (), 0, goals.initials)
         back = phase == RETURN
-        return Commands(goal=jax.numpy.where(back, initial, task), task=jax.numpy.where(back, lane.task, task))
+        return Commands(goal=jnp.where(back, initial, task), task=jnp.where(back, lane.task, task))

@@ -4,6 +4,7 @@ import functools
 from typing import Any, ClassVar, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -32,6 +33,10 @@ class Goals(NamedTuple):
     def candidates(self) -> np.ndarray:
         """Demonstration states [C, g], the subgoals a curriculum chooses from."""
         return self.table[self.tasks + self.initials :]
+
+    def draw_task(self, key: jax.Array) -> jax.Array:
+        """Return the index of a task goal, uniform over all of them."""
+        return jax.random.randint(key, (), 0, self.tasks)
 
 
 class Commands(NamedTuple):
@@ -99,7 +104,7 @@ class Method(struct.PyTreeNode):
     def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
         """Return the goals of the phase that begins: by default a fresh task goal, the current one included."""
         del phase, lane, extra
-        task = jax.random.randint(key, (), 0, goals.tasks)
+        task = goals.draw_task(key)
         return Commands(goal=task, task=task)
 
     def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
@@ -114,7 +119,7 @@ class Method(struct.PyTreeNode):
 
     def terminal(self, rows: Rows) -> jax.Array:
         """Return where [B] the target stops: at success and, unless bootstrapped through, at time-outs."""
-        return rows.marks.reached | (rows.marks.timeout & ~jax.numpy.asarray(self.sac.timeout_bootstrap, bool))
+        return rows.marks.reached | (rows.marks.timeout & ~jnp.asarray(self.sac.timeout_bootstrap, bool))
 
     def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> Any:
         """Return what the method itself learns or remembers, a pytree; nothing by default."""

@@ -4,9 +4,9 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import struct
 
+from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.method import RETURN, TASK, Commands, Goals, Method
 from earl_jax.algos.networks import mlp
 from earl_jax.algos.replay import Rows
@@ -14,7 +14,6 @@ from earl_jax.envs import Env
 
 EMBEDDING = 512
 _NETWORK = mlp((256, 256), EMBEDDING)
-_ADAM = optax.scale_by_adam()
 
 
 def _embed(params: Any, states: jax.Array) -> jax.Array:
@@ -55,14 +54,14 @@ class R3L(Method):
         return phase == TASK
 
     def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
-        task = jax.random.randint(key, (), 0, goals.tasks)
+        task = goals.draw_task(key)
         keep = phase == RETURN
         return Commands(goal=jnp.where(keep, lane.goal, task), task=jnp.where(keep, lane.task, task))
 
     def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> RND:
         blank = jnp.zeros((env.state_size,))
         target, predictor = [_NETWORK.init(part, blank) for part in jax.random.split(key)]
-        return RND(target, predictor, _ADAM.init(predictor), jnp.ones(()))
+        return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
 
     def reward(self, rows: Rows, phase: jax.Array, extra: RND) -> jax.Array:
         novelty = jnp.clip(extra.error(extra.predictor, rows.state) / extra.sigma, 0.0, self.rnd_clip)
@@ -74,8 +73,7 @@ class R3L(Method):
             return errors.mean(), errors
 
         grads, errors = jax.grad(loss, has_aux=True)(extra.predictor)
-        step, moments = _ADAM.update(grads, extra.moments)
-        predictor = jax.tree.map(lambda p, s: p - self.sac.learning_rate * s, extra.predictor, step)
+        predictor, moments = sac_lib.descend(extra.predictor, grads, extra.moments, self.sac.learning_rate)
         spread = jnp.maximum((errors / extra.sigma).std(), 1e-3)
         sigma = self.rnd_decay * extra.sigma + (1 - self.rnd_decay) * spread
         learnt = extra.replace(predictor=predictor, moments=moments, sigma=sigma)

@@ -71,7 +71,7 @@ class Agent(struct.PyTreeNode):
     moments: dict[str, Any]
 
 
-_ADAM = optax.scale_by_adam()
+ADAM = optax.scale_by_adam()
 
 
 def _critic(sac: SAC) -> Any:
@@ -86,9 +86,9 @@ def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int
     critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critics), blank)
     log_temperature = jnp.log(jnp.asarray(sac.initial_temperature, jnp.float32))
     moments = {
-        "actor": _ADAM.init(actor),
-        "critics": _ADAM.init(critic),
-        "temperature": _ADAM.init(log_temperature),
+        "actor": ADAM.init(actor),
+        "critics": ADAM.init(critic),
+        "temperature": ADAM.init(log_temperature),
     }
     return Agent(actor, critic, jax.tree.map(jnp.copy, critic), log_temperature, moments)
 
@@ -135,9 +135,10 @@ def td_target(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> jax.Array
     return sac.reward_scale * batch.reward + jnp.where(batch.terminal, 0.0, sac.discount * values)
 
 
-def _descend(params: Any, grads: Any, moments: Any, rate: float) -> tuple[Any, Any]:
-    step, moments = _ADAM.update(grads, moments)
-    return jax.tree.map(lambda p, s: p - rate * s, params, step), moments
+def descend(params: Any, grads: Any, moments: Any, rate: float) -> tuple[Any, Any]:
+    """Return parameters and Adam moments after one step of size `rate` down `grads`."""
+    direction, moments = ADAM.update(grads, moments)
+    return jax.tree.map(lambda p, d: p - rate * d, params, direction), moments
 
 
 def _update_critics(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, jax.Array]:
@@ -148,7 +149,7 @@ def _update_critics(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tup
         return 0.5 * jnp.square(errors).mean(axis=1).sum()
 
     value, grads = jax.value_and_grad(loss)(agent.critics)
-    critics, moments = _descend(agent.critics, grads, agent.moments["critics"], sac.learning_rate)
+    critics, moments = descend(agent.critics, grads, agent.moments["critics"], sac.learning_rate)
     return agent.replace(critics=critics, moments={**agent.moments, "critics": moments}), value
 
 
@@ -163,14 +164,14 @@ def _update_actor(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple
         return (temperature * log_prob - value).mean(), log_prob.mean()
 
     grads, log_prob = jax.grad(loss, has_aux=True)(agent.actor)
-    actor, moments = _descend(agent.actor, grads, agent.moments["actor"], sac.learning_rate)
+    actor, moments = descend(agent.actor, grads, agent.moments["actor"], sac.learning_rate)
     return agent.replace(actor=actor, moments={**agent.moments, "actor": moments}), log_prob
 
 
 def _update_temperature(sac: SAC, agent: Agent, log_prob: jax.Array, action_size: int) -> Agent:
     """Descend `-log alpha (log pi + target entropy)`, the released code's loss in log alpha."""
     grad = -(log_prob + sac.entropy_per_action * action_size)
-    value, moments = _descend(agent.log_temperature, grad, agent.moments["temperature"], sac.learning_rate)
+    value, moments = descend(agent.log_temperature, grad, agent.moments["temperature"], sac.learning_rate)
     return agent.replace(log_temperature=value, moments={**agent.moments, "temperature": moments})
 
 

@@ -53,7 +53,7 @@ class VaPRL(Method):
 
     def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Curriculum) -> Commands:
         """Queue a task goal and command its subgoal when a return phase begins; then command the queued one."""
-        queued = jnp.where(phase == RETURN, jax.random.randint(key, (), 0, goals.tasks), lane.task)
+        queued = jnp.where(phase == RETURN, goals.draw_task(key), lane.task)
         subgoal = goals.tasks + goals.initials + self.choose(extra.values[queued], goals)
         return Commands(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.autonomy import Lane, Loop
-from earl_jax.algos.method import TASK, Method
+from earl_jax.algos.method import Method
 from earl_jax.envs import Env
+from earl_jax.policy import Policy
 
 EVALUATION = 2
 """Folded into a lane's key, so that evaluating neither shifts nor repeats the randomness of the life."""
@@ -40,10 +40,6 @@ def deployed(env: Env, policy: Callable, key: jax.Array, horizon: int, episodes:
 
 def deployed_lane(loop: Loop, method: Method, lane: Lane, step: jax.Array) -> dict[str, jax.Array]:
     """Return the deployed evaluation of one lane's task controller after `step` steps, under the loop's protocol."""
-    actor = jax.tree.map(lambda leaf: leaf[TASK], lane.agent.actor)
-
-    def policy(obs):
-        return sac_lib.greedy(method.sac, actor, obs, loop.env.action_size)
-
+    policy = Policy.of(loop.env, method, lane)
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION)
     return deployed(loop.env, policy, key, loop.protocol.eval_horizon, loop.protocol.eval_episodes)

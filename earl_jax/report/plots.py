@@ -15,9 +15,7 @@ SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def _metric(panel: str, curves: Curves) -> str:
-    if panel == "continuing":
-        return "continuing/reward"
-    return "deployed/return" if curves.experiment.env_options.get("reward_type") == "dense" else "deployed/success"
+    return "continuing/reward" if panel == "continuing" else curves.deployed_metric
 
 
 def plot_runs(folders: Sequence[Path], out: Path) -> Path:

@@ -16,6 +16,12 @@ class Curves(NamedTuple):
     steps: np.ndarray
     metrics: dict[str, np.ndarray]
 
+    @property
+    def deployed_metric(self) -> str:
+        """The deployed metric of the task: success where rewards are sparse, return where they are dense."""
+        dense = self.experiment.env_options.get("reward_type") == "dense"
+        return "deployed/return" if dense else "deployed/success"
+
 
 def read(path: Path) -> Curves:
     """Return the curves of one run folder; one without an evaluation yet is a ValueError."""

@@ -34,10 +34,10 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
 def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
     experiment = curves.experiment
-    metric = "deployed/return" if experiment.env_options.get("reward_type") == "dense" else "deployed/success"
-    deployed = summarise(curves.metrics[metric][:, -last:].mean(axis=1))
+    scores = curves.metrics[curves.deployed_metric]
+    deployed = summarise(scores[:, -last:].mean(axis=1))
     continuing = summarise(curves.metrics["continuing/reward"][:, -1])
-    mean_curve = curves.metrics[metric].mean(axis=0)
+    mean_curve = scores.mean(axis=0)
     return {
         "env": experiment.env,
         "algo": name,
@@ -60,9 +60,14 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
 
 def crossing(steps: np.ndarray, curve: np.ndarray, level: float) -> int | None:
     """Return the first step at which the mean of the last 10 evaluations of `curve [E]` reaches `level`, or None."""
-    trailing = np.array([curve[max(0, end - WINDOW) : end].mean() for end in range(1, len(curve) + 1)])
-    reached = np.flatnonzero(trailing >= level)
+    reached = np.flatnonzero(trailing(curve) >= level)
     return int(steps[reached[0]]) if len(reached) else None
+
+
+def trailing(curve: np.ndarray) -> np.ndarray:
+    """Return the mean of the last 10 evaluations at each evaluation of `curve [..., E]`."""
+    ends = range(1, curve.shape[-1] + 1)
+    return np.stack([curve[..., max(0, end - WINDOW) : end].mean(axis=-1) for end in ends], axis=-1)
 
 
 def steps_per_reward(curves: Curves) -> float | None:
@@ -103,12 +108,12 @@ def _steps(step: int | None) -> str:
 
 
 def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write `rows` to `path` as markdown (.md) or csv (.csv); another ending is a ValueError."""
+    """Write `rows` to `path`, those of `tabulate` as markdown (.md) or any as csv (.csv); other endings are refused."""
     if path.suffix == ".md":
         path.write_text(markdown(rows) + "\n")
     elif path.suffix == ".csv":
         with path.open("w", newline="") as handle:
-            writer = csv.DictWriter(handle, rows[0])
+            writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
     else:
