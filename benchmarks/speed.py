@@ -1,4 +1,4 @@
-"""Training steps a second of all seeds together, compile time apart: `python -m benchmarks.speed --lanes 1 10 100`.
+"""Training steps a second of all seeds together, compile time apart: `python -m benchmarks.speed --env sawyer_door --lanes 1 10`.
 
 Writes benchmarks/results/speed/<name>.json and .csv; a lane-step is one control step and one gradient step of one seed.
 """
@@ -20,9 +20,9 @@ from earl_jax.report.tables import write
 from earl_jax.training import per_lane
 
 
-def measure(algo: str, lanes: int, steps: int, repeats: int) -> dict:
-    """Return compile seconds and the median steps a second of `algo` on tabletop with `lanes` lanes."""
-    env = make("tabletop_organization")
+def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
+    """Return compile seconds and the median steps a second of `algo` on task `name` with `lanes` lanes."""
+    env = make(name)
     loop = autonomy.Loop(env, Protocol(env.train_horizon, env.eval_horizon))
     method = per_lane(make_algo(algo), lanes)
     keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
@@ -40,13 +40,14 @@ def measure(algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     pace = steps / statistics.median(times[1:])
     return {
-        "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2), "steps_per_s": round(pace, 1),
+        "env": name, "engine": env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2), "steps_per_s": round(pace, 1),
         "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--env", default="tabletop_organization")
     parser.add_argument("--lanes", type=int, nargs="+", default=[1, 4])
     parser.add_argument("--algos", nargs="+", default=["naive"])
     parser.add_argument("--steps", type=int, default=1000)
@@ -56,11 +57,11 @@ def main() -> None:
     rows = []
     for algo in arguments.algos:
         for lanes in arguments.lanes:
-            rows.append(measure(algo, lanes, arguments.steps, arguments.repeats))
+            rows.append(measure(arguments.env, algo, lanes, arguments.steps, arguments.repeats))
             print(rows[-1], flush=True)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    command = "python -m benchmarks.speed --algos {} --lanes {} --steps {}".format(
-        " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
+    command = "python -m benchmarks.speed --env {} --algos {} --lanes {} --steps {}".format(
+        arguments.env, " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
     )
     report = {"command": command, "provenance": provenance(), "rows": rows}
     arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")

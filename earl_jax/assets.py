@@ -33,6 +33,8 @@ def root() -> Path:
 
 def _file(kind: str, name: str, suffix: str) -> Path:
     path = root() / kind / f"{name}{suffix}"
+    if name.endswith(suffix) and Path(name).is_file():
+        return Path(name)
     if not path.is_file():
         choices = sorted(entry.stem for entry in path.parent.glob(f"*{suffix}"))
         raise ValueError(f"no {kind} for {name!r}; choose from {', '.join(choices)}")
@@ -46,7 +48,7 @@ def mjcf(name: str) -> Path:
 
 @functools.cache
 def demos(name: str, direction: str) -> Demos:
-    """Return the demonstrations of task `name`, `direction` forward or backward, as read-only arrays.
+    """Return the demonstrations of task `name` (or of an npz file), `direction` forward or backward, as read-only arrays.
 
     Raises:
         ValueError: the task has no demonstrations, or the direction is unknown; the message lists the choices.

@@ -170,7 +170,7 @@ class RunFolder:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise ValueError(f"{path} exists and is not an empty folder; choose another")
         path.mkdir(parents=True, exist_ok=True)
-        config = {**dataclasses.asdict(experiment), "engine": "kinematic", "provenance": provenance()}
+        config = {**dataclasses.asdict(experiment), "engine": experiment.build_env().engine, "provenance": provenance()}
         write_atomically(path / "config.json", json.dumps(config, indent=2) + "\n")
         return cls(path, experiment)
 

@@ -22,11 +22,13 @@ from earl_jax.protocol import Protocol
 
 
 class Tally(struct.PyTreeNode):
-    """What a lane has earned and suffered: task reward since the last report and in all, interventions, goals reached."""
+    """What a lane has earned and suffered: task reward since the last report and in all, interventions (`faults` among
+    them were enforced by a broken simulation), goals reached."""
 
     window_reward: jax.Array
     total_reward: jax.Array
     interventions: jax.Array
+    faults: jax.Array
     reached: jax.Array
     diagnostics: dict[str, jax.Array]
 
@@ -83,8 +85,12 @@ class Loop:
 
 
 class Outcome(NamedTuple):
-    """How one step of a lane ended, bool scalars: the phase is `over` where the goal was `reached` or time ran out."""
+    """How one step of a lane ended, bool scalars: the phase is `over` where the goal was `reached` or time ran out.
 
+    A `fault` is an intervention of that lane alone: the simulation broke, and nothing of the step is kept.
+    """
+
+    fault: jax.Array
     reached: jax.Array
     timeout: jax.Array
     over: jax.Array
@@ -94,11 +100,12 @@ class Outcome(NamedTuple):
 
 def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, step: jax.Array) -> Outcome:
     """Return how the step that led `lane` to `world` ended: the one rule of done, for every method."""
-    reached = loop.env.sparse & loop.env.success(world.obs) & method.ends_on_success(lane.phase)
-    intervene = loop.protocol.intervention_due(step + 1)
+    fault = loop.env.fault(world)
+    reached = loop.env.sparse & loop.env.success(world.obs) & method.ends_on_success(lane.phase) & ~fault
+    intervene = loop.protocol.intervention_due(step + 1) | fault
     expired = (lane.phase_step + 1 >= method.phase_length(loop.env, lane.phase)) | intervene
     over = reached | expired
-    return Outcome(reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
+    return Outcome(fault, reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
 
 
 def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array, explore: bool) -> tuple:
@@ -110,9 +117,11 @@ def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array
     action = _act(loop, method, lane, keys.act, explore)
     world = env.step(lane.world, action)
     end = outcome_of(loop, method, lane, world, step)
+    earned = env.goal_reward(world, table[lane.commands.task])
     tally = lane.tally.replace(
-        window_reward=lane.tally.window_reward + env.goal_reward(world, table[lane.commands.task]),
+        window_reward=lane.tally.window_reward + jnp.where(end.fault, 0.0, earned),
         interventions=lane.tally.interventions + end.reset,
+        faults=lane.tally.faults + end.fault,
         reached=lane.tally.reached + (end.reached & (lane.phase == TASK)),
     )
     phase = jnp.where(end.intervene, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
@@ -122,11 +131,12 @@ def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array
     onward = env.with_goal(onward, table[commands.goal])
 
     marks = Marks(lane.commands.goal, end.reached, end.timeout, end.reset)
-    transition = Transition(action, onward.obs[: env.state_size], world.reward, marks)
+    reward = jnp.where(end.fault, 0.0, world.reward)
+    transition = Transition(action, onward.obs[: env.state_size], reward, marks)
     bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
     phase_step = jnp.where(end.over, 0, lane.phase_step + 1)
     lane = lane.replace(world=onward, phase=phase, phase_step=phase_step, commands=commands, tally=tally)
-    return lane, transition, ~(end.reset & bootstrapped)
+    return lane, transition, ~(end.reset & bootstrapped) & ~end.fault
 
 
 def _act(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> jax.Array:

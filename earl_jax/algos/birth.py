@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
 from earl_jax.algos import replay as replay_lib
 from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.autonomy import Commands, Lane, Lives, Loop, Tally
@@ -36,13 +35,13 @@ def demo_rows(loop: Loop, method: Method) -> DemoRows | None:
     Raises:
         ValueError: the method cannot work without demonstrations and the task has none.
     """
-    if not assets.has_demos(loop.env.name):
+    if not loop.env.has_demos:
         if method.needs_demos:
             raise ValueError(f"{method.name} needs demonstrations, and {loop.env.name} has none")
         return None
     parts, first = [], 0
     for number, direction in enumerate(method.demo_directions):
-        demos = assets.demos(loop.env.name, direction)
+        demos = loop.env.demos(direction)
         states, last = trajectories(demos)
         rows = np.flatnonzero(np.arange(len(states)) < last)
         controllers = np.full(len(rows), min(number, method.controllers - 1))
@@ -106,7 +105,7 @@ def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
     commands = method.next_goal(goal_key, goals, phase, Commands(queued, queued), extra)
     world = env.with_goal(env.reset(world_key), jnp.asarray(goals.table)[commands.goal])
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    tally = Tally(zero, zero, none, none, dict.fromkeys(sac_lib.DIAGNOSTICS, zero))
+    tally = Tally(zero, zero, none, none, none, dict.fromkeys(sac_lib.DIAGNOSTICS, zero))
     agents = jax.vmap(agent)(jax.random.split(agent_key, method.controllers))
     return Lane(life_key, world, phase, none, commands, agents, extra, tally)
 

@@ -50,9 +50,9 @@ class Commands(NamedTuple):
 def goals_of(env: Env) -> Goals:
     """Return the goal table of `env`; without demonstrations it holds task goals and initial states only."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
-    if assets.has_demos(env.name) and env.state_size == env.goal_size:
+    if env.has_demos and env.state_size == env.goal_size:
         for direction in assets.DIRECTIONS:
-            states, last = trajectories(assets.demos(env.name, direction))
+            states, last = trajectories(env.demos(direction))
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)

@@ -8,6 +8,8 @@ __all__ = ["Env", "State", "list_envs", "make", "register_env"]
 _ENVS = Registry(
     "env",
     {
+        "sawyer_door": "earl_jax.envs.sawyer_door:SawyerDoor",
+        "sawyer_peg": "earl_jax.envs.sawyer_peg:SawyerPeg",
         "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
     },
 )

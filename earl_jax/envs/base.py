@@ -10,6 +10,8 @@ import numpy as np
 from flax import struct
 from jax.core import Tracer
 
+from earl_jax import assets
+
 REWARD_TYPES = ("sparse", "dense")
 
 
@@ -38,10 +40,10 @@ class Env(abc.ABC):
     reward_type: str = "sparse"
     train_horizon: int = 200_000
     eval_horizon: int = 200
+    demo_file: str | None = None
+    """Demonstrations to use instead of those that ship: an npz of `earl-jax demos` or `earl-jax import-demos`."""
 
     name: ClassVar[str]
-    state_size: ClassVar[int]
-    goal_size: ClassVar[int]
     action_size: ClassVar[int]
     goal_change: ClassVar[int]
     """Steps between goal changes in the paper's continuing setting."""
@@ -52,6 +54,21 @@ class Env(abc.ABC):
         for field in ("train_horizon", "eval_horizon"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+
+    @property
+    @abc.abstractmethod
+    def state_size(self) -> int:
+        """Length s of a state."""
+
+    @property
+    @abc.abstractmethod
+    def goal_size(self) -> int:
+        """Length g of a goal."""
+
+    @property
+    def engine(self) -> str:
+        """What moves this world: a physics engine's name, or `kinematic` for plain arithmetic."""
+        return "kinematic"
 
     @property
     def obs_size(self) -> int:
@@ -89,6 +106,27 @@ class Env(abc.ABC):
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
 
+    def fault(self, state: State) -> jax.Array:
+        """Return whether the simulation broke on the way to `state`, bool []: something in it is not finite.
+
+        Tasks with a workspace add leaving it. Whoever lives in this world is then put back to s0 ~ rho from outside.
+        """
+        leaves = [leaf for leaf in jax.tree.leaves((state.data, state.obs)) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+        return ~jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+
+    @property
+    def has_demos(self) -> bool:
+        """Whether there are demonstrations of this task."""
+        return self.demo_file is not None or assets.has_demos(self.name)
+
+    def demos(self, direction: str) -> assets.Demos:
+        """Return the demonstrations of `direction` (forward or backward) in this task's layout.
+
+        Raises:
+            ValueError: there are none, or the file is not one of them; the message lists the choices.
+        """
+        return assets.demos(self.demo_file or self.name, direction)
+
     def expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [a] of a scripted controller that reaches the goal in `obs [s + g]`.
 
@@ -111,7 +149,12 @@ class Env(abc.ABC):
     def _state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
         obs = jnp.concatenate([vector, info["goal"]])
         metrics = {"success": self.success(obs).astype(jnp.float32)}
-        return State(data, obs, self.reward(obs), jnp.zeros((), jnp.float32), metrics, info)
+        return State(data, obs, self._arrival_reward(obs, info), jnp.zeros((), jnp.float32), metrics, info)
+
+    def _arrival_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
+        """Return the reward of arriving in `obs [s + g]` with `info`, where a task's reward depends on more than obs."""
+        del info
+        return self.reward(obs)
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """Return a task goal [g], uniform over `goal_states`."""
@@ -125,7 +168,7 @@ class Env(abc.ABC):
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
         """Return what `state` would have earned under `goal [g]`, whichever goal is commanded now."""
-        return self.reward(jnp.concatenate([state.obs[: self.state_size], goal]))
+        return self._arrival_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)
 
 
 def check_action(action: jax.Array, size: int) -> None:

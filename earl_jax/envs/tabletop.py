@@ -41,10 +41,16 @@ class TabletopOrganization(Env):
     wide: bool = False
 
     name: ClassVar[str] = "tabletop_organization"
-    state_size: ClassVar[int] = 6
-    goal_size: ClassVar[int] = 6
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
+
+    @property
+    def state_size(self) -> int:
+        return 6
+
+    @property
+    def goal_size(self) -> int:
+        return 6
 
     @property
     def goal_states(self) -> np.ndarray:

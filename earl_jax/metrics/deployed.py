@@ -15,15 +15,20 @@ EVALUATION = 2
 
 
 def episode(env: Env, policy: Callable, key: jax.Array, horizon: int) -> dict[str, jax.Array]:
-    """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`."""
+    """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`.
+
+    Where the simulation breaks the episode is over: what comes after earns nothing.
+    """
 
     def step(carry, _):
-        state, success, total = carry
+        state, alive, success, total = carry
         state = env.step(state, policy(state.obs))
-        return (state, success | env.success(state.obs), total + state.reward), None
+        alive &= ~env.fault(state)
+        success |= alive & env.success(state.obs)
+        return (state, alive, success, total + jnp.where(alive, state.reward, 0.0)), None
 
-    start = (env.reset(key), jnp.zeros((), bool), jnp.zeros(()))
-    (_, success, total), _ = jax.lax.scan(step, start, length=horizon)
+    start = (env.reset(key), jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
+    (_, _, success, total), _ = jax.lax.scan(step, start, length=horizon)
     return {"success": success.astype(jnp.float32), "return": total}
 
 

@@ -1,0 +1,158 @@
+"""What both Sawyer tasks share: an arm dragged by its hand, two fingers, an object, 14 numbers of observation.
+
+Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 2021. The physics are our own MJCF
+(assets/mjcf), fitted to the recorded demonstrations; docs/environments.md lists every difference.
+"""
+
+import abc
+import dataclasses
+import functools
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.envs.base import Env, State
+from earl_jax.physics import Integration, Simulator, resolve
+
+CONTROL_STEP = 0.0125
+"""Seconds of a control step: 5 substeps of 2.5 ms in the original."""
+REACH = 0.01
+"""Metres that the mocap target moves at action 1."""
+HAND_LOW = np.array([-0.5, 0.4, 0.05], np.float32)
+HAND_HIGH = np.array([0.5, 1.0, 0.5], np.float32)
+POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0], np.float32) / np.float32(np.sqrt(2.0))
+OPENING = 0.1
+"""Metres between the finger tips at which the gripper reads 1."""
+GRIPPER = 3
+"""The place of the gripper's opening in a state, which the paper's observation leaves out."""
+VARIANTS = ("released", "paper")
+ARM = 9
+"""Joints of arm and fingers, before those of the object."""
+
+
+class Pose(NamedTuple):
+    """How the arm stands after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, and `hand [3]`, `grip` as observed.
+
+    The original settles for 250 substeps at every reset and is not at rest then; these are the states it ends in.
+    """
+
+    target: tuple[float, ...]
+    qpos: tuple[float, ...]
+    qvel: tuple[float, ...]
+    warmstart: tuple[float, ...]
+    hand: tuple[float, ...]
+    grip: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Sawyer(Env):
+    """An arm and an object: `obs [14]` = hand 3, gripper opening 1, object 3, goal 7; `action [4]` = dx, dy, dz, grip.
+
+    A step moves the mocap target by up to 1 cm an axis; `grip` +1 closes, -1 opens. `variant="paper"` leaves the gripper out
+    of state and goal (obs [12]) as the paper's text does. `reset_at_goal` starts at the task's goal, as the released option
+    for backward evaluations and demonstrations does. A released `substeps` of 5 is 2.5 ms each.
+    """
+
+    physics: str = "auto"
+    substeps: int = 5
+    variant: str = "released"
+    reset_at_goal: bool = False
+
+    action_size: ClassVar[int] = 4
+    radius: ClassVar[dict[str, float]]
+    """How near [m] its goal the object must be, for each variant."""
+    object_low: ClassVar[np.ndarray]
+    object_high: ClassVar[np.ndarray]
+    """The box [m] that the object never leaves unless something broke."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.variant not in VARIANTS:
+            raise ValueError(f"variant {self.variant!r} is not one of {', '.join(VARIANTS)}")
+        if self.substeps < 1:
+            raise ValueError(f"substeps must be at least 1, not {self.substeps}")
+        if self.physics != "auto":
+            resolve(self.physics)
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Indices of the released state [7] that this variant observes."""
+        return np.arange(7) if self.variant == "released" else np.delete(np.arange(7), GRIPPER)
+
+    @property
+    def state_size(self) -> int:
+        return len(self.kept)
+
+    @property
+    def goal_size(self) -> int:
+        return len(self.kept)
+
+    @property
+    def engine(self) -> str:
+        return resolve(self.physics)
+
+    @functools.cached_property
+    def simulator(self) -> Simulator:
+        """The physics of this task on its engine."""
+        return Simulator(self.name, CONTROL_STEP / self.substeps, self.substeps, self.engine)
+
+    @property
+    @abc.abstractmethod
+    def pose(self) -> Pose:
+        """How the arm stands after a reset."""
+
+    def placed(self, joints: jax.Array, where: jax.Array, goal: jax.Array, **info: jax.Array) -> State:
+        """Return the state with the arm in its reset pose and the object's `joints [j]` such that it is seen at `where [3]`."""
+        pose, rest = self.pose, jnp.zeros_like(joints)
+
+        def join(arm, rest):
+            return jnp.concatenate([jnp.asarray(arm, jnp.float32), rest])
+
+        data = Integration(
+            qpos=join(pose.qpos, joints),
+            qvel=join(pose.qvel, rest),
+            act=jnp.zeros((0,)),
+            mocap_pos=jnp.asarray([pose.target], jnp.float32),
+            mocap_quat=jnp.asarray(POINTING_DOWN)[None],
+            qacc_warmstart=join(pose.warmstart, rest),
+            time=jnp.zeros(()),
+        )
+        vector = jnp.concatenate([jnp.asarray([*pose.hand, pose.grip], jnp.float32), where])[self.kept]
+        return self._state(data, vector, {"goal": goal, **info})
+
+    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+        target = jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], HAND_LOW, HAND_HIGH)
+        data = state.data.replace(mocap_pos=target[None])
+        data, sensors = self.simulator.step(data, jnp.stack([action[3], -action[3]]))
+        hand, right, left, seen = jnp.split(sensors, 4)
+        grip = jnp.clip(jnp.linalg.norm(right - left) / OPENING, 0.0, 1.0)
+        vector = jnp.concatenate([hand, grip[None], seen])[self.kept]
+        return data, vector, self._changed(state, action, jnp.stack([right, left]), seen)
+
+    def _changed(self, state: State, action: jax.Array, tips: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
+        """Return what a step changes in `info`, given finger `tips [2, 3]` and the object's place [3]."""
+        del state, action, tips, seen
+        return {}
+
+    def demos(self, direction: str) -> assets.Demos:
+        found = super().demos(direction)
+        parts = {name: getattr(found, name)[:, self.kept] for name in ("states", "goals", "next_states")}
+        return found._replace(**parts)
+
+    def fault(self, state: State) -> jax.Array:
+        seen, hand = state.obs[self.state_size - 3 : self.state_size], state.obs[:3]
+        inside = ((seen >= self.object_low) & (seen <= self.object_high)).all()
+        inside &= ((hand >= HAND_LOW - 0.2) & (hand <= HAND_HIGH + 0.2)).all()
+        return super().fault(state) | ~inside
+
+    def to_goal(self, obs: jax.Array) -> jax.Array:
+        """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""
+        return jnp.linalg.norm(
+            obs[..., self.state_size - 3 : self.state_size] - obs[..., self.obs_size - 3 : self.obs_size], axis=-1
+        )
+
+    def success(self, obs: jax.Array) -> jax.Array:
+        return self.to_goal(obs) <= self.radius[self.variant]

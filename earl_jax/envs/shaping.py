@@ -1,0 +1,42 @@
+"""The shaping functions of dm_control and Meta-World that dense rewards are written in; all broadcast and return values in [0, 1]."""
+
+import jax
+import jax.numpy as jnp
+
+VALUE_AT_MARGIN = 0.1
+
+
+def gaussian(x: jax.Array) -> jax.Array:
+    """Return a bell that is 1 at 0 and 0.1 at 1."""
+    return jnp.exp(jnp.log(VALUE_AT_MARGIN) * x**2)
+
+
+def long_tail(x: jax.Array) -> jax.Array:
+    """Return a Cauchy curve that is 1 at 0 and 0.1 at 1."""
+    return 1.0 / (1.0 + (1.0 / VALUE_AT_MARGIN - 1.0) * x**2)
+
+
+def tolerance(x: jax.Array, low: float, high: jax.Array | float, margin: jax.Array, sigmoid=gaussian) -> jax.Array:
+    """Return 1 for `x` in [low, high], falling to 0.1 at `margin` outside; a margin of 0 falls at once.
+
+    Source: dm_control, `rewards.tolerance`.
+    """
+    outside = jnp.maximum(low - x, x - high)
+    scaled = outside / jnp.where(margin > 0, margin, 1.0)
+    return jnp.where(outside <= 0, 1.0, jnp.where(margin > 0, sigmoid(scaled), 0.0))
+
+
+def hamacher(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Return the Hamacher product of `a` and `b` in [0, 1]: a soft "and". Source: Meta-World, `reward_utils`."""
+    below = a + b - a * b
+    return jnp.where(below > 0, a * b / jnp.where(below > 0, below, 1.0), 0.0)
+
+
+def prism(x: jax.Array, zero: jax.Array, one: jax.Array) -> jax.Array:
+    """Return the product of the three ramps from corner `zero` to corner `one` for `x [..., 3]` in their box, 1 outside it.
+
+    Source: Meta-World, `reward_utils.rect_prism_tolerance`.
+    """
+    ramps = (x - zero) / (one - zero)
+    within = ((ramps >= 0) & (ramps <= 1)).all(axis=-1)
+    return jnp.where(within, ramps.prod(axis=-1), 1.0)

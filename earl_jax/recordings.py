@@ -1,0 +1,125 @@
+"""Recorded demonstrations of the original, read without trusting them: pickles of numpy arrays, or the same as npz."""
+
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from earl_jax.assets import DIRECTIONS, Demos
+
+NUMPY = ("numpy", "numpy.core.multiarray", "numpy._core.multiarray", "numpy.core.numeric", "numpy._core.numeric")
+
+
+class Recording(NamedTuple):
+    """Episodes end to end in the original's layout: float32 `observations [T, s + g]`, `actions [T, a]`, `rewards [T]`,
+    `next_observations [T, s + g]` and bool `terminals [T]`, true on the last transition of each episode."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    next_observations: np.ndarray
+    terminals: np.ndarray
+
+    def episodes(self) -> list["Recording"]:
+        """Return one recording an episode."""
+        stops = np.flatnonzero(self.terminals)[:-1] + 1
+        parts = [np.split(field, stops) for field in self]
+        return [Recording(*fields) for fields in zip(*parts, strict=True)]
+
+    def demos(self) -> Demos:
+        """Return the same transitions in our layout; state and goal are the two halves of an observation."""
+        size = self.observations.shape[1] // 2
+        states, goals = self.observations[:, :size], self.observations[:, size:]
+        return Demos(states, goals, self.actions, self.next_observations[:, :size], self.rewards, self.terminals)
+
+
+class _Name:
+    """Stands for numpy's array class inside a pickle, where it may be named but never called."""
+
+
+def _reconstruct(kind: Any, shape: tuple, typecode: Any) -> np.ndarray:
+    if kind is not _Name or tuple(shape) != (0,):
+        raise pickle.UnpicklingError("an array is built in an unusual way")
+    return np.ndarray(shape, typecode)
+
+
+def _encode(text: str, encoding: str) -> bytes:
+    if encoding != "latin1":
+        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}")
+    return text.encode("latin1")
+
+
+def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
+    return np.frombuffer(data, dtype).reshape(shape, order=order).copy()
+
+
+class ArrayUnpickler(pickle.Unpickler):
+    """Reads pickles of plain containers and numpy arrays; any other name in them is refused before anything is called."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == ("_codecs", "encode"):
+            return _encode
+        admitted = {"ndarray": _Name, "dtype": np.dtype, "_reconstruct": _reconstruct, "_frombuffer": _frombuffer}
+        if module in NUMPY and name in admitted:
+            return admitted[name]
+        raise pickle.UnpicklingError(f"it asks for {module}.{name}, and only numpy arrays are admitted")
+
+    def persistent_load(self, pid: Any) -> Any:
+        raise pickle.UnpicklingError("it refers to objects outside the file")
+
+
+def unpickle(handle: BinaryIO) -> Any:
+    """Return what a pickle of numpy arrays holds.
+
+    Raises:
+        ValueError: it holds anything else, or is damaged; nothing in it was run.
+    """
+    try:
+        return ArrayUnpickler(handle).load()
+    except Exception as error:  # a pickle can fail in any way, and each is the file's fault
+        raise ValueError(f"not a pickle of numpy arrays: {error}") from error
+
+
+def read(path: Path) -> Recording:
+    """Return the recording in a pickle of the original or in an npz of the same five arrays.
+
+    Raises:
+        ValueError: the file is something else, or its arrays don't fit together; the message names the file and the cause.
+    """
+    try:
+        if zipfile.is_zipfile(path):
+            with np.load(path, allow_pickle=False) as stored:
+                return _checked({name: stored[name] for name in stored.files})
+        with path.open("rb") as handle:
+            return _checked(unpickle(handle))
+    except (ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _checked(arrays: Any) -> Recording:
+    if not isinstance(arrays, dict) or not set(Recording._fields) <= set(arrays):
+        raise ValueError(f"a recording has the arrays {', '.join(Recording._fields)}")
+    parts = [np.asarray(arrays[name]) for name in Recording._fields]
+    if any(part.dtype.kind not in "fiub" for part in parts):
+        raise ValueError("its arrays are not all numbers")
+    rows = len(parts[0])
+    shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
+    flat = all(part.size == rows for part in (parts[2], parts[4]))
+    matrices = all(part.ndim == 2 and len(part) == rows for part in (parts[0], parts[1], parts[3]))
+    if not rows or not flat or not matrices or parts[0].shape != parts[3].shape or parts[0].shape[1] % 2:
+        raise ValueError(f"its arrays don't fit together: {shapes}")
+    if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
+        raise ValueError("it has values that are not finite, or stops in the middle of an episode")
+    observations, actions, rewards, after, ends = parts
+    numbers = [part.astype(np.float32) for part in (observations, actions, rewards.reshape(-1), after)]
+    return Recording(*numbers, ends.reshape(-1).astype(bool))
+
+
+def import_demos(files: dict[str, Path]) -> dict[str, Demos]:
+    """Return our demonstrations of recordings by direction, each file checked to be one."""
+    unknown = set(files) - set(DIRECTIONS)
+    if unknown:
+        raise ValueError(f"unknown direction {', '.join(sorted(unknown))}; choose from {', '.join(DIRECTIONS)}")
+    return {direction: read(path).demos() for direction, path in files.items()}
