@@ -37,6 +37,8 @@ lock: $(STAMP)
 
 demos: $(STAMP)
 	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz
+	$(BIN)/earl-jax demos sawyer_door --physics c --out assets/demos/sawyer_door.npz
+	$(BIN)/earl-jax demos sawyer_peg --physics c --out assets/demos/sawyer_peg.npz
 
 clean:
 	rm -rf $(VENV) .cache

@@ -76,13 +76,13 @@ def original_style(name: str) -> mujoco.MjModel:
         finger.size, finger.pos = [0.045, 0.003, 0.015], [0, 0, 0]
         spec.body(f"{side}_claw").add_geom(name=f"{side}_pad", type=box, size=finger.size, pos=[0, inward, 0], mass=0)
     if name == "sawyer_door":
-        hard = ["panel"] + _cylinders(spec)
+        hard = ["panel", *_cylinders(spec)]
         spec.delete(spec.geom("frame"))
         frame = [geom.name for geom in _named(spec.body("door").geoms)]
         spec.joint("door").damping, spec.joint("door").armature = [2.0, 0.0, 0.0], 0.001
         hard += frame
     else:
-        hard = ["peg"] + _seven_boxes(spec)
+        hard = ["peg", *_seven_boxes(spec)]
         for axis in "xyz":
             spec.delete(spec.joint(f"peg_{axis}"))
         peg = spec.body("peg")
@@ -139,9 +139,9 @@ def one_core(name: str, original: bool, seconds: float = 4.0) -> dict[str, Any]:
         np.linalg.norm(data.sensordata[3:6] - data.sensordata[6:9])
         steps += 1
     return {
-        "env": name, "engine": "one-core C, original-style scene" if original else "one-core C, our scene", "substeps": 5,
-        "lanes": 1, "compile_s": 0.0, "ms_per_step": round(1e3 * seconds / steps, 4), "lane_steps_per_s": round(steps / seconds, 1),
-        "finite": bool(np.isfinite(data.qpos).all()),
+        "env": name, "engine": f"one-core C, {'original-style' if original else 'our'} scene", "substeps": 5, "lanes": 1,
+        "compile_s": 0.0, "ms_per_step": round(1e3 * seconds / steps, 4),
+        "lane_steps_per_s": round(steps / seconds, 1), "finite": bool(np.isfinite(data.qpos).all()),
     }  # fmt: skip
 
 

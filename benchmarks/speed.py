@@ -40,7 +40,8 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     pace = steps / statistics.median(times[1:])
     return {
-        "env": name, "engine": env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2), "steps_per_s": round(pace, 1),
+        "env": name, "engine": env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "steps_per_s": round(pace, 1),
         "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip
 

@@ -55,11 +55,23 @@ def demos(name: str, direction: str) -> Demos:
     """
     if direction not in DIRECTIONS:
         raise ValueError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
-    with np.load(_file("demos", name, ".npz"), allow_pickle=False) as stored:
+    path = _file("demos", name, ".npz")
+    with np.load(path, allow_pickle=False) as stored:
+        if f"{direction}_states" not in stored:
+            raise ValueError(f"{path.name} has no {direction} demonstrations")
         arrays = [stored[f"{direction}_{field}"] for field in Demos._fields]
     for array in arrays:
         array.setflags(write=False)
     return Demos(*arrays)
+
+
+def demo_directions(name: str) -> tuple[str, ...]:
+    """Return which of `DIRECTIONS` the demonstrations of task `name` (or an npz file) have; none where there are none."""
+    path = Path(name) if name.endswith(".npz") else root() / "demos" / f"{name}.npz"
+    if not path.is_file():
+        return ()
+    with np.load(path, allow_pickle=False) as stored:
+        return tuple(direction for direction in DIRECTIONS if f"{direction}_states" in stored)
 
 
 def has_demos(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos | quickstart`."""
+"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos | import-demos | quickstart`."""
 
 import dataclasses
 import json
@@ -12,6 +12,9 @@ from earl_jax import algos, envs
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
+Physics = Annotated[
+    str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
+]
 Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
 
 
@@ -54,6 +57,7 @@ def train(
     eval_every: int = 10_000,
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
+    physics: Physics = None,
     set: Set = (),
     json: JSON = False,
 ) -> None:
@@ -72,8 +76,9 @@ def train(
     from earl_jax import training
 
     env_options, options = _options(set, env)
+    task = envs.with_physics(envs.make(env, **env_options), physics)
     result = training.train(
-        envs.make(env, **env_options), algos.make_algo(algo, **options), seeds=seeds, steps=steps, out=out,
+        task, algos.make_algo(algo, **options), seeds=seeds, steps=steps, out=out,
         eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
     )  # fmt: skip
     _report_run(result, out, json)
@@ -104,7 +109,9 @@ def _report_run(result: Any, out: Path, as_json: bool) -> None:
     _say(answer, as_json, text)
 
 
-def evaluate(folder: Positional[Path], episodes: int = 100, seed: int = 0, json: JSON = False) -> None:
+def evaluate(
+    folder: Positional[Path], episodes: int = 100, seed: int = 0, physics: Physics = None, json: JSON = False
+) -> None:
     """Evaluate the newest policies of a run on fresh greedy episodes.
 
     Args:
@@ -114,7 +121,7 @@ def evaluate(folder: Positional[Path], episodes: int = 100, seed: int = 0, json:
     """
     from earl_jax.evaluation import evaluate as measure
 
-    results = measure(folder, episodes, seed)
+    results = measure(folder, episodes, seed, physics)
     lines = [
         f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()
     ]
@@ -161,7 +168,7 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
     preset.quickstart(out, steps or preset.STEPS)
 
 
-def demos(env: Positional[str], out: Path, seed: int = 0) -> None:
+def demos(env: Positional[str], out: Path, seed: int = 0, physics: Physics = None) -> None:
     """Make a task's demonstrations anew with its scripted expert.
 
     Args:
@@ -171,8 +178,28 @@ def demos(env: Positional[str], out: Path, seed: int = 0) -> None:
     """
     from earl_jax import demos as making
 
-    making.save(making.make(envs.make(env), seed), out)
+    making.save(making.make(envs.with_physics(envs.make(env), physics), seed), out)
     print(out)
+
+
+def import_demos(file: Positional[Path], backward: Path | None = None, out: Path | None = None) -> None:
+    """Turn demonstrations of the original release into a file to train with: --set demo_file=OUT.
+
+    Args:
+        file: forward demonstrations, the original's pickle or an npz of the same arrays; nothing in it is executed.
+        backward: backward demonstrations likewise; methods with a return phase need them.
+        out: a new npz file; beside FILE by default.
+    """
+    from earl_jax import demos as making
+    from earl_jax import recordings
+
+    target = out or file.with_name(f"{file.stem}_imported.npz")
+    if target.exists():
+        raise ValueError(f"{target} exists; choose another file with --out")
+    files = {"forward": file} if backward is None else {"forward": file, "backward": backward}
+    found = recordings.import_demos(files)
+    making.save(found, target)
+    print(f"{target}: " + ", ".join(f"{int(part.ends.sum())} {name}" for name, part in found.items()))
 
 
 COMMANDS = {
@@ -183,6 +210,7 @@ COMMANDS = {
     "plot": plot,
     "table": table,
     "demos": demos,
+    "import-demos": import_demos,
     "quickstart": quickstart,
 }
 

@@ -59,6 +59,7 @@ class ArrayUnpickler(pickle.Unpickler):
     """Reads pickles of plain containers and numpy arrays; any other name in them is refused before anything is called."""
 
     def find_class(self, module: str, name: str) -> Any:
+        """Return our stand-in for what numpy puts in a pickle; anything else is refused."""
         if (module, name) == ("_codecs", "encode"):
             return _encode
         admitted = {"ndarray": _Name, "dtype": np.dtype, "_reconstruct": _reconstruct, "_frombuffer": _frombuffer}
@@ -67,6 +68,7 @@ class ArrayUnpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"it asks for {module}.{name}, and only numpy arrays are admitted")
 
     def persistent_load(self, pid: Any) -> Any:
+        """Refuse references to objects outside the file."""
         raise pickle.UnpicklingError("it refers to objects outside the file")
 
 

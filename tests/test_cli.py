@@ -14,6 +14,7 @@ from tests.conftest import CACHE
 
 TINY = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
+TASKS = ["sawyer_door", "sawyer_peg", "tabletop_organization"]
 ENVIRONMENT = {
     **os.environ,
     "JAX_PLATFORMS": "cpu",
@@ -52,7 +53,7 @@ def snapshot(folder):
 def test_list_names_tasks_and_methods():
     code, out, _ = run("list", "--json")
     assert code == 0
-    assert json.loads(out) == {"envs": ["tabletop_organization"], "algos": ["fbrl", "naive", "oracle", "r3l", "vaprl"]}
+    assert json.loads(out) == {"envs": TASKS, "algos": ["fbrl", "naive", "oracle", "r3l", "vaprl"]}
 
 
 def test_a_run_folder_holds_what_a_repetition_needs(finished):

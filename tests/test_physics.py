@@ -1,11 +1,20 @@
-"""The kinematic task seen through MuJoCo: the same world in two pictures."""
+"""MuJoCo behind one door: three engines that agree, and the kinematic task seen through MuJoCo."""
+
+import dataclasses
+import importlib.util
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import physics
+from earl_jax import assets, physics
+from earl_jax.envs import make, with_physics
+
+SAWYERS = ("sawyer_door", "sawyer_peg")
+EVERY = pytest.mark.parametrize("name", SAWYERS)
+FREE = 12
+"""Control steps of a demonstration in which nothing touches the hand."""
 
 
 def placed(env):
@@ -46,3 +55,121 @@ def test_the_integration_state_is_all_a_lane_carries(env):
 def test_an_unknown_model_names_the_choices():
     with pytest.raises(ValueError, match="tabletop_organization"):
         physics.load_model("table")
+
+
+def scripted(name, engine, episodes=2, steps=60):
+    """What is observed [episodes, steps, 7] when the first shipped demonstrations are played on `engine`."""
+    env, part = make(name, physics=engine), assets.demos(name, "forward")
+    firsts = np.append(0, np.flatnonzero(part.ends) + 1)[:episodes]
+    actions = jnp.asarray(np.stack([part.actions[first : first + steps] for first in firsts]))
+
+    def start(first):
+        seen, goal = jnp.asarray(part.states[first, 4:7]), jnp.asarray(part.goals[first])
+        if name == "sawyer_peg":
+            peg = seen + jnp.array([0.1, 0.0, 0.0])
+            return env.placed(peg, seen, goal, start=peg, grasp=jnp.zeros(()))
+        angle = jnp.arctan2(seen[1] - 0.85, seen[0] + 0.085) - np.arctan2(-0.10714, 0.375722)
+        return env.placed(angle[None], seen, goal)
+
+    def play(state, actions):
+        return jax.lax.scan(lambda s, a: (lambda n: (n, n.obs[:7]))(env.step(s, a)), state, actions)[1]
+
+    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[start(first) for first in firsts])
+    return np.asarray(jax.jit(jax.vmap(play))(states, actions))
+
+
+def agree(one, other, touching_mm):
+    free = np.abs(one[:, :FREE, :3] - other[:, :FREE, :3])
+    assert free.max() < 2e-3, "before contact the hand is within 2 mm (the C engine's weld has a term that MJX lacks)"
+    assert np.median(free) < 5e-4
+    assert 1e3 * np.linalg.norm(one[..., 4:] - other[..., 4:], axis=-1).mean() < touching_mm
+
+
+@EVERY
+def test_mjx_and_c_agree_before_contact_tightly_and_in_contact_on_average(name):
+    agree(scripted(name, "mjx"), scripted(name, "c"), touching_mm=5.0)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed")
+@EVERY
+def test_warp_and_c_agree(name):
+    agree(scripted(name, "warp", steps=20), scripted(name, "c", steps=20), touching_mm=5.0)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator")
+@EVERY
+def test_mjx_on_an_accelerator_computes_in_full_float32(name):
+    agree(scripted(name, "mjx"), scripted(name, "c"), touching_mm=5.0)
+
+
+def lanes_of(env, count):
+    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), count))
+
+
+@EVERY
+def test_c_makes_one_call_for_all_lanes_however_they_are_nested(name, monkeypatch):
+    env = make(name, physics="c")
+    host, shapes = physics._host(env.simulator), []
+
+    def counted(rows):
+        shapes.append(rows.shape)
+        return host(rows)
+
+    monkeypatch.setattr(physics, "_host", lambda simulator: counted)
+    states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), lanes_of(env, 6))
+    action = jnp.array([0.3, -0.2, 0.1, -1.0])
+    nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)
+    nested.obs.block_until_ready()
+    assert [shape[:-1] for shape in shapes] == [(2, 3)]
+    alone = env.step(jax.tree.map(lambda leaf: leaf[1, 2], states), action)
+    np.testing.assert_allclose(nested.obs[1, 2], alone.obs, rtol=1e-6, atol=1e-6)
+
+
+def test_the_sensors_lag_the_state_by_one_substep():
+    env = make("sawyer_door", physics="c", substeps=1)
+    state = env.reset(jax.random.key(0))
+    after = env.step(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
+    np.testing.assert_allclose(after.obs[:3], state.obs[:3], atol=1e-6)
+    assert np.abs(np.asarray(after.data.qpos[:9] - state.data.qpos[:9])).max() > 1e-4
+
+
+def test_a_broken_lane_stays_broken_and_alone_on_c():
+    env = make("sawyer_peg", physics="c")
+    states = lanes_of(env, 3)
+    broken = states.replace(data=states.data.replace(qvel=states.data.qvel.at[1].set(jnp.nan)))
+    step = jax.jit(jax.vmap(lambda s: env.step(s, jnp.ones(4))))
+    after, whole = step(broken), step(states)
+    assert np.asarray(jax.vmap(env.fault)(after)).tolist() == [False, True, False]
+    for lane in (0, 2):
+        np.testing.assert_array_equal(after.obs[lane], whole.obs[lane])
+
+
+@EVERY
+def test_leaving_the_workspace_is_a_fault(name):
+    env = make(name, physics="c")
+    state = env.reset(jax.random.key(0))
+    assert not bool(env.fault(state))
+    assert bool(env.fault(state.replace(obs=state.obs.at[5].set(2.0))))
+    assert bool(env.fault(state.replace(obs=state.obs.at[2].set(-0.5))))
+
+
+def test_engines_are_chosen_by_name_and_missing_ones_name_their_extra(monkeypatch, env):
+    assert make("sawyer_door").engine == physics.FASTEST["cpu"] == "c"
+    assert env.engine == "kinematic"
+    assert with_physics(make("sawyer_door"), "mjx").engine == "mjx"
+    with pytest.raises(ValueError, match="choose from auto, mjx, warp, c"):
+        make("sawyer_door", physics="bullet")
+    with pytest.raises(ValueError, match="plain arithmetic"):
+        with_physics(env, "c")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"'warp' is not installed.*earl-jax\[warp\]"):
+        make("sawyer_door", physics="warp")
+
+
+def test_the_compiled_model_has_the_weld_of_the_original():
+    model = physics.load_model("sawyer_door")
+    hand = model.body_invweight0[model.body("hand").id]
+    np.testing.assert_allclose(hand, 6.1056272, rtol=1e-6)
+    assert dataclasses.replace(make("sawyer_door"), substeps=4).simulator.mujoco_model().opt.timestep == 0.0125 / 4
+    assert model.opt.timestep == 0.0025

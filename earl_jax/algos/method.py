@@ -51,7 +51,7 @@ def goals_of(env: Env) -> Goals:
     """Return the goal table of `env`; without demonstrations it holds task goals and initial states only."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.has_demos and env.state_size == env.goal_size:
-        for direction in assets.DIRECTIONS:
+        for direction in env.demo_directions:
             states, last = trajectories(env.demos(direction))
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)

@@ -1,9 +1,11 @@
 """The tasks by name. Adding one is a file here and a line in the table, or `register_env` from outside."""
 
+import dataclasses
+
 from earl_jax.envs.base import Env, State
 from earl_jax.registry import Registry
 
-__all__ = ["Env", "State", "list_envs", "make", "register_env"]
+__all__ = ["Env", "State", "list_envs", "make", "register_env", "with_physics"]
 
 _ENVS = Registry(
     "env",
@@ -32,3 +34,16 @@ def make(name: str, **options) -> Env:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
     return _ENVS.build(name, options)
+
+
+def with_physics(env: Env, engine: str | None) -> Env:
+    """Return `env` on the physics engine `engine`, or as it is for None.
+
+    Raises:
+        ValueError: the engine is unknown or not installed, or the task has none; the message says which.
+    """
+    if engine is None:
+        return env
+    if "physics" not in {field.name for field in dataclasses.fields(env)}:
+        raise ValueError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
+    return dataclasses.replace(env, **{"physics": engine})

@@ -119,6 +119,11 @@ class Env(abc.ABC):
         """Whether there are demonstrations of this task."""
         return self.demo_file is not None or assets.has_demos(self.name)
 
+    @property
+    def demo_directions(self) -> tuple[str, ...]:
+        """The directions of which there are demonstrations."""
+        return assets.demo_directions(self.demo_file or self.name)
+
     def demos(self, direction: str) -> assets.Demos:
         """Return the demonstrations of `direction` (forward or backward) in this task's layout.
 

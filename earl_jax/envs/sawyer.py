@@ -34,7 +34,7 @@ ARM = 9
 
 
 class Pose(NamedTuple):
-    """How the arm stands after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, and `hand [3]`, `grip` as observed.
+    """How the arm stands after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`.
 
     The original settles for 250 substeps at every reset and is not at rest then; these are the states it ends in.
     """

@@ -1,4 +1,4 @@
-"""The shaping functions of dm_control and Meta-World that dense rewards are written in; all broadcast and return values in [0, 1]."""
+"""The shaping functions of dm_control and Meta-World that dense rewards are written in; they broadcast, values in [0, 1]."""
 
 import jax
 import jax.numpy as jnp

@@ -10,8 +10,8 @@ def continuing_lane(lane: Lane, step: jax.Array, since: jax.Array) -> tuple[Lane
     """Return one lane with its window closed, and its averages after `step` steps, `since` of them in the window.
 
     `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted;
-    `continuing/recent` the same since the last report; `interventions`, `faults` (those that a broken simulation enforced) and `reached` are
-    counts since birth.
+    `continuing/recent` the same since the last report; `interventions`, `faults` (those among them that a broken
+    simulation enforced) and `reached` are counts since birth.
     """
     total = lane.tally.total_reward + lane.tally.window_reward
     metrics = {

@@ -1,0 +1,118 @@
+"""Random and saturated actions until something breaks: `python -m benchmarks.safety sawyer_peg --steps 20000 --lanes 64`.
+
+A third of the lanes each act uniformly, at random corners of the action box, and at corners held for up to 50 steps. Counts
+states that are not finite and faults, and measures after every control step how deep any two shapes of a pair interpenetrate.
+Prints one JSON line and writes it to --out.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from earl_jax import physics
+from earl_jax.envs import make
+from earl_jax.experiment import provenance
+
+BLOCK = 500
+LONGEST_HOLD = 50
+LIMIT_MM = 15.0
+
+
+def actions(steps: int, lanes: int, size: int, seed: int = 0) -> np.ndarray:
+    """Return actions [steps, lanes, size]: uniform, corners, and corners held, a third of the lanes each."""
+    rng = np.random.default_rng(seed)
+    uniform = rng.uniform(-1, 1, (steps, lanes, size))
+    corners = np.sign(rng.uniform(-1, 1, (steps, lanes, size)))
+    held = corners.copy()
+    for lane in range(lanes):
+        holds = rng.integers(1, LONGEST_HOLD + 1, steps)
+        starts = np.cumsum(holds)[np.cumsum(holds) < steps]
+        held[:, lane] = corners[
+            np.concatenate([[0], starts])[np.searchsorted(starts, np.arange(steps), side="right")], lane
+        ]
+    kind = np.arange(lanes) % 3
+    return np.select([(kind == 0)[None, :, None], (kind == 1)[None, :, None]], [uniform, corners], held).astype(
+        np.float32
+    )
+
+
+def live(env: Any, plan: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield qpos [BLOCK, lanes, nq] and faults [BLOCK, lanes] block by block; a faulty lane is reset, as in training."""
+
+    def step(state, moved):
+        action, key = moved
+        after = jax.vmap(env.step)(state, action)
+        fault = jax.vmap(env.fault)(after)
+        fresh = jax.vmap(env.reset)(jax.random.split(key, len(fault)))
+
+        def pick(new, old):
+            return jnp.where(fault.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+        return jax.tree.map(pick, fresh, after), (after.data.qpos, fault)
+
+    advance = jax.jit(lambda state, block, keys: jax.lax.scan(step, state, (block, keys)))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), plan.shape[1]))
+    for first in range(0, len(plan), BLOCK):
+        keys = jax.random.split(jax.random.key(1 + first), BLOCK)
+        state, (qpos, fault) = advance(state, jnp.asarray(plan[first : first + BLOCK]), keys)
+        yield np.asarray(qpos), np.asarray(fault)
+
+
+def deepest(model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], counts: dict[str, int]) -> None:
+    """Update over qpos [n, nq] each pair's `worst` depth in mm and its `counts` of contacts beyond the limit."""
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact:
+            depth = -1e3 * contact.dist
+            pair = f"{model.geom(contact.geom1).name} - {model.geom(contact.geom2).name}"
+            worst[pair] = max(worst.get(pair, 0.0), float(depth))
+            counts[pair] = counts.get(pair, 0) + (depth > LIMIT_MM)
+
+
+def run(name: str, steps: int, lanes: int, engine: str) -> dict[str, Any]:
+    """Return the report on one task."""
+    env, worst, counts = make(name, physics=engine), {}, {}
+    model = physics.load_model(name)
+    data, broken, faults = mujoco.MjData(model), 0, 0
+    for qpos, fault in live(env, actions(steps, lanes, env.action_size)):
+        broken += int((~np.isfinite(qpos)).any(axis=-1).sum())
+        faults += int(fault.sum())
+        deepest(model, data, qpos[np.isfinite(qpos).all(axis=-1)], worst, counts)
+    return {
+        "env": name, "engine": env.engine, "steps": steps, "lanes": lanes, "not_finite": broken, "faults": faults,
+        "worst_penetration_mm": round(max(worst.values()), 2), "contacts_over_limit": int(sum(counts.values())),
+        "by_pair_mm": {pair: round(depth, 2) for pair, depth in sorted(worst.items(), key=lambda item: -item[1])},
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("env", choices=["sawyer_door", "sawyer_peg"])
+    parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--lanes", type=int, default=64)
+    parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    if arguments.steps % BLOCK:
+        parser.error(f"--steps must be a multiple of {BLOCK}")
+    report = run(arguments.env, arguments.steps, arguments.lanes, arguments.engine)
+    print(json.dumps(report))
+    if arguments.out:
+        command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        arguments.out.write_text(
+            json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""Sawyer door and peg: numbers as released, starts, rewards, experts and the reset-free worlds they make."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks import replay_demos
+from earl_jax import assets, demos, physics
+from earl_jax.envs import make
+from earl_jax.envs.sawyer_door import AT_HANDLE, HINGE, handle_at
+from earl_jax.envs.sawyer_door import HOME as DOOR_HOME
+from earl_jax.envs.sawyer_peg import HEADS
+from earl_jax.envs.sawyer_peg import HOME as PEG_HOME
+
+TASKS = ("sawyer_door", "sawyer_peg")
+RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"
+EVERY = pytest.mark.parametrize("name", TASKS)
+
+
+@pytest.fixture(scope="module")
+def door():
+    return make("sawyer_door", physics="c")
+
+
+@pytest.fixture(scope="module")
+def peg():
+    return make("sawyer_peg", physics="c")
+
+
+def starts(env, count=300):
+    return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
+
+
+@EVERY
+def test_numbers_as_released(name):
+    env = make(name)
+    assert (env.obs_size, env.action_size) == (14, 4)
+    wanted = {"sawyer_door": (200_000, 300, 600, 0.02, 1), "sawyer_peg": (100_000, 200, 400, 0.05, 15)}[name]
+    assert (
+        env.train_horizon,
+        env.eval_horizon,
+        env.goal_change,
+        env.radius["released"],
+        len(env.initial_states),
+    ) == wanted
+    assert env.goal_states.shape == (1, 7)
+
+
+@pytest.mark.parametrize(
+    ("name", "pose"), [("sawyer_door", DOOR_HOME), ("sawyer_door", AT_HANDLE), ("sawyer_peg", PEG_HOME)]
+)
+def test_the_reset_pose_is_seen_where_its_joints_are(name, pose):
+    env = make(name, reset_at_goal=pose is AT_HANDLE)
+    data = physics.mujoco_data(name, env.reset(jax.random.key(0)).data)
+    hand, right, left = data.sensordata[:9].reshape(3, 3)
+    np.testing.assert_allclose(hand, pose.hand, atol=1e-6)
+    assert np.clip(np.linalg.norm(right - left) / 0.1, 0, 1) == pytest.approx(pose.grip, abs=1e-5)
+
+
+def test_door_starts(door):
+    state = starts(door)
+    angle = np.asarray(state.data.qpos[:, 9])
+    assert -np.pi / 3 <= angle.min() < -1.04
+    assert -0.9 < angle.max() <= -np.pi / 3 + np.pi / 20
+    np.testing.assert_allclose(handle_at(jnp.array(-np.pi / 3)), door.initial_states[0, 4:], atol=1e-6)
+    np.testing.assert_allclose(handle_at(jnp.array(0.0)), door.goal_states[0, 4:], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(state.obs[:, 4:7]), jax.vmap(handle_at)(state.data.qpos[:, 9]), atol=1e-6)
+    still = starts(dataclasses.replace(door, door_noise=False))
+    np.testing.assert_allclose(still.data.qpos[:, 9], -np.pi / 3, rtol=1e-6)
+    closed = starts(dataclasses.replace(door, reset_at_goal=True))
+    assert (np.asarray(closed.data.qpos[:, 9]) >= -np.pi / 20).all()
+    np.testing.assert_allclose(closed.info["goal"], np.tile(door.initial_states, (300, 1)))
+
+
+def test_peg_starts(peg):
+    middle = np.asarray(starts(peg).data.qpos[:, 9:])
+    assert (middle.min(axis=0) >= [0.0, 0.5, 0.0199]).all()
+    assert (middle.max(axis=0) <= [0.2, 0.7, 0.0201]).all()
+    assert np.ptp(middle, axis=0)[:2].min() > 0.18
+    listed = np.asarray(starts(dataclasses.replace(peg, listed=True)).obs[:, 4:6])
+    assert {tuple(row) for row in listed.round(5).tolist()} == {tuple(row) for row in HEADS.round(5).tolist()}
+    wide = np.asarray(starts(dataclasses.replace(peg, wide=True)).data.qpos[:, 9:])
+    assert 0.35 < np.mean((wide[:, 0] >= 0) & (wide[:, 0] <= 0.2) & (wide[:, 1] >= 0.5) & (wide[:, 1] <= 0.7)) < 0.65
+    inserted = np.asarray(starts(dataclasses.replace(peg, reset_at_goal=True)).obs[:, 4:7])
+    assert np.abs(inserted - peg.goal_states[0, 4:]).max() <= 0.02 + 1e-6
+    with pytest.raises(ValueError, match="choose one"):
+        make("sawyer_peg", wide=True, listed=True)
+
+
+@EVERY
+def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(name):
+    env, released = make(name, variant="paper"), make(name)
+    state, full = env.reset(jax.random.key(1)), released.reset(jax.random.key(1))
+    kept = np.delete(np.arange(14), [3, 10])
+    np.testing.assert_array_equal(state.obs, full.obs[kept])
+    assert env.radius["paper"] == {"sawyer_door": 0.08, "sawyer_peg": 0.05}[name]
+    assert env.demos("forward").states.shape[1] == 6
+    near = jnp.asarray(np.concatenate([env.goal_states[0] + [0, 0, 0, 0.045, 0, 0], env.goal_states[0]]), jnp.float32)
+    assert bool(env.success(near))
+    with pytest.raises(ValueError, match="released, paper"):
+        make(name, variant="other")
+
+
+def test_door_dense_reward_by_hand(door):
+    env = dataclasses.replace(door, reward_type="dense")
+    obs = np.asarray(env.reset(jax.random.key(2)).obs, np.float64)
+    hand, handle, goal = obs[:3], obs[4:7], obs[11:14]
+    reach, left = np.linalg.norm(hand - handle), np.linalg.norm(handle - goal)
+    bell = lambda distance, free, margin: 0.1 ** ((max(distance - free, 0.0) / margin) ** 2)  # noqa: E731
+    near = bell(reach, 0.0125, np.linalg.norm(np.array([0, 0.4, 0.2]) - handle) + 0.1)
+    placed = bell(left, 0.05, np.linalg.norm(np.array([0.1, 0.95, 0.1]) - goal))
+    assert float(env.reward(jnp.asarray(obs, jnp.float32))) == pytest.approx(3 * near + 6 * placed, rel=1e-4)
+    assert float(env.reward(jnp.asarray(np.r_[obs[:4], goal, obs[7:]], jnp.float32))) == 10.0
+
+
+def test_peg_dense_reward_rises_along_a_demonstration_and_ends_at_ten(peg):
+    env = dataclasses.replace(peg, reward_type="dense")
+    part = assets.demos("sawyer_peg", "forward")
+    actions = part.actions[: np.flatnonzero(part.ends)[0] + 1]
+    state = env.placed(
+        jnp.asarray(part.states[0, 4:7] + [0.1, 0, 0]), jnp.asarray(part.states[0, 4:7]), jnp.asarray(part.goals[0]),
+        start=jnp.asarray(part.states[0, 4:7] + [0.1, 0, 0]), grasp=jnp.zeros(()),
+    )  # fmt: skip
+    _, rewards = jax.lax.scan(lambda s, a: (lambda n: (n, n.reward))(env.step(s, a)), state, jnp.asarray(actions))
+    rewards = np.asarray(rewards)
+    thirds = [part.mean() for part in np.array_split(rewards[:-5], 3)]
+    assert thirds[0] < thirds[1] < thirds[2]
+    assert 0 <= rewards.min() < 0.1
+    assert 1.0 < rewards[-10:].max() <= 10.0
+
+
+def test_goal_reward_speaks_of_the_goal_it_is_asked_about(peg):
+    env = dataclasses.replace(peg, reward_type="dense")
+    state = env.step(env.reset(jax.random.key(0)), jnp.zeros(4))
+    assert float(env.goal_reward(state, state.info["goal"])) == pytest.approx(float(state.reward))
+    there = jnp.concatenate([state.obs[:4], state.obs[4:7]])
+    assert float(env.goal_reward(state, there)) == 10.0
+
+
+def test_the_door_expert_closes_and_opens_again_without_a_reset(door):
+    """One hand, one door: what a reset-free agent has to do, ten times over."""
+
+    def phase(state, goal):
+        def step(carry, _):
+            state, done = carry
+            after = door.step(state, door.expert(state.obs))
+            done |= door.success(after.obs)
+            return (after, done), None
+
+        return jax.lax.scan(step, (door.with_goal(state, goal), jnp.zeros((), bool)), length=door.eval_horizon)[0]
+
+    state, goals = door.reset(jax.random.key(0)), jnp.asarray([door.goal_states[0], door.initial_states[0]])
+    run = jax.jit(lambda s: jax.lax.scan(phase, s, jnp.tile(goals, (5, 1))))
+    assert np.asarray(run(state)[1]).sum() >= 9
+
+
+@EVERY
+@pytest.mark.parametrize("direction", assets.DIRECTIONS)
+def test_shipped_demonstrations_end_in_success(name, direction):
+    env, part = make(name), assets.demos(name, direction)
+    assert part.ends.sum() == {"sawyer_door": 5, "sawyer_peg": 10}[name]
+    np.testing.assert_array_equal(part.rewards > 0, part.ends)
+    success = np.asarray(env.success(jnp.asarray(np.hstack([part.next_states, part.goals]))))
+    np.testing.assert_array_equal(success, part.ends)
+    targets = env.goal_states if direction == "forward" else env.initial_states
+    assert all((np.abs(targets - goal).max(axis=1) < 1e-6).any() for goal in part.goals)
+    assert np.abs(part.actions).max() <= 1.0
+
+
+@EVERY
+def test_the_command_makes_the_shipped_demonstrations_again(name):
+    made = demos.make(make(name, physics="c"))
+    for direction, part in made.items():
+        shipped = assets.demos(name, direction)
+        assert part.ends.sum() == shipped.ends.sum()
+        first = np.flatnonzero(shipped.ends)[0]
+        np.testing.assert_allclose(part.states[: first // 2], shipped.states[: first // 2], atol=1e-3)
+
+
+@EVERY
+def test_recordings_replay_on_c(name, tmp_path):
+    """Ours always; those of the authors, with the bars of the issue, where they are at hand."""
+    part = assets.demos(name, "forward")
+    observations, after = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
+    np.savez(tmp_path / "own.npz", observations=observations, actions=part.actions, rewards=part.rewards,
+             next_observations=after, terminals=part.ends)  # fmt: skip
+    own = replay_demos.replay(name, tmp_path / "own.npz", "c")
+    assert own["successes_within_hold"] == own["episodes"]
+    assert own["mean_object_error_mm"] < 1.0
+    file = RECORDED / f"{name}_forward.npz"
+    if not file.exists():
+        pytest.skip("the authors' recordings are not at hand")
+    theirs = replay_demos.replay(name, file, "c")
+    assert theirs["successes_within_hold"] == theirs["episodes"] == {"sawyer_door": 5, "sawyer_peg": 10}[name]
+    assert theirs["mean_object_error_mm"] <= {"sawyer_door": 10, "sawyer_peg": 4}[name]
+    assert theirs["reward_agreement"] >= 0.97
+    assert theirs["reset_arm_error"] <= 1e-6
+
+
+def test_a_hand_moved_for_a_replay_is_where_the_record_says(door):
+    first = np.concatenate([[0.3, 0.68, 0.12, 0.8], np.asarray(handle_at(jnp.array(-0.05))), door.initial_states[0]])
+    state = replay_demos.begin(dataclasses.replace(door, reset_at_goal=True), first.astype(np.float32))
+    data = physics.mujoco_data(door.name, state.data)
+    np.testing.assert_allclose(data.sensordata[:3], first[:3], atol=1e-4)
+    assert np.linalg.norm(data.sensordata[3:6] - data.sensordata[6:9]) == pytest.approx(0.08, abs=2e-3)
+    assert np.linalg.norm(np.asarray(state.obs[4:6]) - HINGE) == pytest.approx(0.3907, abs=1e-3)

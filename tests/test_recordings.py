@@ -1,0 +1,130 @@
+"""Foreign files: recordings of the original come in, nothing else does, and nothing in them runs."""
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+from earl_jax import assets, recordings
+from earl_jax.cli import main
+
+
+def arrays(episodes=2, length=5, size=14):
+    rng = np.random.default_rng(0)
+    rows = episodes * length
+    ends = (np.arange(rows) % length == length - 1)[:, None]
+    return {
+        "observations": rng.normal(size=(rows, size)),
+        "actions": rng.uniform(-1, 1, (rows, 4)),
+        "rewards": ends.astype(float),
+        "next_observations": rng.normal(size=(rows, size)),
+        "terminals": ends,
+    }
+
+
+def pickled(path, content, protocol=4):
+    path.write_bytes(pickle.dumps(content, protocol))
+    return path
+
+
+class Bomb:
+    def __init__(self, flag):
+        self.flag = flag
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.flag}",)
+
+
+class Disguised:
+    """Asks for admitted names only, to call numpy's array class with a shape of its own."""
+
+    def __reduce__(self):
+        return np.ndarray, ((1 << 40,),)
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+def test_pickles_of_numpy_arrays_are_read(tmp_path, protocol):
+    content = arrays()
+    found = recordings.read(pickled(tmp_path / "demo.pkl", content, protocol))
+    for name, value in found._asdict().items():
+        np.testing.assert_allclose(value, content[name].reshape(value.shape), rtol=1e-6)
+    assert [len(part.actions) for part in found.episodes()] == [5, 5]
+
+
+def test_the_old_name_of_numpys_module_is_admitted(tmp_path):
+    raw = pickle.dumps(arrays(), 2).replace(b"numpy._core.multiarray", b"numpy.core.multiarray")
+    path = tmp_path / "old.pkl"
+    path.write_bytes(raw)
+    assert len(recordings.read(path).actions) == 10
+
+
+@pytest.mark.parametrize("where", ["alone", "in an array", "beside the arrays"])
+def test_a_hostile_pickle_is_refused_and_does_not_run(tmp_path, where):
+    flag = tmp_path / "flag"
+    bomb = Bomb(flag)
+    trap = np.array([bomb], object)
+    content = {
+        "alone": bomb,
+        "in an array": {**arrays(), "rewards": trap},
+        "beside the arrays": {**arrays(), "x": bomb},
+    }
+    path = pickled(tmp_path / "hostile.pkl", content[where])
+    with pytest.raises(ValueError, match=r"hostile.pkl: .*asks for (posix|nt).system"):
+        recordings.read(path)
+    assert not flag.exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"not a pickle", pickle.dumps(Disguised()), pickle.dumps(len), b"cbuiltins\neval\n(S'1'\ntR.", b"P1\n."],
+    ids=["empty", "text", "numpy's class called", "a builtin", "eval", "persistent id"],
+)
+def test_anything_else_is_one_clear_error(tmp_path, content):
+    path = tmp_path / "other.pkl"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"other.pkl: not a pickle of numpy arrays"):
+        recordings.read(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda a: a.pop("actions"), "has the arrays"),
+        (lambda a: a.update(actions=a["actions"][:-1]), "don't fit together"),
+        (lambda a: a.update(rewards=np.array(["x"] * 10)), "not all numbers"),
+        (lambda a: a["observations"].__setitem__(0, np.nan), "not finite"),
+        (lambda a: a["terminals"].__setitem__(-1, False), "middle of an episode"),
+    ],
+)
+def test_arrays_that_do_not_fit_say_why(tmp_path, change, cause):
+    content = arrays()
+    change(content)
+    with pytest.raises(ValueError, match=cause):
+        recordings.read(pickled(tmp_path / "odd.pkl", content))
+
+
+def test_imported_demonstrations_are_trained_with(tmp_path, capsys):
+    own = {name: assets.demos("sawyer_door", name) for name in assets.DIRECTIONS}
+    files = {}
+    for name, part in own.items():
+        observations = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
+        content = dict(zip(recordings.Recording._fields, [observations[0], part.actions, part.rewards, observations[1], part.ends],
+                           strict=True))  # fmt: skip
+        files[name] = pickled(tmp_path / f"{name}.pkl", content)
+    out = tmp_path / "mine.npz"
+    main(["import-demos", str(files["forward"]), "--backward", str(files["backward"]), "--out", str(out)])
+    assert "5 forward, 5 backward" in capsys.readouterr().out
+    from earl_jax.envs import make
+
+    env = make("sawyer_door", demo_file=str(out))
+    assert env.demo_directions == assets.DIRECTIONS
+    for name, part in own.items():
+        np.testing.assert_array_equal(env.demos(name).states, part.states)
+    with pytest.raises(SystemExit):
+        main(["import-demos", str(files["forward"]), "--out", str(out)])
+    assert "exists" in capsys.readouterr().err
+    main(["import-demos", str(files["forward"])])
+    alone = make("sawyer_door", demo_file=str(tmp_path / "forward_imported.npz"))
+    with pytest.raises(ValueError, match="no backward demonstrations"):
+        alone.demos("backward")
