@@ -168,11 +168,15 @@ def main() -> None:
         for job in jobs:
             rows.append(job())
             print(rows[-1], flush=True)
-            write(rows, arguments.out.with_suffix(".csv"))
+            save(rows, arguments)
+
+
+def save(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+    """Write the rows so far as csv, and as json with the command, cores and versions."""
     chosen = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
-    command = "python -m benchmarks.physics " + " ".join(
-        f"--{name} {' '.join(map(str, values))}" for name, values in chosen.items()
-    )
+    options = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in chosen.items())
+    command = f"python -m benchmarks.physics {options}"
+    write(rows, arguments.out.with_suffix(".csv"))
     report = {"command": command, "cores": len(os.sched_getaffinity(0)), "provenance": provenance(), "rows": rows}
     arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=1) + "\n")
 

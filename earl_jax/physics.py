@@ -126,7 +126,10 @@ def _mjx_model(simulator: Simulator) -> tuple[Any, Any]:
     implementation = "warp" if simulator.engine == "warp" else "jax"
     budget = {"naconmax": WARP_CONTACTS, "njmax": WARP_ROWS} if implementation == "warp" else {}
     with jax.ensure_compile_time_eval():
-        return mjx.put_model(host, impl=implementation), mjx.make_data(host, impl=implementation, **budget)
+        model = mjx.put_model(host, impl=implementation)
+        if implementation == "warp":
+            model = model.tree_replace({"opt._impl.warn_overflow": 0})
+        return model, mjx.make_data(host, impl=implementation, **budget)
 
 
 def _step_mjx(simulator: Simulator, state: Integration, ctrl: jax.Array) -> tuple[Integration, jax.Array]:
@@ -157,7 +160,7 @@ def _guarded_kinematics() -> Iterator[None]:
     XLA:CPU of jax 0.10 recomputes every parent in each child, exponentially often (248 ms for what takes 0.4); a barrier on
     the carry stops it and costs nothing elsewhere.
     """
-    scan = importlib.import_module("mujoco.mjx._src.scan")
+    scan: Any = importlib.import_module("mujoco.mjx._src.scan")
     body_tree = scan.body_tree
 
     def guarded(model, f, *rest, **options):

@@ -51,7 +51,7 @@ def _encode(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
-def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
+def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: Any) -> np.ndarray:
     return np.frombuffer(data, dtype).reshape(shape, order=order).copy()
 
 
@@ -115,8 +115,10 @@ def _checked(arrays: Any) -> Recording:
     if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
         raise ValueError("it has values that are not finite, or stops in the middle of an episode")
     observations, actions, rewards, after, ends = parts
-    numbers = [part.astype(np.float32) for part in (observations, actions, rewards.reshape(-1), after)]
-    return Recording(*numbers, ends.reshape(-1).astype(bool))
+    return Recording(
+        observations.astype(np.float32), actions.astype(np.float32), rewards.reshape(-1).astype(np.float32),
+        after.astype(np.float32), ends.reshape(-1).astype(bool),
+    )  # fmt: skip
 
 
 def import_demos(files: dict[str, Path]) -> dict[str, Demos]:

@@ -108,9 +108,9 @@ def test_imported_demonstrations_are_trained_with(tmp_path, capsys):
     own = {name: assets.demos("sawyer_door", name) for name in assets.DIRECTIONS}
     files = {}
     for name, part in own.items():
-        observations = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
-        content = dict(zip(recordings.Recording._fields, [observations[0], part.actions, part.rewards, observations[1], part.ends],
-                           strict=True))  # fmt: skip
+        seen, after = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
+        fields = [seen, part.actions, part.rewards, after, part.ends]
+        content = dict(zip(recordings.Recording._fields, fields, strict=True))
         files[name] = pickled(tmp_path / f"{name}.pkl", content)
     out = tmp_path / "mine.npz"
     main(["import-demos", str(files["forward"]), "--backward", str(files["backward"]), "--out", str(out)])

@@ -111,7 +111,7 @@ class SawyerPeg(Sawyer):
         scatter = jax.random.uniform(spread, (3,), minval=-SCATTER, maxval=SCATTER)
         near = jax.random.uniform(where, (3,), minval=LOW, maxval=HIGH)
         if self.reset_at_goal:
-            return INSERTED - HEAD + scatter
+            return jnp.asarray(INSERTED - HEAD) + scatter
         if self.listed:
             return _lying(HEADS, which)
         if self.wide:
