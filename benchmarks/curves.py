@@ -1,0 +1,126 @@
+"""Learning curves beside the published ones: what the reports of benchmarks.tabletop and benchmarks.sawyer share."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.experiment import RunFolder
+from earl_jax.metrics.statistics import bootstrap, iqm
+from earl_jax.report.runs import Curves
+from earl_jax.report.tables import row_of, trailing, write
+from earl_jax.training import execute, train
+
+LEVELS = ("0.5", "0.9")
+KEPT = (
+    "deployed/success",
+    "continuing/reward",
+    "continuing/recent",
+    "interventions",
+    "reached",
+    "critic_loss",
+    "temperature",
+)
+
+
+def advance(folder: Path, steps: int, *task_and_method: str, **options: Any) -> None:
+    """Train to `steps` in `folder`, going on where a killed run stopped."""
+    if folder.exists():
+        opened = RunFolder.open(folder).extended(steps)
+        execute(opened.experiment, opened, progress=True)
+    else:
+        train(*task_and_method, steps=steps, out=folder, checkpoint_every=500_000, progress=True, **options)
+
+
+def crossings(env: str, algo: str) -> dict[str, str]:
+    """Return the published last-10 success and crossings of a method on a task, empty where there are none."""
+    rows = [row for row in assets.published("crossings") if (row["env"], row["algo"]) == (env, algo)]
+    return rows[0] if rows else {}
+
+
+def summary(curves: Curves, **identity: Any) -> dict[str, Any]:
+    """Return a row of the table under the columns of `identity`: ours, and the published figures beside them."""
+    env, algo = curves.experiment.env, curves.experiment.algo
+    found, published = row_of(curves, last=10, name=algo), crossings(env, algo)
+    wanted = ("seeds", "steps", "deployed", "deployed_stderr", "deployed_iqm", "deployed_low", "deployed_high")
+    reached = {}
+    for level in LEVELS:
+        reached[f"to_{level}"] = found[f"steps_to_{level}"]
+        reached[f"published_to_{level}"] = published.get(f"steps_to_{level}")
+    return {
+        **identity,
+        **{name: found[name] for name in wanted},
+        "published_last10": published.get("last10"),
+        **reached,
+        "continuing": found["continuing"],
+        "continuing_stderr": found["continuing_stderr"],
+        "published_continuing": found["published_continuing"],
+        "steps_per_reward": found["steps_per_reward"],
+        "published_steps_per_reward": published.get("steps_per_reward"),
+    }
+
+
+def cells(row: dict[str, Any]) -> dict[str, str]:
+    """Return the columns of a row of `summary` for people, by title."""
+
+    def steps(value: Any) -> str:
+        return f"{float(value) / 1e6:.2f}M" if value else "-"
+
+    return {
+        "seeds": str(row["seeds"]),
+        "steps": steps(row["steps"]),
+        "last-10 success [95 % IQM]": f"{row['deployed']:.2f} ({row['deployed_stderr']:.2f}) "
+        f"[{row['deployed_low']:.2f}, {row['deployed_high']:.2f}]",
+        "published": row["published_last10"] or "-",
+        "to 0.5": steps(row["to_0.5"]),
+        "publ. 0.5": steps(row["published_to_0.5"]),
+        "to 0.9": steps(row["to_0.9"]),
+        "publ. 0.9": steps(row["published_to_0.9"]),
+    }
+
+
+def rate(value: Any) -> str:
+    """Return steps a reward for people."""
+    return f"{float(value):.1f}" if value else "-"
+
+
+def markdown(rows: Sequence[dict[str, str]]) -> str:
+    """Return a table of `rows` by title, which all have the same ones."""
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
+    return "\n".join([*lines, *("| " + " | ".join(row.values()) + " |" for row in rows)]) + "\n"
+
+
+def write_curves(path: Path, parts: Sequence[tuple[dict[str, Any], Curves]]) -> None:
+    """Write what every seed of `parts` measured as csv, each under the columns that identify its part."""
+    rows = []
+    for identity, curves in parts:
+        kept = [name for name in KEPT if name in curves.metrics]
+        for number, step in enumerate(curves.steps.tolist()):
+            for lane in range(len(curves.metrics[kept[0]])):
+                values = {name: f"{curves.metrics[name][lane, number]:.6g}" for name in kept}
+                rows.append({**identity, "step": step, "seed": lane, **values})
+    write(rows, path)
+
+
+def write_table(folder: Path, rows: list[dict[str, Any]], text: str, command: str, runs: dict[str, Path]) -> None:
+    """Write table.csv, table.md and table.json, the last with the command and each run's configuration and versions."""
+    configs = {name: json.loads((path / "config.json").read_text()) for name, path in runs.items()}
+    write(rows, folder / "table.csv")
+    (folder / "table.md").write_text(text)
+    (folder / "table.json").write_text(json.dumps({"command": command, "rows": rows, "runs": configs}, indent=1) + "\n")
+    print(text)
+
+
+def draw(axis: Any, curves: Curves, colour: str, label: str, style: str = "-") -> None:
+    """Draw deployed success, trailing ten evaluations: the mean, the band of the IQM, and published crossings as marks."""
+    smooth = trailing(curves.metrics["deployed/success"])
+    low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
+    axis.plot(curves.steps, smooth.mean(axis=0), style, color=colour, label=label)
+    axis.fill_between(curves.steps, low, high, color=colour, alpha=0.15, linewidth=0)
+    published = crossings(curves.experiment.env, curves.experiment.algo)
+    for level in LEVELS:
+        if published.get(f"steps_to_{level}"):
+            axis.plot(float(published[f"steps_to_{level}"]), float(level), "x", color=colour)
