@@ -120,10 +120,9 @@ def _seven_boxes(spec: Any) -> list[str]:
     return list(sizes)
 
 
-def one_core(name: str, original: bool, seconds: float = 4.0) -> dict[str, Any]:
-    """Return the rate of a Python loop over MuJoCo C on one core, on the original-style scene or on ours."""
+def one_core(name: str, scene: str, model: mujoco.MjModel, substeps: int = 5, seconds: float = 4.0) -> dict[str, Any]:
+    """Return the rate of a Python loop over MuJoCo C on one core, on `model` of task `name`."""
     env = make(name, physics="c")
-    model = original_style(name) if original else physics.load_model(name)
     start, data = jax.device_get(env.reset(jax.random.key(0)).data), mujoco.MjData(model)
     rng, steps = np.random.default_rng(0), 0
     began = time.perf_counter()
@@ -135,11 +134,11 @@ def one_core(name: str, original: bool, seconds: float = 4.0) -> dict[str, Any]:
         action = rng.uniform(-1, 1, 4)
         data.mocap_pos[0] = np.clip(data.mocap_pos[0] + 0.01 * action[:3], [-0.5, 0.4, 0.05], [0.5, 1.0, 0.5])
         data.ctrl[:] = action[3], -action[3]
-        mujoco.mj_step(model, data, 5)
+        mujoco.mj_step(model, data, substeps)
         np.linalg.norm(data.sensordata[3:6] - data.sensordata[6:9])
         steps += 1
     return {
-        "env": name, "engine": f"one-core C, {'original-style' if original else 'our'} scene", "substeps": 5, "lanes": 1,
+        "env": name, "engine": f"one-core C, {scene}", "substeps": substeps, "lanes": 1,
         "compile_s": 0.0, "ms_per_step": round(1e3 * seconds / steps, 4),
         "lane_steps_per_s": round(steps / seconds, 1), "finite": bool(np.isfinite(data.qpos).all()),
     }  # fmt: skip
@@ -163,7 +162,8 @@ def main() -> None:
             for lanes in arguments.lanes
             for substeps in arguments.substeps
         ]
-        jobs = [lambda original=original, name=name: one_core(name, original) for original in (True, False)]
+        scenes = {"original-style scene": original_style(name), "our scene": physics.load_model(name)}
+        jobs = [lambda scene=scene, model=model, name=name: one_core(name, scene, model) for scene, model in scenes.items()]
         jobs += [lambda plan=plan, name=name: measure(name, *plan, arguments.repeats) for plan in plans]
         for job in jobs:
             rows.append(job())

@@ -78,9 +78,9 @@ def deepest(model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], co
             counts[pair] = counts.get(pair, 0) + (depth > LIMIT_MM)
 
 
-def run(name: str, steps: int, lanes: int, engine: str) -> dict[str, Any]:
+def run(name: str, steps: int, lanes: int, engine: str, substeps: int) -> dict[str, Any]:
     """Return the report on one task."""
-    env, worst, counts = make(name, physics=engine), {}, {}
+    env, worst, counts = make(name, physics=engine, substeps=substeps), {}, {}
     model = physics.load_model(name)
     data, broken, faults = mujoco.MjData(model), 0, 0
     for qpos, fault in live(env, actions(steps, lanes, env.action_size)):
@@ -88,7 +88,8 @@ def run(name: str, steps: int, lanes: int, engine: str) -> dict[str, Any]:
         faults += int(fault.sum())
         deepest(model, data, qpos[np.isfinite(qpos).all(axis=-1)], worst, counts)
     return {
-        "env": name, "engine": env.engine, "steps": steps, "lanes": lanes, "not_finite": broken, "faults": faults,
+        "env": name, "engine": env.engine, "substeps": substeps, "steps": steps, "lanes": lanes,
+        "not_finite": broken, "faults": faults,
         "worst_penetration_mm": round(max(worst.values()), 2), "contacts_over_limit": int(sum(counts.values())),
         "by_pair_mm": {pair: round(depth, 2) for pair, depth in sorted(worst.items(), key=lambda item: -item[1])},
     }  # fmt: skip
@@ -100,14 +101,16 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--lanes", type=int, default=64)
     parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
+    parser.add_argument("--substeps", type=int, default=5)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     if arguments.steps % BLOCK:
         parser.error(f"--steps must be a multiple of {BLOCK}")
-    report = run(arguments.env, arguments.steps, arguments.lanes, arguments.engine)
+    report = run(arguments.env, arguments.steps, arguments.lanes, arguments.engine, arguments.substeps)
     print(json.dumps(report))
     if arguments.out:
         command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
+        command += f" --substeps {arguments.substeps}"
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(
             json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n"
