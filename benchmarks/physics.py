@@ -163,7 +163,9 @@ def main() -> None:
             for substeps in arguments.substeps
         ]
         scenes = {"original-style scene": original_style(name), "our scene": physics.load_model(name)}
-        jobs = [lambda scene=scene, model=model, name=name: one_core(name, scene, model) for scene, model in scenes.items()]
+        jobs = [
+            lambda scene=scene, model=model, name=name: one_core(name, scene, model) for scene, model in scenes.items()
+        ]
         jobs += [lambda plan=plan, name=name: measure(name, *plan, arguments.repeats) for plan in plans]
         for job in jobs:
             rows.append(job())

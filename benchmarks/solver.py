@@ -21,7 +21,13 @@ from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "physics"
-TOLD = ("successes_by_end", "successes_within_hold", "mean_object_error_mm", "reward_agreement", "first_success_offsets")
+TOLD = (
+    "successes_by_end",
+    "successes_within_hold",
+    "mean_object_error_mm",
+    "reward_agreement",
+    "first_success_offsets",
+)
 
 
 def _iterations(count: int) -> Callable[[Any], None]:
