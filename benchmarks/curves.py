@@ -1,7 +1,8 @@
 """Learning curves beside the published ones: what the reports of benchmarks.tabletop and benchmarks.sawyer share."""
 
+import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -124,3 +125,25 @@ def draw(axis: Any, curves: Curves, colour: str, label: str, style: str = "-") -
     for level in LEVELS:
         if published.get(f"steps_to_{level}"):
             axis.plot(float(published[f"steps_to_{level}"]), float(level), "x", color=colour)
+
+
+def command_line(
+    description: str | None,
+    names: Sequence[str],
+    steps: int,
+    run: Callable[[str, int, Path], None],
+    report: Callable[[Path], None],
+) -> None:
+    """Do what the command line asks: `run NAME --steps --out`, or `report DIR`."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    runner = commands.add_parser("run")
+    runner.add_argument("name", choices=names)
+    runner.add_argument("--steps", type=int, default=steps)
+    runner.add_argument("--out", type=Path, required=True)
+    commands.add_parser("report").add_argument("out", type=Path)
+    arguments = parser.parse_args()
+    if arguments.command == "run":
+        run(arguments.name, arguments.steps, arguments.out)
+    else:
+        report(arguments.out)

@@ -7,12 +7,11 @@
 benchmarks/results/sawyer/: the curves of every seed as csv, the table as csv, json and md, and the figure.
 """
 
-import argparse
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.curves import advance, cells, draw, markdown, rate, summary, write_curves, write_table
+from benchmarks.curves import advance, cells, command_line, draw, markdown, rate, summary, write_curves, write_table
 from earl_jax.report.runs import Curves, read
 
 SEEDS = 5
@@ -76,20 +75,5 @@ def _figure(runs: dict[str, Curves]) -> Figure:
     return figure
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    runner = commands.add_parser("run")
-    runner.add_argument("name", choices=NAMES)
-    runner.add_argument("--steps", type=int, default=2_000_000)
-    runner.add_argument("--out", type=Path, default=Path("runs/sawyer"))
-    commands.add_parser("report").add_argument("out", type=Path)
-    arguments = parser.parse_args()
-    if arguments.command == "run":
-        run(arguments.name, arguments.steps, arguments.out)
-    else:
-        report(arguments.out)
-
-
 if __name__ == "__main__":
-    main()
+    command_line(__doc__, NAMES, 2_000_000, run, report)

@@ -7,14 +7,13 @@
 table as csv, json and md, and the figure.
 """
 
-import argparse
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.curves import advance, cells, draw, markdown, rate, summary, write_curves, write_table
+from benchmarks.curves import advance, cells, command_line, draw, markdown, rate, summary, write_curves, write_table
 from earl_jax.report.runs import Curves, read
 
 ENV = "tabletop_organization"
@@ -98,20 +97,5 @@ def _figure(runs: dict[str, dict[float, Curves]]) -> Figure:
     return figure
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    runner = commands.add_parser("run")
-    runner.add_argument("algo", choices=ALGOS)
-    runner.add_argument("--steps", type=int, default=2_500_000)
-    runner.add_argument("--out", type=Path, default=Path("runs/tabletop"))
-    commands.add_parser("report").add_argument("out", type=Path)
-    arguments = parser.parse_args()
-    if arguments.command == "run":
-        run(arguments.algo, arguments.steps, arguments.out)
-    else:
-        report(arguments.out)
-
-
 if __name__ == "__main__":
-    main()
+    command_line(__doc__, ALGOS, 2_500_000, run, report)
