@@ -131,6 +131,7 @@ def command_line(
     description: str | None,
     names: Sequence[str],
     steps: int,
+    out: Path,
     run: Callable[[str, int, Path], None],
     report: Callable[[Path], None],
 ) -> None:
@@ -140,7 +141,7 @@ def command_line(
     runner = commands.add_parser("run")
     runner.add_argument("name", choices=names)
     runner.add_argument("--steps", type=int, default=steps)
-    runner.add_argument("--out", type=Path, required=True)
+    runner.add_argument("--out", type=Path, default=out)
     commands.add_parser("report").add_argument("out", type=Path)
     arguments = parser.parse_args()
     if arguments.command == "run":

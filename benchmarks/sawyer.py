@@ -76,4 +76,4 @@ def _figure(runs: dict[str, Curves]) -> Figure:
 
 
 if __name__ == "__main__":
-    command_line(__doc__, NAMES, 2_000_000, run, report)
+    command_line(__doc__, NAMES, 2_000_000, Path("runs/sawyer"), run, report)

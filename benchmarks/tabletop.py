@@ -98,4 +98,4 @@ def _figure(runs: dict[str, dict[float, Curves]]) -> Figure:
 
 
 if __name__ == "__main__":
-    command_line(__doc__, ALGOS, 2_500_000, run, report)
+    command_line(__doc__, ALGOS, 2_500_000, Path("runs/tabletop"), run, report)

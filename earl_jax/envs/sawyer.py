@@ -31,9 +31,12 @@ GRIPPER = 3
 VARIANTS = ("released", "paper")
 ARM = 9
 """Joints of arm and fingers, before those of the object."""
+WRIST = 6
+"""The arm's last joint, which turns the hand about itself and moves it nowhere."""
 JOINT_SPEED = np.array([2.8, 3.6], np.float32)
 LEASH = np.array([0.38, 0.03], np.float32)
-"""Metres by which the mocap target may lead the hand where the fastest arm joint turns at `JOINT_SPEED` [rad/s], and between."""
+"""Metres by which the mocap target may lead the hand while the fastest joint before the wrist turns at `JOINT_SPEED` [rad/s];
+linear between."""
 
 
 class Pose(NamedTuple):
@@ -169,6 +172,6 @@ def _leashed(state: State, target: jax.Array) -> jax.Array:
     a substep, and passes through what comes next. The recordings stay below 0.36 m and 2.8 rad/s and never feel the leash.
     """
     hand = state.obs[:3]
-    fastest = jnp.abs(state.data.qvel[: ARM - 2]).max()
+    fastest = jnp.abs(state.data.qvel[:WRIST]).max()
     distance, leash = jnp.linalg.norm(target - hand), jnp.interp(fastest, JOINT_SPEED, LEASH)
     return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)

@@ -122,10 +122,7 @@ def test_peg_dense_reward_rises_along_a_demonstration_and_ends_at_ten(peg):
     env = dataclasses.replace(peg, reward_type="dense")
     part = assets.demos("sawyer_peg", "forward")
     actions = part.actions[: np.flatnonzero(part.ends)[0] + 1]
-    state = env.placed(
-        jnp.asarray(part.states[0, 4:7] + [0.1, 0, 0]), jnp.asarray(part.states[0, 4:7]), jnp.asarray(part.goals[0]),
-        start=jnp.asarray(part.states[0, 4:7] + [0.1, 0, 0]), grasp=jnp.zeros(()),
-    )  # fmt: skip
+    state = replay_demos.begin(env, np.hstack([part.states[0], part.goals[0]]))
     _, rewards = jax.lax.scan(lambda s, a: (lambda n: (n, n.reward))(env.step(s, a)), state, jnp.asarray(actions))
     rewards = np.asarray(rewards)
     thirds = [part.mean() for part in np.array_split(rewards[:-5], 3)]
