@@ -16,7 +16,7 @@ import mujoco
 from benchmarks.physics import one_core
 from benchmarks.replay_demos import replay
 from earl_jax import physics
-from earl_jax.envs.sawyer import CONTROL_STEP
+from earl_jax.envs.sawyer import Sawyer
 from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
@@ -66,7 +66,7 @@ VARIANTS: dict[str, tuple[int, Callable[[Any], None]]] = {
 def tried(name: str, file: Path, variant: str) -> dict[str, Any]:
     """Return how `variant` replays `file` and what it costs; changes the process's model, so call it in one of its own."""
     substeps, change = VARIANTS[variant]
-    model = physics.load_model(name, CONTROL_STEP / substeps)
+    model = physics.load_model(name, Sawyer.control_step / substeps)
     change(model)
     found = replay(name, file, "c", substeps)
     rate = one_core(name, variant, model, substeps)["lane_steps_per_s"]

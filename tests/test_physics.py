@@ -104,13 +104,13 @@ def lanes_of(env, count):
 @EVERY
 def test_c_makes_one_call_for_all_lanes_however_they_are_nested(name, monkeypatch):
     env = make(name, physics="c")
-    host, shapes = physics._host(env.simulator), []
+    host, shapes = physics.c.host_of(env.simulator, 0), []
 
     def counted(rows):
         shapes.append(rows.shape)
         return host(rows)
 
-    monkeypatch.setattr(physics, "_host", lambda simulator: counted)
+    monkeypatch.setattr(physics.c, "host_of", lambda simulator, memory: counted)
     states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), lanes_of(env, 6))
     action = jnp.array([0.3, -0.2, 0.1, -1.0])
     nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)

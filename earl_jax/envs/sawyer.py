@@ -6,7 +6,6 @@ Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 20
 
 import abc
 import dataclasses
-import functools
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -14,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.envs.base import Env, State
-from earl_jax.physics import Integration, Simulator, resolve
+from earl_jax.envs.base import State
+from earl_jax.envs.physical import PhysicalEnv
+from earl_jax.physics import Integration
 
-CONTROL_STEP = 0.0125
-"""Seconds of a control step: 5 substeps of 2.5 ms in the original."""
 REACH = 0.01
 """Metres that the mocap target moves at action 1."""
 HAND_LOW = np.array([-0.5, 0.4, 0.05], np.float32)
@@ -54,7 +52,7 @@ class Pose(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Sawyer(Env):
+class Sawyer(PhysicalEnv):
     """An arm and an object: `obs [14]` = hand 3, gripper opening 1, object 3, goal 7; `action [4]` = dx, dy, dz, grip.
 
     A step moves the mocap target by up to 1 cm an axis; `grip` +1 closes, -1 opens. `variant="paper"` leaves the gripper out
@@ -62,12 +60,12 @@ class Sawyer(Env):
     for backward evaluations and demonstrations does. A released `substeps` of 5 is 2.5 ms each.
     """
 
-    physics: str = "auto"
     substeps: int = 5
     variant: str = "released"
     reset_at_goal: bool = False
 
     action_size: ClassVar[int] = 4
+    control_step: ClassVar[float] = 0.0125
     radius: ClassVar[dict[str, float]]
     """How near [m] its goal the object must be, for each variant."""
     object_low: ClassVar[np.ndarray]
@@ -78,10 +76,6 @@ class Sawyer(Env):
         super().__post_init__()
         if self.variant not in VARIANTS:
             raise ValueError(f"variant {self.variant!r} is not one of {', '.join(VARIANTS)}")
-        if self.substeps < 1:
-            raise ValueError(f"substeps must be at least 1, not {self.substeps}")
-        if self.physics != "auto":
-            resolve(self.physics)
 
     @property
     def kept(self) -> np.ndarray:
@@ -97,15 +91,6 @@ class Sawyer(Env):
         return len(self.kept)
 
     @property
-    def engine(self) -> str:
-        return resolve(self.physics)
-
-    @functools.cached_property
-    def simulator(self) -> Simulator:
-        """The physics of this task on its engine."""
-        return Simulator(self.name, CONTROL_STEP / self.substeps, self.substeps, self.engine)
-
-    @property
     @abc.abstractmethod
     def pose(self) -> Pose:
         """How the arm stands after a reset."""
@@ -117,14 +102,12 @@ class Sawyer(Env):
         def join(arm, rest):
             return jnp.concatenate([jnp.asarray(arm, jnp.float32), rest])
 
-        data = Integration(
+        data = Integration.at(
             qpos=join(pose.qpos, joints),
             qvel=join(pose.qvel, rest),
-            act=jnp.zeros((0,)),
             mocap_pos=jnp.asarray([pose.target], jnp.float32),
             mocap_quat=jnp.asarray(POINTING_DOWN)[None],
             qacc_warmstart=join(pose.warmstart, rest),
-            time=jnp.zeros(()),
         )
         vector = jnp.concatenate([jnp.asarray([*pose.hand, pose.grip], jnp.float32), where])[self.kept]
         return self._state(data, vector, {"goal": goal, **info})

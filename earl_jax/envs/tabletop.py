@@ -65,7 +65,7 @@ class TabletopOrganization(Env):
         start_key, goal_key = jax.random.split(key)
         qpos = self._wide_start(start_key) if self.wide else jnp.asarray(HOME)
         info = {"goal": self.sample_goal(goal_key)}
-        return self._state(Integration.kinematic(qpos), jnp.concatenate([qpos, FREE]), info)
+        return self._state(Integration.at(qpos), jnp.concatenate([qpos, FREE]), info)
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
         """Return the first of 64 uniform draws [4] that keeps its distances (about half do: a miss has odds of 1e-17)."""

@@ -11,7 +11,7 @@ import pytest
 from benchmarks import replay_demos
 from earl_jax import assets, demos, physics
 from earl_jax.envs import make
-from earl_jax.envs.sawyer import CONTROL_STEP, _leashed
+from earl_jax.envs.sawyer import _leashed
 from earl_jax.envs.sawyer_door import AT_HANDLE, HINGE, handle_at
 from earl_jax.envs.sawyer_door import HOME as DOOR_HOME
 from earl_jax.envs.sawyer_peg import HEADS
@@ -204,7 +204,7 @@ def test_a_hand_that_slips_off_is_not_thrown(door):
     state = door.reset(jax.random.key(0))
     far = state.replace(data=state.data.replace(mocap_pos=state.data.mocap_pos + jnp.array([0.0, 0.5, 0.25])))
     _, hands = jax.lax.scan(lambda s, a: (lambda n: (n, n.obs[:3]))(door.step(s, a)), far, jnp.zeros((60, 4)))
-    speed = np.linalg.norm(np.diff(np.asarray(hands), axis=0), axis=1) / CONTROL_STEP
+    speed = np.linalg.norm(np.diff(np.asarray(hands), axis=0), axis=1) / door.control_step
     assert 1.5 < speed.max() < 4.5
     assert np.linalg.norm(hands[-1] - far.data.mocap_pos[0]) < 0.1, "and it arrives, as near as the arm can"
     within = state.obs[:3] + jnp.array([0.0, 0.3, 0.2])

@@ -1,0 +1,45 @@
+"""What every task with a physics engine shares: which engine steps it, how finely, and where its model stands."""
+
+import dataclasses
+import functools
+from typing import ClassVar
+
+from earl_jax.envs.base import Env
+from earl_jax.physics import Drive, Simulator, resolve
+
+
+@dataclasses.dataclass(frozen=True)
+class PhysicalEnv(Env):
+    """A task of `assets/mjcf/<name>.xml`: `physics` names its engine, `substeps` divide its control step."""
+
+    physics: str = "auto"
+    substeps: int = 1
+
+    control_step: ClassVar[float]
+    """Seconds of a control step."""
+    drive: ClassVar[Drive | None] = None
+    """What turns the command of a control step into the controls of each substep; None for the command itself."""
+    varied: ClassVar[tuple[str, ...]] = ()
+    """Fields of the compiled model that every lane may have its own values of."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.substeps < 1:
+            raise ValueError(f"substeps must be at least 1, not {self.substeps}")
+        if self.physics != "auto":
+            resolve(self.physics)
+
+    @property
+    def engine(self) -> str:
+        return resolve(self.physics)
+
+    @property
+    def model(self) -> str:
+        """The name of this task's MJCF in assets."""
+        return self.name
+
+    @functools.cached_property
+    def simulator(self) -> Simulator:
+        """The physics of this task on its engine."""
+        step = self.control_step / self.substeps
+        return Simulator(self.model, step, self.substeps, self.engine, self.drive, self.varied)

@@ -1,0 +1,90 @@
+"""MuJoCo behind one door: integration state in, integration state out, on any of three engines.
+
+A lane carries MuJoCo's integration state only, never the whole `mjx.Data`; what a task sees of the world are the sensors of
+its MJCF, read as the last substep began (so they lag the state by one substep, as in the original environments), or the
+state itself. MuJoCo is imported where it is used, so that kinematic tasks train on a machine without it.
+"""
+
+import dataclasses
+import importlib.util
+from typing import Any
+
+import jax
+import numpy as np
+
+from earl_jax.physics import c, mjx
+from earl_jax.physics.models import load_model, mjx_data, mujoco_data
+from earl_jax.physics.state import Drive, Integration
+
+__all__ = ["Drive", "Integration", "Simulator", "load_model", "mjx_data", "mujoco_data", "resolve"]
+
+ENGINES = ("mjx", "warp", "c")
+FASTEST = {"cpu": "c", "gpu": "c"}
+"""The engine `auto` takes on a backend, by benchmarks/results/physics; elsewhere (TPU) it is mjx."""
+EXTRAS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
+STEPS = {"mjx": mjx.step, "warp": mjx.step, "c": c.step}
+
+
+def resolve(engine: str) -> str:
+    """Return the engine that `engine` stands for here: itself, or for `auto` the fastest measured on this backend.
+
+    Raises:
+        ValueError: the engine is unknown or not installed; the message names the choices or the extra that brings it.
+    """
+    if engine == "auto":
+        return FASTEST.get(jax.default_backend(), "mjx")
+    if engine not in ENGINES:
+        raise ValueError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
+    module, extra = EXTRAS[engine]
+    if importlib.util.find_spec(module.partition(".")[0]) is None:
+        raise ValueError(f"physics engine {engine!r} is not installed; get it with: pip install 'earl-jax{extra}'")
+    return engine
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulator:
+    """One MJCF `model` advanced by `substeps` of `timestep` seconds a control step on `engine` (one of `ENGINES`).
+
+    A `drive` turns the command of a control step into each substep's controls. `varied` names fields of the compiled model
+    (`body_mass`, `pair_friction`, ...) of which every lane carries its own values in `Integration.constants`.
+    """
+
+    model: str
+    timestep: float
+    substeps: int
+    engine: str
+    drive: Drive | None = None
+    varied: tuple[str, ...] = ()
+
+    def step(self, state: Integration, command: jax.Array) -> tuple[Integration, jax.Array]:
+        """Return the state one control step later under `command` (controls [nu], or what the drive takes), and the
+        sensors [nsensordata] of its last substep.
+
+        Pure and unbatched: under vmap `mjx` and `warp` run all lanes in one program, `c` in one threaded call.
+        """
+        return STEPS[self.engine](self, state, command)
+
+    def mujoco_model(self) -> Any:
+        """Return the compiled `mujoco.MjModel` at this simulator's time step."""
+        return load_model(self.model, self.timestep)
+
+    def controls(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
+        """Return the controls of the next substep and what the drive remembers: the command and nothing without one."""
+        if self.drive is None:
+            return command, memory
+        return self.drive(xp, qpos, qvel, command, memory)
+
+    @property
+    def variation_size(self) -> int:
+        """Length k of a lane's own constants."""
+        return sum(getattr(self.mujoco_model(), field).size for field in self.varied)
+
+    def variation(self, constants: Any) -> dict[str, Any]:
+        """Return a lane's `constants [k]` as fields of the model, in their shapes."""
+        shapes = {field: getattr(self.mujoco_model(), field).shape for field in self.varied}
+        ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()]).tolist()
+        starts = [0, *ends[:-1]]
+        return {
+            field: constants[start:end].reshape(shape)
+            for (field, shape), start, end in zip(shapes.items(), starts, ends, strict=True)
+        }
