@@ -17,10 +17,6 @@ class PhysicalEnv(Env):
 
     control_step: ClassVar[float]
     """Seconds of a control step."""
-    drive: ClassVar[Drive | None] = None
-    """What turns the command of a control step into the controls of each substep; None for the command itself."""
-    varied: ClassVar[tuple[str, ...]] = ()
-    """Fields of the compiled model that every lane may have its own values of."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -37,6 +33,16 @@ class PhysicalEnv(Env):
     def model(self) -> str:
         """The name of this task's MJCF in assets."""
         return self.name
+
+    @property
+    def drive(self) -> Drive | None:
+        """What turns the command of a control step into the controls of each substep; None for the command itself."""
+        return None
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Fields of the compiled model of which every lane has its own values."""
+        return ()
 
     @functools.cached_property
     def simulator(self) -> Simulator:
