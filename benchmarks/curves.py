@@ -1,6 +1,7 @@
-"""Learning curves beside the published ones: what the reports of benchmarks.tabletop and benchmarks.sawyer share."""
+"""Learning curves beside the published ones: what the reports of benchmarks.tabletop, sawyer and dense share."""
 
 import argparse
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from earl_jax.training import execute, train
 LEVELS = ("0.5", "0.9")
 KEPT = (
     "deployed/success",
+    "deployed/return",
     "continuing/reward",
     "continuing/recent",
     "interventions",
@@ -34,6 +36,16 @@ def advance(folder: Path, steps: int, *task_and_method: str, **options: Any) -> 
         execute(opened.experiment, opened, progress=True)
     else:
         train(*task_and_method, steps=steps, out=folder, checkpoint_every=500_000, progress=True, **options)
+
+
+def split(curves: Curves, option: str) -> dict[float, Curves]:
+    """Return the curves of each value of `option`, in which the lanes of one run differ."""
+    values, parts = np.asarray(curves.experiment.options[option]), {}
+    for value in dict.fromkeys(values.tolist()):
+        experiment = dataclasses.replace(curves.experiment, options={**curves.experiment.options, option: value})
+        metrics = {name: part[values == value] for name, part in curves.metrics.items()}
+        parts[value] = Curves(experiment, curves.steps, metrics)
+    return parts
 
 
 def crossings(env: str, algo: str) -> dict[str, str]:

@@ -2,11 +2,11 @@
 
     python -m benchmarks.minitaur_trots reference.json --engine mjx --out benchmarks/results/minitaur/trots_mjx.json
 
-The file has `after_reset` (pos, q: place of the base and the eight motor angles after the reset); `ext`, a list of [extension, pos,
-q, ...] after two seconds of holding all legs at that extension; and `trot`, name to `par` (swing amplitude, extension amplitude, Hz,
-mean extension, phase of the extension against the swing) and `traj`, a row a control step of base place 3, orientation 4, motor
-angles 8 and more. Front left and back right legs are half a turn ahead of the other two. `randomize` is off: the robot recorded
-is the nominal one.
+The file has `after_reset` (pos, q: place of the base and the eight motor angles after the reset); `ext`, a list of [extension,
+pos, q, ...] after two seconds of holding all legs at that extension; and `trot`, name to `par` (swing amplitude, extension
+amplitude, Hz, mean extension, phase of the extension against the swing) and `traj`, a row a control step of base place 3,
+orientation 4, motor angles 8 and more. Front left and back right legs are half a turn ahead of the other two. `randomize` is
+off: the robot recorded is the nominal one.
 """
 
 import argparse

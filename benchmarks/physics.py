@@ -1,9 +1,9 @@
-"""Control steps a second of every engine on the Sawyer tasks, compile time apart, beside an original-style C loop.
+"""Control steps a second of every engine on the tasks with physics, compile time apart, beside an original-style C loop.
 
     python -m benchmarks.physics --lanes 1 100 1000 --engines c mjx warp --out benchmarks/results/physics/h200
 
-Random actions; a control step is 12.5 ms of physics with observation and reward. The original-style loop is one core of
-MuJoCo C stepped from Python on a scene with the original's shapes (51 colliding geoms instead of listed pairs).
+Random actions; a control step is a task's own, with observation and reward. The original-style loop, for the Sawyer tasks, is
+one core of MuJoCo C stepped from Python on a scene with the original's shapes (51 colliding geoms instead of listed pairs).
 """
 
 import argparse
@@ -20,18 +20,20 @@ import mujoco
 import numpy as np
 
 from earl_jax import assets, physics
-from earl_jax.envs import make
+from earl_jax.envs import list_envs, make
 from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
-ENVS = ("sawyer_door", "sawyer_peg")
+ENVS = [name for name in list_envs() if make(name).engine != "kinematic"]
+REBUILT = ("sawyer_door", "sawyer_peg")
+"""Tasks of which there is an original-style scene."""
 LEAST_S = 1.0
 """Seconds that one timed repeat takes at least."""
 
 
-def measure(name: str, engine: str, lanes: int, substeps: int, repeats: int) -> dict[str, Any]:
+def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: int) -> dict[str, Any]:
     """Return compile seconds and the median rate of one env, engine and number of lanes."""
-    env = make(name, physics=engine, substeps=substeps)
+    env = make(name, physics=engine, **({"substeps": substeps} if substeps else {}))
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), lanes))
 
     def run(state, key, steps):
@@ -58,7 +60,7 @@ def measure(name: str, engine: str, lanes: int, substeps: int, repeats: int) -> 
         rates.append(steps / (time.perf_counter() - began))
     rate = statistics.median(rates)
     return {
-        "env": name, "engine": engine, "substeps": substeps, "lanes": lanes, "compile_s": round(compiled, 2),
+        "env": name, "engine": engine, "substeps": env.substeps, "lanes": lanes, "compile_s": round(compiled, 2),
         "ms_per_step": round(1e3 / rate, 4), "lane_steps_per_s": round(rate * lanes, 1),
         "finite": bool(jnp.isfinite(state.obs).all()),
     }  # fmt: skip
@@ -149,7 +151,7 @@ def main() -> None:
     parser.add_argument("--envs", nargs="+", default=list(ENVS), choices=ENVS)
     parser.add_argument("--engines", nargs="+", default=["c", "mjx"], choices=physics.ENGINES)
     parser.add_argument("--lanes", type=int, nargs="+", default=[1, 100, 1000])
-    parser.add_argument("--substeps", type=int, nargs="+", default=[5])
+    parser.add_argument("--substeps", type=int, nargs="+", default=[None], help="other than each task's own")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/physics/run"))
     arguments = parser.parse_args()
@@ -162,7 +164,9 @@ def main() -> None:
             for lanes in arguments.lanes
             for substeps in arguments.substeps
         ]
-        scenes = {"original-style scene": original_style(name), "our scene": physics.load_model(name)}
+        scenes = {}
+        if name in REBUILT:
+            scenes = {"original-style scene": original_style(name), "our scene": physics.load_model(name)}
         jobs = [
             lambda scene=scene, model=model, name=name: one_core(name, scene, model) for scene, model in scenes.items()
         ]
@@ -176,6 +180,7 @@ def main() -> None:
 def save(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
     """Write the rows so far as csv, and as json with the command, cores and versions."""
     chosen = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
+    chosen = {field: values for field, values in chosen.items() if values != [None]}
     options = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in chosen.items())
     command = f"python -m benchmarks.physics {options}"
     write(rows, arguments.out.with_suffix(".csv"))

@@ -1,8 +1,8 @@
 """Random and saturated actions until something breaks: `python -m benchmarks.safety sawyer_peg --steps 20000 --lanes 64`.
 
 A third of the lanes each act uniformly, at random corners of the action box, and at corners held for up to 50 steps. Counts
-states that are not finite and faults, and measures after every control step how deep any two shapes of a pair interpenetrate.
-Prints one JSON line and writes it to --out.
+states that are not finite and faults, and measures after every control step how deep any two shapes of a pair interpenetrate,
+how far any joint passes its limits and how far from the middle any free body comes. Prints one JSON line and writes it to --out.
 """
 
 import argparse
@@ -17,9 +17,10 @@ import mujoco
 import numpy as np
 
 from earl_jax import physics
-from earl_jax.envs import make
+from earl_jax.envs import list_envs, make
 from earl_jax.experiment import provenance
 
+PHYSICAL = [name for name in list_envs() if make(name).engine != "kinematic"]
 BLOCK = 500
 LONGEST_HOLD = 50
 LIMIT_MM = 15.0
@@ -78,30 +79,50 @@ def deepest(model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], co
             counts[pair] = counts.get(pair, 0) + (depth > LIMIT_MM)
 
 
-def run(name: str, steps: int, lanes: int, engine: str, substeps: int) -> dict[str, Any]:
+def past_limits(model: Any, qpos: np.ndarray) -> np.ndarray:
+    """Return how far [njnt] each joint passes its limits (rad or m) over `qpos [n, nq]`, 0 for those without."""
+    limited = model.jnt_limited.astype(bool) & (model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE))
+    joints = qpos[:, model.jnt_qposadr]
+    excess = np.maximum(model.jnt_range[:, 0] - joints, joints - model.jnt_range[:, 1]).max(axis=0)
+    return np.where(limited, np.maximum(excess, 0.0), 0.0)
+
+
+def farthest(model: Any, qpos: np.ndarray) -> float:
+    """Return the largest |x| or |y| of any free body [m] over `qpos [n, nq]`, 0 where there is none."""
+    starts = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    return max((float(np.abs(qpos[:, start : start + 2]).max()) for start in starts), default=0.0)
+
+
+def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) -> dict[str, Any]:
     """Return the report on one task."""
-    env, worst, counts = make(name, physics=engine, substeps=substeps), {}, {}
-    model = physics.load_model(name)
-    data, broken, faults = mujoco.MjData(model), 0, 0
-    for qpos, fault in live(env, actions(steps, lanes, env.action_size)):
-        broken += int((~np.isfinite(qpos)).any(axis=-1).sum())
+    env, worst, counts = make(name, physics=engine, **({"substeps": substeps} if substeps else {})), {}, {}
+    model = physics.load_model(env.model)
+    data, broken, faults, reach, past = mujoco.MjData(model), 0, 0, 0.0, np.zeros(model.njnt)
+    for block, fault in live(env, actions(steps, lanes, env.action_size)):
+        qpos = block[np.isfinite(block).all(axis=-1)]
+        broken += block.shape[0] * block.shape[1] - len(qpos)
         faults += int(fault.sum())
-        deepest(model, data, qpos[np.isfinite(qpos).all(axis=-1)], worst, counts)
+        past, reach = np.maximum(past, past_limits(model, qpos)), max(reach, farthest(model, qpos))
+        deepest(model, data, qpos, worst, counts)
+    most = int(past.argmax())
     return {
-        "env": name, "engine": env.engine, "substeps": substeps, "steps": steps, "lanes": lanes,
+        "env": name, "engine": env.engine, "substeps": env.substeps, "steps": steps, "lanes": lanes,
         "not_finite": broken, "faults": faults,
-        "worst_penetration_mm": round(max(worst.values()), 2), "contacts_over_limit": int(sum(counts.values())),
+        "worst_penetration_mm": round(max(worst.values(), default=0.0), 2),
+        "contacts_over_limit": int(sum(counts.values())),
+        "past_limit": round(float(past[most]), 4), "past_limit_joint": model.joint(most).name,
+        "free_body_farthest_m": round(reach, 3),
         "by_pair_mm": {pair: round(depth, 2) for pair, depth in sorted(worst.items(), key=lambda item: -item[1])},
     }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("env", choices=["sawyer_door", "sawyer_peg"])
+    parser.add_argument("env", choices=PHYSICAL)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--lanes", type=int, default=64)
     parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
-    parser.add_argument("--substeps", type=int, default=5)
+    parser.add_argument("--substeps", type=int, help="other than the task's own")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     if arguments.steps % BLOCK:
@@ -110,7 +131,7 @@ def main() -> None:
     print(json.dumps(report))
     if arguments.out:
         command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
-        command += f" --substeps {arguments.substeps}"
+        command += f" --substeps {report['substeps']}"
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(
             json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n"

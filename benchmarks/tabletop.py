@@ -7,13 +7,23 @@
 table as csv, json and md, and the figure.
 """
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.curves import advance, cells, command_line, draw, markdown, rate, summary, write_curves, write_table
+from benchmarks.curves import (
+    advance,
+    cells,
+    command_line,
+    draw,
+    markdown,
+    rate,
+    split,
+    summary,
+    write_curves,
+    write_table,
+)
 from earl_jax.report.runs import Curves, read
 
 ENV = "tabletop_organization"
@@ -27,17 +37,6 @@ def run(algo: str, steps: int, out: Path) -> None:
     """Train ten seeds at each reward scale, as lanes of one program."""
     scales = [scale for scale in SCALES for _ in range(SEEDS)]
     advance(out / algo, steps, ENV, algo, seeds=len(scales), reward_scale=scales)
-
-
-def split(curves: Curves) -> dict[float, Curves]:
-    """Return the curves of each reward scale, which are lanes of one run."""
-    scales = np.asarray(curves.experiment.options["reward_scale"])
-    parts = {}
-    for scale in SCALES:
-        lanes = scales == scale
-        experiment = dataclasses.replace(curves.experiment, options={"reward_scale": scale})
-        parts[scale] = Curves(experiment, curves.steps, {name: part[lanes] for name, part in curves.metrics.items()})
-    return parts
 
 
 def cycle(curves: Curves) -> float | None:
@@ -54,7 +53,7 @@ def report(out: Path) -> None:
     """Write tables, curves and figure of every run below `out`."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     folders = {algo: out / algo for algo in ALGOS if (out / algo).exists()}
-    runs = {algo: split(read(folder)) for algo, folder in folders.items()}
+    runs = {algo: split(read(folder), "reward_scale") for algo, folder in folders.items()}
     rows = [
         {**summary(part, algo=algo, reward_scale=scale), "steps_per_success": cycle(part)}
         for algo, parts in runs.items()

@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from earl_jax.algos import Method, list_algos, make_algo, register_algo
+    from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
     from earl_jax.envs import Env, State, list_envs, make, register_env
     from earl_jax.evaluation import evaluate
     from earl_jax.training import Result, lifetime, select_seed, train
@@ -24,6 +24,7 @@ _HOME = {
     "list_envs": "envs",
     "make": "envs",
     "make_algo": "algos",
+    "method_for": "algos",
     "register_algo": "algos",
     "register_env": "envs",
     "select_seed": "training",
@@ -40,6 +41,7 @@ __all__ = [
     "list_envs",
     "make",
     "make_algo",
+    "method_for",
     "register_algo",
     "register_env",
     "select_seed",

@@ -78,7 +78,7 @@ def train(
     env_options, options = _options(set, env)
     task = envs.with_physics(envs.make(env, **env_options), physics)
     result = training.train(
-        task, algos.make_algo(algo, **options), seeds=seeds, steps=steps, out=out,
+        task, algos.method_for(task, algo, **options), seeds=seeds, steps=steps, out=out,
         eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
     )  # fmt: skip
     _report_run(result, out, json)

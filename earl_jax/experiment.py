@@ -73,6 +73,11 @@ class Experiment:
         """Return the task."""
         return make(self.env, **self.env_options)
 
+    @property
+    def deployed_metric(self) -> str:
+        """What the task is judged by: deployed success where rewards are sparse, return where they are dense."""
+        return "deployed/success" if self.build_env().sparse else "deployed/return"
+
     def build_method(self) -> Method:
         """Return the method with its hyper-parameters."""
         return make_algo(self.algo, **self.options)

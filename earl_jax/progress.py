@@ -1,4 +1,4 @@
-"""What a run shows while it runs: a bar with success and speed on a terminal, a line per evaluation elsewhere."""
+"""What a run shows while it runs: a bar with score and speed on a terminal, a line per evaluation elsewhere."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -17,16 +17,16 @@ class Progress:
     """A context that is told of steps and evaluations and shows them on stderr."""
 
     def __init__(self, experiment: "Experiment", done: int, show: bool):
-        self._experiment, self._speed = experiment, 0.0
+        self._experiment, self._speed, self._metric = experiment, 0.0, experiment.deployed_metric
         self._console = Console(stderr=True)
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
-            TextColumn("success {task.fields[success]}  {task.fields[speed]} steps/s"), TimeRemainingColumn(),
+            TextColumn(f"{self._metric} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
             console=self._console, disable=not (show and self._console.is_terminal),
         )  # fmt: skip
         self._plain = show and not self._console.is_terminal
         label = f"{experiment.algo} x {len(experiment.seeds)} on {experiment.env}"
-        self._task = self._bar.add_task(label, total=experiment.steps, completed=done, success="-", speed="-")
+        self._task = self._bar.add_task(label, total=experiment.steps, completed=done, score="-", speed="-")
 
     def __enter__(self) -> "Progress":
         self._bar.start()
@@ -42,12 +42,9 @@ class Progress:
         self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
 
     def report(self, step: int, rows: list["Row"]) -> None:
-        """Show an evaluation: mean deployed success and continuing reward over seeds."""
-        success = sum(row["deployed/success"] for row in rows) / len(rows)
-        self._bar.update(self._task, success=f"{success:.2f}")
+        """Show an evaluation: what the task is judged by when deployed, and continuing reward, means over seeds."""
+        score, reward = (sum(row[name] for row in rows) / len(rows) for name in (self._metric, "continuing/reward"))
+        self._bar.update(self._task, score=f"{score:.2f}")
         if self._plain:
-            reward = sum(row["continuing/reward"] for row in rows) / len(rows)
-            line = (
-                f"step {step}/{self._experiment.steps}  deployed/success {success:.3f}  continuing/reward {reward:.5f}"
-            )
+            line = f"step {step}/{self._experiment.steps}  {self._metric} {score:.3f}  continuing/reward {reward:.5f}"
             print(f"{line}  steps/s {self._speed:.0f}", file=sys.stderr, flush=True)

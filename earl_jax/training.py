@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.algos import Method, autonomy, birth, make_algo
+from earl_jax.algos import Method, autonomy, birth, method_for
 from earl_jax.algos.autonomy import Lane, Lives, Loop
 from earl_jax.checkpoint import restore, save
 from earl_jax.envs import Env, make
@@ -170,7 +170,7 @@ def train(
         ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
     """
     env = make(env) if isinstance(env, str) else env
-    method = make_algo(algo, **options) if isinstance(algo, str) else _with_options(algo, options)
+    method = method_for(env, algo, **options) if isinstance(algo, str) else _with_options(algo, options)
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
     experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every)
     folder = RunFolder.create(Path(out), experiment) if out is not None else None

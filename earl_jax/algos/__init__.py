@@ -7,9 +7,10 @@ import numpy as np
 
 from earl_jax.algos.method import Method
 from earl_jax.algos.sac import SAC
+from earl_jax.envs import Env
 from earl_jax.registry import Registry
 
-__all__ = ["SAC", "Method", "list_algos", "make_algo", "register_algo"]
+__all__ = ["SAC", "Method", "list_algos", "make_algo", "method_for", "register_algo"]
 
 _ALGOS = Registry(
     "algo",
@@ -49,6 +50,15 @@ def make_algo(name: str, **options) -> Method:
     options = {option: _leaf(option, value) for option, value in options.items()}
     sac = SAC(**{option: value for option, value in options.items() if option in shared})
     return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})
+
+
+def method_for(env: Env, name: str, **options) -> Method:
+    """Return `make_algo(name)` with the reward scale that goes with the rewards of `env`, unless `options` say otherwise.
+
+    Raises:
+        ValueError: as `make_algo`.
+    """
+    return make_algo(name, **{"reward_scale": env.reward_scale, **options})
 
 
 def _leaf(option: str, value: Any) -> Any:

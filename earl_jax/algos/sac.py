@@ -28,7 +28,7 @@ class SAC(struct.PyTreeNode):
     """tau of the target critics, tracked every step (paper)."""
     reward_scale: float = 10.0
     """Factor on the reward inside the learner only. The paper says 1; the released configurations of sparse tasks say 10,
-    which is what reproduces the published curves (docs/results.md)."""
+    which is what reproduces the published curves (docs/results.md). Training by name takes `Env.reward_scale` instead."""
     initial_temperature: float = 1.0
     """alpha at step 0 (released code; the paper is silent)."""
     entropy_per_action: float = -0.5

@@ -81,6 +81,11 @@ class Env(abc.ABC):
         return self.reward_type == "sparse"
 
     @property
+    def reward_scale(self) -> float:
+        """The learner's factor on this task's reward where none is asked for: 10 for a sparse reward, 1 for a dense one."""
+        return 10.0 if self.sparse else 1.0
+
+    @property
     @abc.abstractmethod
     def goal_states(self) -> np.ndarray:
         """Task goals, float32 [G, g]."""

@@ -18,9 +18,8 @@ class Curves(NamedTuple):
 
     @property
     def deployed_metric(self) -> str:
-        """The deployed metric of the task: success where rewards are sparse, return where they are dense."""
-        dense = self.experiment.env_options.get("reward_type") == "dense"
-        return "deployed/return" if dense else "deployed/success"
+        """The metric that the task is judged by when it is deployed."""
+        return self.experiment.deployed_metric
 
 
 def read(path: Path) -> Curves:

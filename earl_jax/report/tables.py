@@ -37,7 +37,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     scores = curves.metrics[curves.deployed_metric]
     deployed = summarise(scores[:, -last:].mean(axis=1))
     continuing = summarise(curves.metrics["continuing/reward"][:, -1])
-    mean_curve = scores.mean(axis=0)
+    mean_curve, rates = scores.mean(axis=0), curves.deployed_metric == "deployed/success"
     return {
         "env": experiment.env,
         "algo": name,
@@ -53,8 +53,8 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "continuing": continuing.mean,
         "continuing_stderr": continuing.stderr,
         "published_continuing": _published("table2", experiment.env, experiment.algo),
-        **{f"steps_to_{level}": crossing(curves.steps, mean_curve, level) for level in LEVELS},
-        "steps_per_reward": steps_per_reward(curves),
+        **{f"steps_to_{level}": crossing(curves.steps, mean_curve, level) if rates else None for level in LEVELS},
+        "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
 
 

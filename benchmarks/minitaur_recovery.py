@@ -1,0 +1,80 @@
+"""How often a Minitaur that fell gets up: `python -m benchmarks.minitaur_recovery --lanes 96 --out FILE.json`.
+
+It is laid on its back or on a side, left alone for a second, and then moved for ten: a third of the lanes by uniform actions,
+by random corners of the action box and by corners held for up to half a second, which throw it about. Upright is a body
+whose axis is within 37 degrees of the vertical (cosine 0.8). Prints one JSON line.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.safety import actions
+from earl_jax.envs import make
+from earl_jax.experiment import provenance
+
+POSES = {
+    "back": (0.0, 1.0, 0.0, 0.0),
+    "left side": (0.7071, -0.7071, 0.0, 0.0),
+    "right side": (0.7071, 0.7071, 0.0, 0.0),
+}
+HEIGHT = {"back": 0.12, "left side": 0.2, "right side": 0.2}
+SETTLE, MOVE = 100, 1000
+UPRIGHT = 0.8
+
+
+def cosine(qpos: jax.Array) -> jax.Array:
+    """Return the cosine [...] between the body's axis and the vertical for `qpos [..., 23]`."""
+    return 1.0 - 2.0 * (qpos[..., 4] ** 2 + qpos[..., 5] ** 2)
+
+
+def tilts(pose: str, plan: np.ndarray) -> np.ndarray:
+    """Return the cosines [SETTLE + steps, lanes] of robots laid down in `pose`, at rest at first, then under `plan`."""
+    env, lanes = make("minitaur_pen"), plan.shape[1]
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), lanes))
+    qpos = state.data.qpos.at[:, 2].set(HEIGHT[pose]).at[:, 3:7].set(jnp.array(POSES[pose]))
+    state = state.replace(data=state.data.replace(qpos=qpos, qvel=jnp.zeros_like(state.data.qvel)))
+    moves = np.concatenate([np.zeros((SETTLE, *plan.shape[1:]), np.float32), plan])
+
+    def step(state, action):
+        state = jax.vmap(env.step)(state, action)
+        return state, cosine(state.data.qpos)
+
+    return np.asarray(jax.jit(lambda s, a: jax.lax.scan(step, s, a)[1])(state, jnp.asarray(moves)))
+
+
+def report(lanes: int) -> dict[str, Any]:
+    """Return, for each pose, the shares of robots that stand after a second of rest, ever after, and at the end."""
+    plan, found = actions(MOVE, lanes, 8), {}
+    for pose in POSES:
+        seen = tilts(pose, plan)
+        moved = seen[SETTLE:]
+        found[pose] = {
+            "upright_after_rest": float((seen[SETTLE - 1] > UPRIGHT).mean()),
+            "upright_at_some_time": float((moved > UPRIGHT).any(axis=0).mean()),
+            "upright_at_the_end": float((moved[-1] > UPRIGHT).mean()),
+            "largest_cosine_from_lying": round(float(moved[:, seen[SETTLE - 1] < UPRIGHT].max(initial=-1.0)), 4),
+        }
+    return {"env": "minitaur_pen", "lanes": lanes, "seconds": MOVE / 100, "poses": found}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lanes", type=int, default=96)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    found = report(arguments.lanes)
+    print(json.dumps(found))
+    if arguments.out:
+        command = f"python -m benchmarks.minitaur_recovery --lanes {arguments.lanes}"
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        arguments.out.write_text(json.dumps({"command": command, **found, "provenance": provenance()}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
