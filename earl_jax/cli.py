@@ -103,9 +103,10 @@ def resume(folder: Positional[Path], steps: int | None = None, json: JSON = Fals
 def _report_run(result: Any, out: Path, as_json: bool) -> None:
     from earl_jax.metrics.statistics import summarise
 
-    final = summarise(result.metrics["deployed/success"][:, -1])
-    answer = {"out": str(out), "steps": int(result.steps[-1]), "deployed/success": final._asdict()}
-    text = f"{out}: deployed/success {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
+    metric = result.experiment.deployed_metric
+    final = summarise(result.metrics[metric][:, -1])
+    answer = {"out": str(out), "steps": int(result.steps[-1]), metric: final._asdict()}
+    text = f"{out}: {metric} {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
     _say(answer, as_json, text)
 
 

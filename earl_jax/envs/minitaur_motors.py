@@ -12,7 +12,7 @@ import numpy as np
 MOTORS = 8
 DIRECTION = np.array([-1, -1, -1, -1, 1, 1, 1, 1], np.float32)
 """Sign of each motor against its joint; order: front left, back left, front right, back right, of each the left one first."""
-POSITIONS, SPEEDS = np.arange(7, 23, 2), np.arange(6, 22, 2)
+POSITIONS, SPEEDS = slice(7, 23, 2), slice(6, 22, 2)
 """Where the motors stand in qpos and qvel: each is followed by the knee that it carries."""
 RESISTANCE = 0.186
 TORQUE_CONSTANT = 0.0954
@@ -40,14 +40,18 @@ def legs_to_motors(xp: Any, action: Any) -> Any:
     return np.pi - np.pi / 4 * (extension + 1.5) + sign * np.pi / 4 * swing
 
 
+def within(xp: Any, x: Any, most: Any) -> Any:
+    """Return `x` clipped to ±`most`; in NumPy, where this runs for every substep, several times faster than its `clip`."""
+    return xp.minimum(xp.maximum(x, -most), most)
+
+
 def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any, kp: float, kd: float) -> tuple[Any, Any]:
     """Return the torques [N m] that motors exert and the ones they report, for an `error` of angle (actual minus commanded)
     and a `speed` [rad/s], on a battery of `voltage` with a `viscosity` [V s/rad] beside the back-EMF.
     """
-    pwm = xp.clip(-kp * error - kd * speed, -1.0, 1.0)
-    reported = xp.clip(TORQUE_CONSTANT * pwm * voltage / RESISTANCE, -MOST_OBSERVED, MOST_OBSERVED)
-    volts = xp.clip(pwm * voltage - (TORQUE_CONSTANT + viscosity) * speed, -MOST_VOLTS, MOST_VOLTS)
-    current = volts / RESISTANCE
+    applied = within(xp, -kp * error - kd * speed, 1.0) * voltage
+    reported = within(xp, TORQUE_CONSTANT / RESISTANCE * applied, MOST_OBSERVED)
+    current = within(xp, applied - (TORQUE_CONSTANT + viscosity) * speed, MOST_VOLTS) / RESISTANCE
     return xp.sign(current) * xp.interp(xp.abs(current), CURRENTS, TORQUES), reported
 
 
@@ -68,9 +72,9 @@ class MinitaurMotors:
         angle, speed = qpos[..., POSITIONS] * DIRECTION, qvel[..., SPEEDS] * DIRECTION
         hot, voltage, viscosity = memory[..., :MOTORS], memory[..., -2:-1], memory[..., -1:]
         reach, patience = FASTEST * self.timestep, round(PATIENCE / self.timestep)
-        error = angle - xp.clip(command, angle - reach, angle + reach)
+        error = within(xp, angle - command, reach)
         exerted, reported = torque(xp, error, speed, voltage, viscosity, self.kp, self.kd)
-        hot = xp.where(hot > patience, hot, xp.where(xp.abs(exerted) > HOT, hot + 1, 0 * hot))
-        running = (hot <= patience) | (not self.overheat)
-        controls = xp.where(running, exerted, 0.0) * DIRECTION
+        hot = xp.where(hot > patience, hot, (hot + 1) * (xp.abs(exerted) > HOT))
+        controls = exerted * DIRECTION
+        controls = controls * (hot <= patience) if self.overheat else controls
         return controls, xp.concatenate([hot, reported, voltage, viscosity], axis=-1)

@@ -81,7 +81,7 @@ class Host:
         count, last = len(state), steps - 1
         states = np.empty((count, steps, self.physics))
         sensors = np.empty((count, steps, self.model.nsensordata))
-        held = np.repeat(np.hstack([ctrl, mocap])[:, None], steps, axis=1)
+        held = np.repeat(np.concatenate([ctrl, mocap], axis=1)[:, None], steps, axis=1)
         threads = self.cores if count > 4 * self.cores else self._few
         start = np.ascontiguousarray(state)
         self.pools[threads].rollout(

@@ -113,7 +113,7 @@ def test_leg_space():
 def test_the_standing_robot_is_where_the_released_reset_leaves_it(still):
     model = mujoco.MjModel.from_xml_path(str(Path(minitaur_pen.__file__).parents[2] / "assets/mjcf/minitaur_pen.xml"))
     data, memory = mujoco.MjData(model), np.r_[np.zeros(16), 16.0, 0.0]
-    data.qpos[POSITIONS], data.qpos[POSITIONS + 1] = DIRECTION * np.pi / 2, DIRECTION * -2.1834
+    data.qpos[7::2], data.qpos[8::2] = DIRECTION * np.pi / 2, DIRECTION * -2.1834
     for _ in range(100):
         data.ctrl[:], memory = still.drive(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
         mujoco.mj_step(model, data)
