@@ -80,6 +80,20 @@ def has_demos(name: str) -> bool:
 
 
 @functools.cache
+def starts(name: str) -> dict[str, np.ndarray]:
+    """Return the settled starts of task `name` as read-only float32 arrays [N, ...], by the field of the physics state.
+
+    Raises:
+        ValueError: no starts ship for the task; the message lists those for which they do.
+    """
+    with np.load(_file("starts", name, ".npz"), allow_pickle=False) as stored:
+        arrays = dict(stored)
+    for array in arrays.values():
+        array.setflags(write=False)
+    return arrays
+
+
+@functools.cache
 def published(table: str) -> list[dict[str, str]]:
     """Return a table of the paper (`table1`, `table2`, `crossings`, ...) as rows of column to text."""
     with _file("published", table, ".csv").open(newline="") as handle:

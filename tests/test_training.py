@@ -97,6 +97,18 @@ def test_dense_rewards_and_other_options_travel_through_the_folder(tmp_path):
     assert_same(experiment.build_method(), method)
 
 
+def test_a_task_brings_its_own_reward_scale_and_measure():
+    sparse, dense = (earl_jax.make("tabletop_organization", reward_type=kind) for kind in ("sparse", "dense"))
+    assert earl_jax.method_for(sparse, "naive").sac.reward_scale == 10.0
+    assert earl_jax.method_for(dense, "naive").sac.reward_scale == dense.reward_scale == 1.0
+    assert earl_jax.method_for(dense, "naive", reward_scale=10.0).sac.reward_scale == 10.0
+    judged = [
+        train(env, "naive", **{**RUN, **tiny_options("naive"), "steps": 40}).experiment for env in (sparse, dense)
+    ]
+    assert [one.deployed_metric for one in judged] == ["deployed/success", "deployed/return"]
+    assert [one.build_method().sac.reward_scale for one in judged] == [10.0, 1.0]
+
+
 def test_a_finished_run_stays_finished(tmp_path):
     first = tiny_train("naive", out=tmp_path / "run")
     folder = RunFolder.open(tmp_path / "run")

@@ -10,6 +10,9 @@ __all__ = ["Env", "State", "list_envs", "make", "register_env", "with_physics"]
 _ENVS = Registry(
     "env",
     {
+        "cheetah_run": "earl_jax.envs.cheetah_run:CheetahRun",
+        "fish_swim": "earl_jax.envs.fish_swim:FishSwim",
+        "minitaur_pen": "earl_jax.envs.minitaur_pen:MinitaurPen",
         "sawyer_door": "earl_jax.envs.sawyer_door:SawyerDoor",
         "sawyer_peg": "earl_jax.envs.sawyer_peg:SawyerPeg",
         "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",

@@ -16,8 +16,13 @@ def long_tail(x: jax.Array) -> jax.Array:
     return 1.0 / (1.0 + (1.0 / VALUE_AT_MARGIN - 1.0) * x**2)
 
 
+def linear(x: jax.Array) -> jax.Array:
+    """Return a ramp that is 1 at 0 and 0 from 1 on: the suite's linear sigmoid with a value of 0 at the margin."""
+    return jnp.maximum(1.0 - x, 0.0)
+
+
 def tolerance(x: jax.Array, low: float, high: jax.Array | float, margin: jax.Array, sigmoid=gaussian) -> jax.Array:
-    """Return 1 for `x` in [low, high], falling to 0.1 at `margin` outside; a margin of 0 falls at once.
+    """Return 1 for `x` in [low, high], falling to 0.1 (`linear`: 0) at `margin` outside; a margin of 0 falls at once.
 
     Source: dm_control, `rewards.tolerance`.
     """
