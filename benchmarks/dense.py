@@ -3,8 +3,8 @@
     python -m benchmarks.dense run minitaur_oracle --steps 1000000 --out runs/dense
     python -m benchmarks.dense report runs/dense
 
-`run` goes on where a killed one stopped. `report` writes benchmarks/results/dense/: the curves of every seed as csv, the table
-as csv, json and md, and the figure.
+`run` goes on where a killed one stopped; a name that ends in `_ln` normalises the critics' layers. `report` writes
+benchmarks/results/dense/: the curves of every seed as csv, the table as csv, json and md, and the figure.
 """
 
 from pathlib import Path
@@ -20,17 +20,18 @@ from earl_jax.report.tables import row_of, trailing
 
 TASKS = {"kitchen": "franka_kitchen", "dhand": "dhand_lightbulb", "minitaur": "minitaur_pen"}
 ALGOS = ("oracle", "naive", "fbrl", "r3l")
-NAMES = [f"{task}_{algo}" for task in TASKS for algo in ALGOS]
-SCALES = (0.1, 1.0, 10.0)
-SEEDS = 4
+NAMES = [f"{task}_{algo}{norm}" for task in TASKS for algo in ALGOS for norm in ("", "_ln")]
+SCALES = {"kitchen": (0.1, 1.0), "dhand": (0.1, 1.0), "minitaur": (0.1,)}
+SEEDS = {"kitchen": 3, "dhand": 3, "minitaur": 5}
 RESULTS = Path(__file__).parent / "results" / "dense"
 
 
 def run(name: str, steps: int, out: Path) -> None:
-    """Train four seeds at each reward scale, as lanes of one program."""
-    task, algo = name.split("_")
-    scales = [scale for scale in SCALES for _ in range(SEEDS)]
-    advance(out / name, steps, TASKS[task], algo, seeds=len(scales), reward_scale=scales, eval_every=20_000)
+    """Train the seeds of a task at each of its reward scales, as lanes of one program."""
+    task, algo, *norm = name.split("_")
+    scales = [scale for scale in SCALES[task] for _ in range(SEEDS[task])]
+    options = {"layer_norm": True} if norm else {}
+    advance(out / name, steps, TASKS[task], algo, seeds=len(scales), reward_scale=scales, eval_every=20_000, **options)
 
 
 def summary(name: str, scale: float, curves: Curves) -> dict[str, Any]:
@@ -78,20 +79,22 @@ def report(out: Path) -> None:
 
 
 def _figure(runs: dict[str, dict[float, Curves]]) -> Figure:
-    """Return a panel a task: deployed returns by method (line) and reward scale (colour), published ends as thin lines."""
+    """Return a panel a task: deployed returns by run (colour) and method (line), published ends as thin lines."""
     figure = Figure(figsize=(14, 4.5), layout="constrained")
     styles = dict(zip(ALGOS, ("-", ":", "--", "-."), strict=True))
     for axis, task in zip(figure.subplots(1, len(TASKS)), TASKS, strict=True):
+        number = 0
         for name, parts in runs.items():
             if not name.startswith(task):
                 continue
-            algo = name.split("_")[1]
-            for number, (scale, curves) in enumerate(parts.items()):
+            _, algo, *norm = name.split("_")
+            for scale, curves in parts.items():
                 smooth = trailing(curves.metrics["deployed/return"])
                 low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
-                label = f"{algo}, scale {scale:g}"
-                axis.plot(curves.steps, smooth.mean(axis=0), styles[algo], color=f"C{number}", label=label)
-                axis.fill_between(curves.steps, low, high, color=f"C{number}", alpha=0.15, linewidth=0)
+                label, colour = f"{algo}, scale {scale:g}" + ", layer norm" * len(norm), f"C{number}"
+                axis.plot(curves.steps, smooth.mean(axis=0), styles[algo], color=colour, label=label)
+                axis.fill_between(curves.steps, low, high, color=colour, alpha=0.15, linewidth=0)
+                number += 1
             published = row_of(next(iter(parts.values())), 1, name)["published_deployed"]
             axis.axhline(float(published.split()[0]), color="0.4", linewidth=0.8, linestyle=styles[algo])
         axis.set(title=f"{TASKS[task]}: deployed return (trailing 10)", xlabel="environment steps of a seed")

@@ -84,6 +84,39 @@ def test_mjx_and_c_agree_before_contact_tightly_and_in_contact_on_average(name):
     agree(scripted(name, "mjx"), scripted(name, "c"), touching_mm=2.0)
 
 
+NEW = {"cheetah_run": 5e-4, "dhand_lightbulb": 5e-3, "fish_swim": 1e-4, "franka_kitchen": 5e-3, "minitaur_pen": 5e-3}
+"""Tasks without demonstrations, and how far [m, rad] joints may be apart after `WAVES` control steps."""
+WAVES = 15
+FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
+
+
+def waved(name, engine, lanes=2):
+    """Joint positions [lanes, WAVES, nq] under slow sines, a phase and a speed an action."""
+    env = make(name, physics=engine)
+    time, number = np.arange(WAVES)[:, None], np.arange(env.action_size)
+    actions = jnp.asarray(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number), jnp.float32)
+    states = lanes_of(env, lanes)
+
+    def life(state):
+        return jax.lax.scan(lambda s, a: (lambda n: (n, n.data.qpos))(env.step(s, a)), state, actions)[1]
+
+    options = FAST_TO_COMPILE if engine == "mjx" else {}
+    return np.asarray(jax.jit(jax.vmap(life), compiler_options=options)(states))
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_mjx_and_c_move_the_other_tasks_alike(name):
+    one, other = waved(name, "mjx"), waved(name, "c")
+    assert np.ptp(other, axis=1).max() > 0.05, "something moves"
+    np.testing.assert_allclose(one, other, atol=NEW[name])
+
+
+@pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed")
+@pytest.mark.parametrize("name", NEW)
+def test_warp_and_c_move_the_other_tasks_alike(name):
+    np.testing.assert_allclose(waved(name, "warp"), waved(name, "c"), atol=NEW[name])
+
+
 @pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed")
 @EVERY
 def test_warp_and_c_agree(name):
