@@ -38,13 +38,14 @@ def advance(folder: Path, steps: int, *task_and_method: str, **options: Any) -> 
         train(*task_and_method, steps=steps, out=folder, checkpoint_every=500_000, progress=True, **options)
 
 
-def split(curves: Curves, option: str) -> dict[float, Curves]:
-    """Return the curves of each value of `option`, in which the lanes of one run differ."""
-    values, parts = np.asarray(curves.experiment.options[option]), {}
-    for value in dict.fromkeys(values.tolist()):
-        experiment = dataclasses.replace(curves.experiment, options={**curves.experiment.options, option: value})
-        metrics = {name: part[values == value] for name, part in curves.metrics.items()}
-        parts[value] = Curves(experiment, curves.steps, metrics)
+def split(curves: Curves, *options: str) -> dict[tuple[float, ...], Curves]:
+    """Return the curves of each combination of values of `options`, in which the lanes of one run differ."""
+    lanes, parts = list(zip(*(curves.experiment.options[option] for option in options), strict=True)), {}
+    for values in dict.fromkeys(lanes):
+        chosen = [number for number, lane in enumerate(lanes) if lane == values]
+        shared = {**curves.experiment.options, **dict(zip(options, values, strict=True))}
+        metrics = {name: part[chosen] for name, part in curves.metrics.items()}
+        parts[values] = Curves(dataclasses.replace(curves.experiment, options=shared), curves.steps, metrics)
     return parts
 
 

@@ -1,9 +1,10 @@
-"""Franka kitchen, DHand lightbulb and Minitaur pen against the paper: returns, at several reward scales in one program.
+"""Franka kitchen, DHand lightbulb and Minitaur pen against the paper: returns, at several settings in one program.
 
     python -m benchmarks.dense run minitaur_oracle --steps 1000000 --out runs/dense
     python -m benchmarks.dense report runs/dense
 
-`run` goes on where a killed one stopped; a name that ends in `_ln` normalises the critics' layers. `report` writes
+`run` goes on where a killed one stopped; a name that ends in `_ln` normalises the critics' layers. `report` takes every run
+folder below DIR whose name begins with a task's, and tells lanes apart by the options in which they differ. It writes
 benchmarks/results/dense/: the curves of every seed as csv, the table as csv, json and md, and the figure.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.curves import advance, command_line, markdown, split, write_curves, write_table
+from earl_jax import assets
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves, read
 from earl_jax.report.tables import row_of, trailing
@@ -23,6 +25,8 @@ ALGOS = ("oracle", "naive", "fbrl", "r3l")
 NAMES = [f"{task}_{algo}{norm}" for task in TASKS for algo in ALGOS for norm in ("", "_ln")]
 SCALES = {"kitchen": (0.1, 1.0), "dhand": (0.1, 1.0), "minitaur": (0.1,)}
 SEEDS = {"kitchen": 3, "dhand": 3, "minitaur": 5}
+SHOWN = {"reward_scale": "scale", "discount": "discount"}
+"""Options in which lanes of a run may differ, and what the table calls them."""
 RESULTS = Path(__file__).parent / "results" / "dense"
 
 
@@ -34,72 +38,91 @@ def run(name: str, steps: int, out: Path) -> None:
     advance(out / name, steps, TASKS[task], algo, seeds=len(scales), reward_scale=scales, eval_every=20_000, **options)
 
 
-def summary(name: str, scale: float, curves: Curves) -> dict[str, Any]:
+def parts(curves: Curves) -> list[tuple[dict[str, float], Curves]]:
+    """Return the curves of each setting of a run with the options that tell it from the others."""
+    lists = [option for option in SHOWN if isinstance(curves.experiment.options.get(option), list)]
+    if not lists:
+        return [({}, curves)]
+    return [(dict(zip(lists, values, strict=True)), part) for values, part in split(curves, *lists).items()]
+
+
+def summary(name: str, setting: dict[str, float], curves: Curves) -> dict[str, Any]:
     """Return a row of the table: where the return began, where it ended, its best, and the published end."""
     found, returns = row_of(curves, 10, name), curves.metrics["deployed/return"]
     return {
-        "run": name, "reward_scale": scale, "seeds": found["seeds"], "steps": found["steps"],
+        "run": name, **{option: curves.experiment.options.get(option, setting.get(option)) for option in SHOWN},
+        "layer_norm": bool(curves.experiment.options.get("layer_norm")),
+        "seeds": found["seeds"], "steps": found["steps"],
         "first_return": float(returns[:, 0].mean()),
-        "last10_return": found["deployed"], "stderr": found["deployed_stderr"],
-        "iqm_low": found["deployed_low"], "iqm_high": found["deployed_high"],
-        "best_trailing_mean": float(trailing(returns.mean(axis=0)).max()),
+        "last5_return": float(returns[:, -5:].mean()),
+        "last5_best_seed": float(returns[:, -5:].mean(axis=1).max()),
+        "best_mean": float(returns.mean(axis=0).max()),
         "published_return": found["published_deployed"],
-        "last10_success": float(curves.metrics["deployed/success"][:, -10:].mean()),
-        "continuing": found["continuing"], "published_continuing": found["published_continuing"],
+        "last5_success": float(curves.metrics["deployed/success"][:, -5:].mean()),
+        "first_continuing": float(curves.metrics["continuing/recent"][:, 0].mean()),
+        "last5_continuing": float(curves.metrics["continuing/recent"][:, -5:].mean()),
     }  # fmt: skip
 
 
 def _cells(row: dict[str, Any]) -> dict[str, str]:
+    shown = {title: "default" if row[option] is None else f"{row[option]:g}" for option, title in SHOWN.items()}
     return {
         "run": row["run"],
-        "scale": f"{row['reward_scale']:g}",
+        **shown,
         "seeds": str(row["seeds"]),
         "steps": f"{row['steps'] / 1e6:.2f}M",
         "first return": f"{row['first_return']:.0f}",
-        "last-10 return [95 % IQM]": f"{row['last10_return']:.0f} ({row['stderr']:.0f}) "
-        f"[{row['iqm_low']:.0f}, {row['iqm_high']:.0f}]",
+        "last-5 return": f"{row['last5_return']:.0f}",
+        "its best seed": f"{row['last5_best_seed']:.0f}",
         "published end": row["published_return"] or "-",
-        "last-10 success": f"{row['last10_success']:.2f}",
-        "continuing": f"{row['continuing']:.3f}",
-        "publ. continuing": row["published_continuing"] or "-",
+        "last-5 success": f"{row['last5_success']:.2f}",
+        "reward a step, first and last-5": f"{row['first_continuing']:.2f}, {row['last5_continuing']:.2f}",
     }
 
 
 def report(out: Path) -> None:
     """Write tables, curves and figure of every run below `out`."""
     RESULTS.mkdir(parents=True, exist_ok=True)
-    folders = {name: out / name for name in NAMES if (out / name).exists()}
-    runs = {name: split(read(folder), "reward_scale") for name, folder in folders.items()}
-    rows = [summary(name, scale, part) for name, parts in runs.items() for scale, part in parts.items()]
-    for name, parts in runs.items():
-        write_curves(RESULTS / f"{name}.csv", [({"reward_scale": scale}, part) for scale, part in parts.items()])
+    folders = {path.name: path for path in sorted(out.iterdir()) if path.name.split("_")[0] in TASKS}
+    runs = {name: parts(read(folder)) for name, folder in folders.items()}
+    rows = [summary(name, setting, part) for name, found in runs.items() for setting, part in found]
+    for name, found in runs.items():
+        write_curves(RESULTS / f"{name}.csv", found)
     command = "python -m benchmarks.dense run RUN --steps STEPS --out DIR; python -m benchmarks.dense report DIR"
     write_table(RESULTS, rows, markdown([_cells(row) for row in rows]), command, folders)
     _figure(runs).savefig(RESULTS / "curves.png", dpi=130)
 
 
-def _figure(runs: dict[str, dict[float, Curves]]) -> Figure:
-    """Return a panel a task: deployed returns by run (colour) and method (line), published ends as thin lines."""
-    figure = Figure(figsize=(14, 4.5), layout="constrained")
-    styles = dict(zip(ALGOS, ("-", ":", "--", "-."), strict=True))
+def _draw(axis: Any, name: str, setting: dict[str, float], curves: Curves, colour: str, style: str) -> None:
+    smooth = trailing(curves.metrics["deployed/return"])
+    told = ", ".join(f"{SHOWN[option]} {value:g}" for option, value in setting.items())
+    label = " ".join(name.split("_")[1:]) + f" ({told})" * bool(told)
+    axis.plot(curves.steps, smooth.mean(axis=0), style, color=colour, label=label)
+    if len(smooth) > 2:
+        low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
+        axis.fill_between(curves.steps, low, high, color=colour, alpha=0.15, linewidth=0)
+
+
+def _figure(runs: dict[str, list[tuple[dict[str, float], Curves]]]) -> Figure:
+    """Return a panel a task: deployed returns of each run and setting with several seeds; the published oracle is a thin line."""
+    figure = Figure(figsize=(15, 5), layout="constrained")
     for axis, task in zip(figure.subplots(1, len(TASKS)), TASKS, strict=True):
-        number = 0
-        for name, parts in runs.items():
-            if not name.startswith(task):
-                continue
-            _, algo, *norm = name.split("_")
-            for scale, curves in parts.items():
-                smooth = trailing(curves.metrics["deployed/return"])
-                low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
-                label, colour = f"{algo}, scale {scale:g}" + ", layer norm" * len(norm), f"C{number}"
-                axis.plot(curves.steps, smooth.mean(axis=0), styles[algo], color=colour, label=label)
-                axis.fill_between(curves.steps, low, high, color=colour, alpha=0.15, linewidth=0)
-                number += 1
-            published = row_of(next(iter(parts.values())), 1, name)["published_deployed"]
-            axis.axhline(float(published.split()[0]), color="0.4", linewidth=0.8, linestyle=styles[algo])
+        several = [
+            (name, *found)
+            for name, many in runs.items()
+            for found in many
+            if name.startswith(task) and len(found[1].metrics["deployed/return"]) > 1
+        ]
+        for number, line in enumerate(several):
+            _draw(axis, *line, colour=f"C{number % 10}", style=("-", "--")[number // 10 % 2])
+        published = [
+            row["mean"] for row in assets.published("table1") if (row["env"], row["algo"]) == (TASKS[task], "oracle")
+        ]
+        axis.axhline(float(published[0]), color="0.5", linewidth=0.8, label="published oracle, end")
         axis.set(title=f"{TASKS[task]}: deployed return (trailing 10)", xlabel="environment steps of a seed")
         axis.grid(alpha=0.3)
-        axis.legend(frameon=False, fontsize=8)
+        axis.locator_params(axis="x", nbins=5)
+        axis.legend(frameon=False, fontsize=7)
     return figure
 
 

@@ -39,6 +39,10 @@ def run(algo: str, steps: int, out: Path) -> None:
     advance(out / algo, steps, ENV, algo, seeds=len(scales), reward_scale=scales)
 
 
+def _by_scale(curves: Curves) -> dict[float, Curves]:
+    return {scale: part for (scale,), part in split(curves, "reward_scale").items()}
+
+
 def cycle(curves: Curves) -> float | None:
     """Return the median over seeds of steps between successes of the task phase in the last quarter of a run."""
     reached = curves.metrics["reached"]
@@ -53,7 +57,7 @@ def report(out: Path) -> None:
     """Write tables, curves and figure of every run below `out`."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     folders = {algo: out / algo for algo in ALGOS if (out / algo).exists()}
-    runs = {algo: split(read(folder), "reward_scale") for algo, folder in folders.items()}
+    runs = {algo: _by_scale(read(folder)) for algo, folder in folders.items()}
     rows = [
         {**summary(part, algo=algo, reward_scale=scale), "steps_per_success": cycle(part)}
         for algo, parts in runs.items()

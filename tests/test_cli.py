@@ -14,7 +14,10 @@ from tests.conftest import CACHE
 
 TINY = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
-TASKS = ["sawyer_door", "sawyer_peg", "tabletop_organization"]
+TASKS = [
+    "cheetah_run", "dhand_lightbulb", "fish_swim", "franka_kitchen", "minitaur_pen", "sawyer_door", "sawyer_peg",
+    "tabletop_organization",
+]  # fmt: skip
 ENVIRONMENT = {
     **os.environ,
     "JAX_PLATFORMS": "cpu",

@@ -13,6 +13,7 @@ _ENVS = Registry(
         "cheetah_run": "earl_jax.envs.cheetah_run:CheetahRun",
         "dhand_lightbulb": "earl_jax.envs.dhand_lightbulb:DHandLightbulb",
         "fish_swim": "earl_jax.envs.fish_swim:FishSwim",
+        "franka_kitchen": "earl_jax.envs.franka_kitchen:FrankaKitchen",
         "minitaur_pen": "earl_jax.envs.minitaur_pen:MinitaurPen",
         "sawyer_door": "earl_jax.envs.sawyer_door:SawyerDoor",
         "sawyer_peg": "earl_jax.envs.sawyer_peg:SawyerPeg",
