@@ -1,7 +1,8 @@
 """Demonstrations by scripted experts: how the files in assets/demos come about, and come about again.
 
 They imitate the pace of the originals (tabletop: half speed, one axis after the other; all with some noise), because shorter
-demonstrations would make every method's task easier than the published one.
+demonstrations would make every method's task easier than the published one. The DHand has none in the paper and none ship;
+those that are made here are for whoever wants to give a learner some (`--set demo_file=...`).
 """
 
 import dataclasses
@@ -14,13 +15,16 @@ import numpy as np
 
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs.base import Env, State
+from earl_jax.envs.dhand_lightbulb import DHandLightbulb
 from earl_jax.envs.sawyer_door import SawyerDoor
 from earl_jax.envs.sawyer_peg import SawyerPeg
 from earl_jax.envs.tabletop import STEP, TabletopOrganization
 
 PACE = 0.5
-NOISE = {TabletopOrganization: 0.1, SawyerDoor: 0.2, SawyerPeg: 0.2}
-"""Half-width of the uniform noise on the moving axes, and which tasks have a demonstrator."""
+NOISE = {TabletopOrganization: 0.1, SawyerDoor: 0.2, SawyerPeg: 0.2, DHandLightbulb: 0.1}
+"""Half-width of the uniform noise on all actions but the last, and which tasks have a demonstrator."""
+GRASPS, HOLD = 20, 200
+"""Demonstrations of the DHand, and the steps of each: it lifts the bulb and goes on holding it."""
 AXIS_DONE = 0.05
 PER_GOAL = 3
 DOORS, PEGS = 5, 10
@@ -38,22 +42,23 @@ def tabletop_action(env: TabletopOrganization, obs: np.ndarray) -> np.ndarray:
     return np.append(move, grip)
 
 
-def record(env: Env, state: State, rng: np.random.Generator) -> tuple[list[tuple], State]:
-    """Return the transitions of one demonstration from `state` until success, and the state it ended in.
+def record(env: Env, state: State, rng: np.random.Generator, steps: int | None = None) -> tuple[list[tuple], State]:
+    """Return the transitions of one demonstration from `state` and the state it ended in: until success, or `steps` of them.
 
     Raises:
-        RuntimeError: the demonstrator did not reach its goal within 400 steps.
+        RuntimeError: the demonstrator did not reach its goal within 400 steps, or does not stand in it after `steps`.
     """
     step, expert, rows, size = jax.jit(env.step), jax.jit(env.expert), [], env.state_size
-    for _ in range(LONGEST):
+    for number in range(steps or LONGEST):
         obs = np.asarray(state.obs)
         action = np.array(tabletop_action(env, obs) if isinstance(env, TabletopOrganization) else expert(state.obs))
         action[:-1] += rng.uniform(-NOISE[type(env)], NOISE[type(env)], len(action) - 1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         state = step(state, action)
         after, reached = np.asarray(state.obs), bool(env.success(state.obs))
-        rows.append((obs[:size], obs[size:], action, after[:size], np.float32(reached), reached))
-        if reached:
+        ends = reached if steps is None else number + 1 == steps
+        rows.append((obs[:size], obs[size:], action, after[:size], np.float32(reached), ends))
+        if reached and ends:
             return rows, state
     raise RuntimeError(f"the scripted expert of {env.name} missed {np.asarray(state.info['goal'])}")
 
@@ -72,7 +77,7 @@ def _starts(env: Env, seed: int) -> Iterator[tuple[State, State | None, np.ndarr
 
 
 def make(env: Env, seed: int = 0) -> dict[str, Demos]:
-    """Return forward and backward demonstrations: three a goal (tabletop), five (door) or ten (peg) of each.
+    """Return forward and backward demonstrations: three a goal (tabletop), five (door) or ten (peg) of each; 20 forward (DHand).
 
     Backward ones start where their forward one ended; the peg's start inserted with the hand at home, as published.
 
@@ -82,6 +87,9 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
     if type(env) not in NOISE:
         raise ValueError(f"{env.name} has no demonstrator; choose from {', '.join(task.name for task in NOISE)}")
     rng = np.random.default_rng(seed)
+    if isinstance(env, DHandLightbulb):
+        keys = jax.random.split(jax.random.key(seed), GRASPS)
+        return {"forward": stacked([row for key in keys for row in record(env, env.reset(key), rng, HOLD)[0]])}
     found: dict[str, list[tuple]] = {direction: [] for direction in DIRECTIONS}
     for forward, backward, goal in _starts(env, seed):
         rows, ended = record(env, forward, rng)
@@ -89,7 +97,12 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
         start = ended if backward is None else backward
         rows, _ = record(env, env.with_goal(start, jnp.asarray(goal)), rng)
         found["backward"] += rows
-    return {name: Demos(*[np.stack(field) for field in zip(*rows, strict=True)]) for name, rows in found.items()}
+    return {name: stacked(rows) for name, rows in found.items()}
+
+
+def stacked(rows: list[tuple]) -> Demos:
+    """Return the transitions of `record` as arrays."""
+    return Demos(*[np.stack(field) for field in zip(*rows, strict=True)])
 
 
 def save(demos: dict[str, Demos], path: Path) -> None:

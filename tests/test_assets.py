@@ -1,9 +1,13 @@
 """What ships: demonstrations that their command reproduces, and the paper's tables."""
 
+import dataclasses
+
+import jax
 import numpy as np
 import pytest
 
 from earl_jax import assets, demos
+from earl_jax.envs import make
 
 
 def test_twelve_demonstrations_a_direction_three_a_goal(env):
@@ -29,6 +33,23 @@ def test_the_command_reproduces_the_shipped_file(env):
             np.testing.assert_allclose(value, getattr(shipped, name), atol=1e-5, err_msg=name)
     other = demos.make(env, seed=1)["forward"].actions
     assert len(other) != len(made["forward"].actions) or np.abs(other - made["forward"].actions).max() > 0.01
+
+
+def test_a_grasp_is_demonstrated_on_demand_though_none_ships(tmp_path):
+    grasp = make("dhand_lightbulb", physics="c")
+    assert not grasp.has_demos
+    start = grasp.reset(jax.random.key(0))
+    rows, ended = demos.record(grasp, start, np.random.default_rng(0), steps=120)
+    assert bool(grasp.success(ended.obs))
+    found = demos.stacked(rows)
+    assert np.flatnonzero(found.ends).tolist() == [119]
+    assert found.rewards[-20:].all(), "it goes on holding"
+    demos.save({"forward": found}, tmp_path / "grasp.npz")
+    given = dataclasses.replace(grasp, demo_file=str(tmp_path / "grasp.npz"))
+    assert given.demo_directions == ("forward",)
+    np.testing.assert_array_equal(given.demos("forward").actions, found.actions)
+    with pytest.raises(RuntimeError, match="missed"):
+        demos.record(grasp, start, np.random.default_rng(0), steps=5)
 
 
 def test_shipped_arrays_cannot_be_written_to(env):

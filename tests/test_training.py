@@ -8,7 +8,7 @@ import pytest
 import earl_jax
 from earl_jax.algos.autonomy import Loop
 from earl_jax.algos.naive import Naive
-from earl_jax.experiment import RunFolder
+from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Protocol
 from earl_jax.training import execute, lifetime, per_lane, select_seed, train
 from tests.conftest import ALGOS, TINY, assert_same, tiny_options
@@ -102,11 +102,10 @@ def test_a_task_brings_its_own_reward_scale_and_measure():
     assert earl_jax.method_for(sparse, "naive").sac.reward_scale == 10.0
     assert earl_jax.method_for(dense, "naive").sac.reward_scale == dense.reward_scale == 1.0
     assert earl_jax.method_for(dense, "naive", reward_scale=10.0).sac.reward_scale == 10.0
-    judged = [
-        train(env, "naive", **{**RUN, **tiny_options("naive"), "steps": 40}).experiment for env in (sparse, dense)
-    ]
-    assert [one.deployed_metric for one in judged] == ["deployed/success", "deployed/return"]
-    assert [one.build_method().sac.reward_scale for one in judged] == [10.0, 1.0]
+    for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
+        told = Experiment.of(env, earl_jax.method_for(env, "naive"), (0,), 40, 40, 1, 40)
+        assert told.deployed_metric == metric
+        assert told.build_method().sac.reward_scale == env.reward_scale
 
 
 def test_a_finished_run_stays_finished(tmp_path):
