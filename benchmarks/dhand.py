@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.output import save
 from earl_jax.envs import make
 from earl_jax.envs.dhand_lightbulb import REST, TARGET
-from earl_jax.experiment import provenance
 
 POLICIES = ("zero", "random", "scripted")
 OFFSETS = np.array([[0.0, 0.0], [0.04, 0.0], [-0.04, 0.0], [0.0, 0.04], [0.0, -0.04]], np.float32)
@@ -99,10 +99,9 @@ def main() -> None:
     report = measure(chosen.engine, chosen.substeps, chosen.random, chosen.steps, chosen.seed)
     print(json.dumps(report))
     out = chosen.out or Path(f"benchmarks/results/dhand/{chosen.engine}_{chosen.substeps}.json")
-    out.parent.mkdir(parents=True, exist_ok=True)
     options = f"--engine {chosen.engine} --substeps {chosen.substeps} --random {chosen.random}"
     command = f"python -m benchmarks.dhand {options} --steps {chosen.steps} --seed {chosen.seed}"
-    out.write_text(json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n")
+    save(out, command, report)
 
 
 if __name__ == "__main__":

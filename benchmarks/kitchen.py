@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from benchmarks.output import save
 from earl_jax import physics
 from earl_jax.envs import State, kitchen_reward, make
 from earl_jax.envs.franka_kitchen import (
@@ -30,7 +31,6 @@ from earl_jax.envs.franka_kitchen import (
     REACH,
     FrankaKitchen,
 )
-from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "kitchen"
@@ -276,8 +276,7 @@ def main() -> None:
         report["one_core"] = speed(arguments.file)
     command = " ".join(["python -m benchmarks.kitchen", arguments.what, arguments.file.name if arguments.file else ""])
     write(rows, RESULTS / f"{arguments.what}.csv")
-    report = {"command": command.strip(), "provenance": provenance(), **report}
-    (RESULTS / f"{arguments.what}.json").write_text(json.dumps(report, indent=1) + "\n")
+    save(RESULTS / f"{arguments.what}.json", command.strip(), report)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.output import save
 from benchmarks.safety import actions
 from earl_jax.envs import make
-from earl_jax.experiment import provenance
 
 POSES = {
     "back": (0.0, 1.0, 0.0, 0.0),
@@ -72,8 +72,7 @@ def main() -> None:
     print(json.dumps(found))
     if arguments.out:
         command = f"python -m benchmarks.minitaur_recovery --lanes {arguments.lanes}"
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(json.dumps({"command": command, **found, "provenance": provenance()}, indent=1) + "\n")
+        save(arguments.out, command, found)
 
 
 if __name__ == "__main__":

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from benchmarks.output import save
 from earl_jax import physics
 from earl_jax.envs import make
-from earl_jax.experiment import provenance
 
 HOLD = 200
 """Control steps that a stance is held: two seconds."""
@@ -120,8 +120,7 @@ def main() -> None:
     print(json.dumps(found))
     if arguments.out:
         command = f"python -m benchmarks.minitaur_trots {arguments.file.name} --engine {arguments.engine}"
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(json.dumps({"command": command, **found, "provenance": provenance()}, indent=1) + "\n")
+        save(arguments.out, command, found)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ one core of MuJoCo C stepped from Python on a scene with the original's shapes (
 """
 
 import argparse
-import json
 import os
 import statistics
 import time
@@ -19,9 +18,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from benchmarks.output import save
 from earl_jax import assets, physics
 from earl_jax.envs import list_envs, make
-from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
 ENVS = [name for name in list_envs() if make(name).engine != "kinematic"]
@@ -174,18 +173,17 @@ def main() -> None:
         for job in jobs:
             rows.append(job())
             print(rows[-1], flush=True)
-            save(rows, arguments)
+            keep(rows, arguments)
 
 
-def save(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+def keep(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
     """Write the rows so far as csv, and as json with the command, cores and versions."""
     chosen = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
     chosen = {field: values for field, values in chosen.items() if values != [None]}
     options = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in chosen.items())
     command = f"python -m benchmarks.physics {options}"
     write(rows, arguments.out.with_suffix(".csv"))
-    report = {"command": command, "cores": len(os.sched_getaffinity(0)), "provenance": provenance(), "rows": rows}
-    arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=1) + "\n")
+    save(arguments.out.with_suffix(".json"), command, {"cores": len(os.sched_getaffinity(0)), "rows": rows})
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from benchmarks.output import save
 from earl_jax import physics
 from earl_jax.envs import list_envs, make
-from earl_jax.experiment import provenance
 
 PHYSICAL = [name for name in list_envs() if make(name).engine != "kinematic"]
 BLOCK = 500
@@ -132,10 +132,7 @@ def main() -> None:
     if arguments.out:
         command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
         command += f" --substeps {report['substeps']}"
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(
-            json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n"
-        )
+        save(arguments.out, command, report)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ one run are ratios to its first row. Writes NAME.csv and NAME.json below benchma
 """
 
 import argparse
-import json
 import multiprocessing
 from collections.abc import Callable
 from pathlib import Path
@@ -13,11 +12,11 @@ from typing import Any
 
 import mujoco
 
+from benchmarks.output import save
 from benchmarks.physics import one_core
 from benchmarks.replay_demos import replay
 from earl_jax import physics
 from earl_jax.envs.sawyer import Sawyer
-from earl_jax.experiment import provenance
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "physics"
@@ -89,8 +88,7 @@ def main() -> None:
     RESULTS.mkdir(parents=True, exist_ok=True)
     write(rows, RESULTS / f"{arguments.out}.csv")
     command = f"python -m benchmarks.solver {arguments.env} {arguments.file.name} --out {arguments.out}"
-    report = {"command": command, "provenance": provenance(), "rows": rows}
-    (RESULTS / f"{arguments.out}.json").write_text(json.dumps(report, indent=1) + "\n")
+    save(RESULTS / f"{arguments.out}.json", command, {"rows": rows})
 
 
 if __name__ == "__main__":

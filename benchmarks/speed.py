@@ -4,7 +4,6 @@ Writes benchmarks/results/speed/<name>.json and .csv; a lane-step is one control
 """
 
 import argparse
-import json
 import statistics
 import time
 from pathlib import Path
@@ -12,9 +11,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
+from benchmarks.output import save
 from earl_jax.algos import autonomy, birth, make_algo
 from earl_jax.envs import make
-from earl_jax.experiment import provenance
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
 from earl_jax.training import per_lane
@@ -60,12 +59,10 @@ def main() -> None:
         for lanes in arguments.lanes:
             rows.append(measure(arguments.env, algo, lanes, arguments.steps, arguments.repeats))
             print(rows[-1], flush=True)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     command = "python -m benchmarks.speed --env {} --algos {} --lanes {} --steps {}".format(
         arguments.env, " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
     )
-    report = {"command": command, "provenance": provenance(), "rows": rows}
-    arguments.out.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
+    save(arguments.out.with_suffix(".json"), command, {"rows": rows})
     write(rows, arguments.out.with_suffix(".csv"))
 
 
