@@ -104,13 +104,12 @@ def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) ->
         faults += int(fault.sum())
         past, reach = np.maximum(past, past_limits(model, qpos)), max(reach, farthest(model, qpos))
         deepest(model, data, qpos, worst, counts)
-    most = int(past.argmax())
     return {
         "env": name, "engine": env.engine, "substeps": env.substeps, "steps": steps, "lanes": lanes,
         "not_finite": broken, "faults": faults,
         "worst_penetration_mm": round(max(worst.values(), default=0.0), 2),
         "contacts_over_limit": int(sum(counts.values())),
-        "past_limit": round(float(past[most]), 4), "past_limit_joint": model.joint(most).name,
+        "past_limit_by_joint": {model.joint(i).name: round(float(past[i]), 4) for i in np.argsort(-past) if past[i] > 0},
         "free_body_farthest_m": round(reach, 3),
         "by_pair_mm": {pair: round(depth, 2) for pair, depth in sorted(worst.items(), key=lambda item: -item[1])},
     }  # fmt: skip
