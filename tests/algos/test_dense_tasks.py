@@ -11,6 +11,7 @@ from earl_jax.algos.autonomy import Loop
 from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
+from earl_jax.training import train
 from tests.conftest import newborn, tiny_method
 
 TASKS = ("dhand_lightbulb", "franka_kitchen", "minitaur_pen")
@@ -64,7 +65,7 @@ def test_methods_live_in_them(task, algo):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_without_demonstrations_there_is_no_vaprl(task):
-    loop = loop_of(task)
+def test_without_demonstrations_there_is_no_vaprl_and_nothing_is_written(task, tmp_path):
     with pytest.raises(ValueError, match=f"vaprl needs demonstrations, and {task} has none"):
-        newborn(loop, tiny_method("vaprl", 1), [0])
+        train(task, "vaprl", steps=100, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
