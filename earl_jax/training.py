@@ -173,9 +173,8 @@ def train(
     method = method_for(env, algo, **options) if isinstance(algo, str) else _with_options(algo, options)
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
     experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every)
-    birth.demo_rows(
-        Loop(env, experiment.protocol(env)), method
-    )  # refuses a task without demonstrations before a folder exists
+    # Refuses a task without the demonstrations that a method needs, before there is a folder.
+    birth.demo_rows(Loop(env, experiment.protocol(env)), method)
     folder = RunFolder.create(Path(out), experiment) if out is not None else None
     return execute(experiment, folder, env=env, method=method, progress=progress)
 
