@@ -6,7 +6,6 @@ whose axis is within 37 degrees of the vertical (cosine 0.8). Prints one JSON li
 """
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import save
+from benchmarks.output import tell
 from benchmarks.safety import actions
 from earl_jax.envs import make
 
@@ -69,10 +68,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     found = report(arguments.lanes)
-    print(json.dumps(found))
-    if arguments.out:
-        command = f"python -m benchmarks.minitaur_recovery --lanes {arguments.lanes}"
-        save(arguments.out, command, found)
+    command = f"python -m benchmarks.minitaur_recovery --lanes {arguments.lanes}"
+    tell(found, arguments.out, command)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from benchmarks.output import save
+from benchmarks.output import tell
 from earl_jax import physics
 from earl_jax.envs import make
 
@@ -117,10 +117,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     found = report(arguments.file, arguments.engine)
-    print(json.dumps(found))
-    if arguments.out:
-        command = f"python -m benchmarks.minitaur_trots {arguments.file.name} --engine {arguments.engine}"
-        save(arguments.out, command, found)
+    command = f"python -m benchmarks.minitaur_trots {arguments.file.name} --engine {arguments.engine}"
+    tell(found, arguments.out, command)
 
 
 if __name__ == "__main__":

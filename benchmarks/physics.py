@@ -30,9 +30,14 @@ LEAST_S = 1.0
 """Seconds that one timed repeat takes at least."""
 
 
+def task(name: str, engine: str, substeps: int | None) -> Any:
+    """Return the task `name` on `engine`, at its own substeps for None."""
+    return make(name, physics=engine, **({"substeps": substeps} if substeps else {}))
+
+
 def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: int) -> dict[str, Any]:
     """Return compile seconds and the median rate of one env, engine and number of lanes."""
-    env = make(name, physics=engine, **({"substeps": substeps} if substeps else {}))
+    env = task(name, engine, substeps)
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), lanes))
 
     def run(state, key, steps):

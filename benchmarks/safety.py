@@ -6,7 +6,6 @@ how far any joint passes its limits and how far from the middle any free body co
 """
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from benchmarks.output import save
+from benchmarks.output import tell
+from benchmarks.physics import ENVS, task
 from earl_jax import physics
-from earl_jax.envs import list_envs, make
 
-PHYSICAL = [name for name in list_envs() if make(name).engine != "kinematic"]
 BLOCK = 500
 LONGEST_HOLD = 50
 LIMIT_MM = 15.0
@@ -95,7 +93,7 @@ def farthest(model: Any, qpos: np.ndarray) -> float:
 
 def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) -> dict[str, Any]:
     """Return the report on one task."""
-    env, worst, counts = make(name, physics=engine, **({"substeps": substeps} if substeps else {})), {}, {}
+    env, worst, counts = task(name, engine, substeps), {}, {}
     model = physics.load_model(env.model)
     data, broken, faults, reach, past = mujoco.MjData(model), 0, 0, 0.0, np.zeros(model.njnt)
     for block, fault in live(env, actions(steps, lanes, env.action_size)):
@@ -117,7 +115,7 @@ def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) ->
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("env", choices=PHYSICAL)
+    parser.add_argument("env", choices=ENVS)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--lanes", type=int, default=64)
     parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
@@ -127,11 +125,8 @@ def main() -> None:
     if arguments.steps % BLOCK:
         parser.error(f"--steps must be a multiple of {BLOCK}")
     report = run(arguments.env, arguments.steps, arguments.lanes, arguments.engine, arguments.substeps)
-    print(json.dumps(report))
-    if arguments.out:
-        command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
-        command += f" --substeps {report['substeps']}"
-        save(arguments.out, command, report)
+    command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
+    tell(report, arguments.out, f"{command} --substeps {report['substeps']}")
 
 
 if __name__ == "__main__":

@@ -49,11 +49,15 @@ class Env(abc.ABC):
     """Steps between goal changes in the paper's continuing setting."""
 
     def __post_init__(self):
-        if self.reward_type not in REWARD_TYPES:
-            raise ValueError(f"reward_type {self.reward_type!r} is not one of {', '.join(REWARD_TYPES)}")
+        self._require("reward_type", REWARD_TYPES)
         for field in ("train_horizon", "eval_horizon"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+
+    def _require(self, field: str, choices: tuple[str, ...]) -> None:
+        """Refuse an option that is not one of its `choices`."""
+        if getattr(self, field) not in choices:
+            raise ValueError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
 
     @property
     @abc.abstractmethod

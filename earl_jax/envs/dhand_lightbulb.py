@@ -181,7 +181,7 @@ class DHandLightbulb(PhysicalEnv):
         cost += 2.0 * (hand[..., 2] < TABLE + CLEARANCE)
         for level, radius, worth in (NEAR, NEARER):
             cost -= jnp.where(height < level, worth + worth * (distance < radius), 0.0)
-        return cost * -1.0
+        return -cost
 
     def expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [22] of a scripted grasp: over the bulb, down, close, lift and carry to the goal in `obs [35]`.

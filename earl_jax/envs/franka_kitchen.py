@@ -14,7 +14,7 @@ import numpy as np
 from earl_jax import physics
 from earl_jax.envs import kitchen_reward as rewards
 from earl_jax.envs.base import State
-from earl_jax.envs.physical import PhysicalEnv
+from earl_jax.envs.physical import PhysicalEnv, leashed
 from earl_jax.physics import Integration
 
 REACH = 0.02
@@ -97,8 +97,7 @@ class FrankaKitchen(PhysicalEnv):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.variant not in VARIANTS:
-            raise ValueError(f"variant {self.variant!r} is not one of {', '.join(VARIANTS)}")
+        self._require("variant", VARIANTS)
 
     @property
     def state_size(self) -> int:
@@ -194,6 +193,4 @@ def _leashed(state: State, target: jax.Array) -> jax.Array:
     arm is slow would leave it stuck where it has folded up.
     """
     hand = rewards.dragging_place(rewards.observed(state.data.qpos))
-    distance, fastest = jnp.linalg.norm(target - hand), jnp.abs(state.data.qvel[:7]).max()
-    leash = jnp.interp(fastest, JOINT_SPEED, LEASH)
-    return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)
+    return leashed(target, hand, jnp.abs(state.data.qvel[:7]).max(), JOINT_SPEED, LEASH)

@@ -78,9 +78,8 @@ class MinitaurPen(PhysicalEnv):
 
     def __post_init__(self):
         super().__post_init__()
-        for field, choices in (("walls", WALLS), ("variant", VARIANTS)):
-            if getattr(self, field) not in choices:
-                raise ValueError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
+        self._require("walls", WALLS)
+        self._require("variant", VARIANTS)
 
     @property
     def model(self) -> str:

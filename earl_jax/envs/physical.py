@@ -4,6 +4,10 @@ import dataclasses
 import functools
 from typing import ClassVar
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from earl_jax.envs.base import Env
 from earl_jax.physics import Drive, Simulator, resolve
 
@@ -49,3 +53,14 @@ class PhysicalEnv(Env):
         """The physics of this task on its engine."""
         step = self.control_step / self.substeps
         return Simulator(self.model, step, self.substeps, self.engine, self.drive, self.varied)
+
+
+def leashed(
+    target: jax.Array, hand: jax.Array, fastest: jax.Array, speeds: np.ndarray, lengths: np.ndarray
+) -> jax.Array:
+    """Return the place [3] that a mocap weld pulls a hand to: `target [3]`, or nearer to `hand [3]` where that is too far.
+
+    It may lead by `lengths [2]` metres while the `fastest` joint [rad/s] turns at `speeds [2]`; linear between.
+    """
+    distance, leash = jnp.linalg.norm(target - hand), jnp.interp(fastest, speeds, lengths)
+    return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)

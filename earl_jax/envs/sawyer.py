@@ -14,7 +14,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.base import State
-from earl_jax.envs.physical import PhysicalEnv
+from earl_jax.envs.physical import PhysicalEnv, leashed
 from earl_jax.physics import Integration
 
 REACH = 0.01
@@ -74,8 +74,7 @@ class Sawyer(PhysicalEnv):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.variant not in VARIANTS:
-            raise ValueError(f"variant {self.variant!r} is not one of {', '.join(VARIANTS)}")
+        self._require("variant", VARIANTS)
 
     @property
     def kept(self) -> np.ndarray:
@@ -154,7 +153,4 @@ def _leashed(state: State, target: jax.Array) -> jax.Array:
     A difference from the original: a hand that slips off the handle with its target half a metre away reaches 9 m/s there, 22 mm
     a substep, and passes through what comes next. The recordings stay below 0.36 m and 2.8 rad/s and never feel the leash.
     """
-    hand = state.obs[:3]
-    fastest = jnp.abs(state.data.qvel[:WRIST]).max()
-    distance, leash = jnp.linalg.norm(target - hand), jnp.interp(fastest, JOINT_SPEED, LEASH)
-    return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)
+    return leashed(target, state.obs[:3], jnp.abs(state.data.qvel[:WRIST]).max(), JOINT_SPEED, LEASH)
