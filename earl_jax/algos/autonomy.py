@@ -1,11 +1,14 @@
 """The one reset-free loop: act, step, store, sample, learn, for every method and all lanes at once.
 
-A lane is a life with its seed. `interact` and `learn` are written for one lane and vmapped; between them the replay is
-written and read unbatched, because it is one buffer. Resets are a select, not a branch: a branch under vmap would pay for
-both sides as well, and a select handles a lane's own resets, scheduled interventions and later faults by one rule.
+A lane is a life with its seed. `depart`, `learn` and `arrive` are written for one lane and vmapped; between them the replay is
+read and written unbatched, because it is one buffer. The gradient step of a control step samples what was stored before it, so
+that a host can simulate while the accelerator learns (the release samples through a prefetched dataset, as late). Resets are a
+select, not a branch: a branch under vmap would pay for both sides as well, and a select handles a lane's own resets, scheduled
+interventions and later faults by one rule.
 """
 
 import dataclasses
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -19,6 +22,9 @@ from earl_jax.algos.method import TASK, Commands, Goals, Method, goals_of
 from earl_jax.algos.replay import Marks, Replay, Rows, Transition
 from earl_jax.envs import Env, State
 from earl_jax.protocol import Protocol
+
+UNLIKELY = -1.2345e38
+"""A number that nothing here ever is, so that a comparison with it orders a program and changes nothing."""
 
 
 class Tally(struct.PyTreeNode):
@@ -108,14 +114,21 @@ def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, step: jax.A
     return Outcome(fault, reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
 
 
-def interact(loop: Loop, method: Method, lane: Lane, keys: Keys, step: jax.Array, explore: bool) -> tuple:
-    """Return the lane one control step later, the `Transition` it made and whether replay should list it.
+def depart(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> tuple[jax.Array, Any]:
+    """Return the action [a] of one lane, uniform with `explore`, and the control step that it sets off, in flight."""
+    action = _act(loop, method, lane, key, explore)
+    return action, loop.env.launch(lane.world, action)
 
-    `step []` counts from 0; with `explore` actions are uniform.
+
+def arrive(
+    loop: Loop, method: Method, lane: Lane, action: jax.Array, flight: Any, keys: Keys, step: jax.Array
+) -> tuple:
+    """Return the lane after the control step in `flight`, the `Transition` it made and whether replay should list it.
+
+    `step []` counts from 0.
     """
     env, table = loop.env, jnp.asarray(loop.goals.table)
-    action = _act(loop, method, lane, keys.act, explore)
-    world = env.step(lane.world, action)
+    world = env.land(lane.world, flight)
     end = outcome_of(loop, method, lane, world, step)
     earned = env.goal_reward(world, table[lane.commands.task])
     tally = lane.tally.replace(
@@ -184,23 +197,51 @@ def _put(stacked: Any, single: Any, index: jax.Array) -> Any:
 
 
 def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) -> Lives:
-    """Return all lanes one step later: act, step, store and, unless exploring, one gradient step a lane.
+    """Return all lanes one step later: act, store and, unless exploring, one gradient step a lane on what was stored before.
 
     `method`'s float leaves have a leading lane axis.
     """
-    step, phase = lives.step, lives.lanes.phase
-    keys = jax.vmap(keys_of, (0, None))(lives.lanes.key, step)
-    act = jax.vmap(lambda m, lane, key: interact(loop, m, lane, key, step, explore))
-    lanes, transition, listed = act(method, lives.lanes, keys)
-    controller = controller_of(method, phase)
-    replay = replay_lib.write(lives.replay, transition, listed, controller)
+    step, lanes, replay = lives.step, lives.lanes, lives.replay
+    controller = controller_of(method, lanes.phase)
+    keys = jax.vmap(keys_of, (0, None))(lanes.key, step)
+    action, flight = jax.vmap(lambda m, lane, key: depart(loop, m, lane, key, explore))(method, lanes, keys.act)
     if not explore:
-        rows = replay_lib.sample(
-            replay, keys.sample, controller, method.sac.batch_size, jnp.asarray(method.sac.demo_share)
-        )
-        improve = jax.vmap(lambda m, lane, key, batch, acted: learn(loop, m, lane, key, batch, acted))
-        lanes = improve(method, lanes, keys, rows, phase)
-    return Lives(lanes, replay, step + 1)
+        wanted = _once_begun(flight, controller)
+        rows = replay_lib.sample(replay, keys.sample, wanted, method.sac.batch_size, jnp.asarray(method.sac.demo_share))
+        replay, rows = _once_read(replay, rows)
+        lanes = jax.vmap(lambda *each: learn(loop, *each))(method, lanes, keys, rows, lanes.phase)
+        flight = _once_learnt(lanes.agent, flight)
+    land = jax.vmap(lambda *each: arrive(loop, *each, step))
+    lanes, transition, listed = land(method, lanes, action, flight, keys)
+    return Lives(lanes, replay_lib.write(replay, transition, listed, controller), step + 1)
+
+
+def _once_read(replay: Replay, rows: Rows) -> tuple[Replay, Rows]:
+    """Return both unchanged, but where to write known only after `rows` were read: else XLA copies the whole buffer each step."""
+    rows = jax.lax.optimization_barrier(rows)
+    numbers = [leaf.ravel()[0].astype(jnp.float32) for leaf in jax.tree.leaves(rows)]
+    return replay.replace(row=replay.row + (sum(numbers) == UNLIKELY)), rows
+
+
+def _once_begun(flight: Any, values: jax.Array) -> jax.Array:
+    """Return integers `values [N]` unchanged, but known only after the host has begun on `flight`.
+
+    XLA orders by data alone; only the tickets of work on the host are integers, and none is negative.
+    """
+    tickets = [leaf for leaf in jax.tree.leaves(flight) if jnp.issubdtype(leaf.dtype, jnp.integer)]
+    return functools.reduce(lambda held, ticket: jnp.where(ticket[:, 0] >= 0, held, 0), tickets, values)
+
+
+def _once_learnt(agent: sac_lib.Agent, flight: Any) -> Any:
+    """Return `flight` unchanged, but its tickets known only after `agent`: one number of each array, which is never UNLIKELY."""
+
+    def held(leaf):
+        if not jnp.issubdtype(leaf.dtype, jnp.integer):
+            return leaf
+        numbers = [part.reshape(part.shape[0], -1)[:, 0] for part in jax.tree.leaves(agent)]
+        return leaf + (sum(numbers)[:, None] == UNLIKELY)
+
+    return jax.tree.map(held, flight)
 
 
 def run(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool = False) -> Lives:

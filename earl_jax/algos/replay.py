@@ -132,10 +132,12 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
 def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array) -> Rows:
     """Return `size` transitions a lane, uniform with replacement over what is listed for `controller [N]`.
 
-    A share `demo_share [N]` of them is drawn from the demonstrations alone. A lane's draw depends on its own key and
-    counts only, never on how many lanes run beside it.
+    A share `demo_share [N]` of them is drawn from the demonstrations alone. Where nothing is listed for a controller yet, at its
+    very first step, it is given what the other one did. A lane's draw depends on its own key and counts only, never on how many
+    lanes run beside it.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
+    controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
     listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
     slot = jnp.where(controller[:, None] == 0, listed, replay.capacity - 1 - listed)

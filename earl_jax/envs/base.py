@@ -103,8 +103,13 @@ class Env(abc.ABC):
     def reset(self, key: jax.Array) -> State:
         """Return a state with s0 ~ rho and a task goal drawn uniformly."""
 
+    def _launch(self, state: State, action: jax.Array) -> Any:
+        """Return what `_land` goes on from: by default nothing is begun, and that is the clipped `action [a]`."""
+        del state
+        return action
+
     @abc.abstractmethod
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+    def _land(self, state: State, flight: Any) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
         """Return the next physics data, the next state vector [s] and the info fields that changed."""
 
     @abc.abstractmethod
@@ -155,10 +160,20 @@ class Env(abc.ABC):
         Raises:
             ValueError: the action has another shape, or (outside jit, where values are known) is not finite.
         """
+        return self.land(state, self.launch(state, action))
+
+    def launch(self, state: State, action: jax.Array) -> Any:
+        """Return the control step from `state` with `action [a]` on its way, a tree of arrays for `land`.
+
+        Between the two a program can do other work while the host simulates; `step` is both in one. Errors as `step`.
+        """
         check_action(action, self.action_size)
-        data, vector, changed = self._advance(state, jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0))
-        info = {**state.info, **changed}
-        return self._state(data, vector, info)
+        return self._launch(state, jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0))
+
+    def land(self, state: State, flight: Any) -> State:
+        """Return the state after the control step that `launch` began from `state`."""
+        data, vector, changed = self._land(state, flight)
+        return self._state(data, vector, {**state.info, **changed})
 
     def _state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
         obs = jnp.concatenate([vector, info["goal"]])

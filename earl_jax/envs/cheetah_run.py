@@ -75,8 +75,12 @@ class CheetahRun(PhysicalEnv):
         data = Integration.at(**{field: jnp.asarray(values)[one] for field, values in table.items()})
         return self._state(data, _observed(data), {"goal": jnp.zeros((0,))})
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        data, _ = self.simulator.step(state.data, action)
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        return state.data, action
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         ahead = data.qpos[0] - LAP * jnp.round(data.qpos[0] / LAP)
         data = data.replace(qpos=data.qpos.at[0].set(ahead))
         return data, _observed(data), {}

@@ -6,7 +6,7 @@ the size of the reward are our reconstruction. docs/environments.md says what is
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -145,7 +145,7 @@ class DHandLightbulb(PhysicalEnv):
         info = {"goal": jnp.asarray(TARGET), "pressed": jnp.zeros((), bool)}
         return self._state(data, observed(data.qpos, jnp.asarray(START_HAND, jnp.float32)), info)
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
         data, wrist = state.data, action[FINGERS:]
         lower = jnp.where(state.info["pressed"], 0.0, -1.0)
         move = jnp.maximum(wrist[:3], jnp.stack([jnp.asarray(-1.0), jnp.asarray(-1.0), lower]))
@@ -153,8 +153,11 @@ class DHandLightbulb(PhysicalEnv):
         yaw = jnp.clip(yaw_of(data.mocap_quat[0]) + TURN * wrist[5], -TWIST, TWIST)
         fingers = data.qpos[ARM : ARM + FINGERS]
         ctrl = jnp.clip(fingers + SPAN * action[:FINGERS], FINGER_LOW, FINGER_HIGH)
-        data = data.replace(mocap_pos=target[None], mocap_quat=palm_down(yaw)[None])
-        data, sensors = self.simulator.step(data, ctrl)
+        return data.replace(mocap_pos=target[None], mocap_quat=palm_down(yaw)[None]), ctrl
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         vector, links = observed(data.qpos, sensors[:3]), sensors[3:].reshape(-1, 3)
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (parts(vector)[1][2] < REST - PRESS)
         return data, vector, {"pressed": pressed}

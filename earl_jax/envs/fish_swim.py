@@ -5,7 +5,7 @@ Source: dm_control 1.0.50, `suite/fish`; the model is our own MJCF with its numb
 
 import dataclasses
 import itertools
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -78,9 +78,12 @@ class FishSwim(PhysicalEnv):
         data = Integration.at(qpos, jnp.zeros(6 + JOINTS), mocap_pos=goal[None], mocap_quat=jnp.array([[1.0, 0, 0, 0]]))
         return self._state(data, _observed(data), {"goal": goal})
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        data = state.data.replace(mocap_pos=state.info["goal"][None])
-        data, _ = self.simulator.step(data, action)
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        return state.data.replace(mocap_pos=state.info["goal"][None]), action
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         return data, _observed(data), {}
 
     def fault(self, state: State) -> jax.Array:

@@ -5,7 +5,7 @@ Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with rela
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -145,11 +145,14 @@ class FrankaKitchen(PhysicalEnv):
             vector = vector + NOISE * jax.random.uniform(drawn, vector.shape, minval=-1.0)
         return vector, {"noise": jax.random.key_data(following), "mocap": data.mocap_pos[0]}
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        target = jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], MOCAP_LOW, MOCAP_HIGH)
-        fingers = state.obs[:2] + FINGER_REACH * action[:2]
-        data, sensors = self.simulator.step(state.data.replace(mocap_pos=_leashed(state, target)[None]), fingers)
-        data = data.replace(mocap_pos=target[None])
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        pulled = _leashed(state, _target(state, action))
+        return state.data.replace(mocap_pos=pulled[None]), state.obs[:2] + FINGER_REACH * action[:2]
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
+        data = data.replace(mocap_pos=_target(state, action)[None])
         vector, changed = self._observe(data, state.info["noise"])
         return data, vector, {**changed, "sites": sensors[: 3 * len(rewards.SITES)].reshape(-1, 3)}
 
@@ -183,6 +186,11 @@ class FrankaKitchen(PhysicalEnv):
         slack = np.where(np.arange(len(low)) < rewards.ROBOT, np.float32(ARM_SLACK), np.float32(OBJECT_SLACK))
         inside = (state.data.qpos > low - slack) & (state.data.qpos < high + slack)
         return super().fault(state) | ~inside.all()
+
+
+def _target(state: State, action: jax.Array) -> jax.Array:
+    """Return where [3] `action` moves the place that the hand is drawn to."""
+    return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], MOCAP_LOW, MOCAP_HIGH)
 
 
 def _leashed(state: State, target: jax.Array) -> jax.Array:

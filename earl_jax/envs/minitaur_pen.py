@@ -5,7 +5,7 @@ that were recorded there; docs/environments.md lists every difference.
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -126,8 +126,12 @@ class MinitaurPen(PhysicalEnv):
         data = Integration.at(qpos, qvel, qacc_warmstart=warmstart, memory=memory, constants=constants)
         return self._state(data, observed(data), {"goal": self.sample_goal(goal_key)})
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        data, _ = self.simulator.step(state.data, legs_to_motors(jnp, action))
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        return state.data, legs_to_motors(jnp, action)
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         return data, observed(data), {}
 
     def success(self, obs: jax.Array) -> jax.Array:

@@ -1,15 +1,16 @@
-"""What every task with a physics engine shares: which engine steps it, how finely, and where its model stands."""
+"""What every task with a physics engine shares: which engine steps it, how finely, and how a control step passes through it."""
 
+import abc
 import dataclasses
 import functools
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.base import Env
-from earl_jax.physics import Drive, Simulator, resolve
+from earl_jax.envs.base import Env, State
+from earl_jax.physics import Drive, Integration, Simulator, resolve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +54,24 @@ class PhysicalEnv(Env):
         """The physics of this task on its engine."""
         step = self.control_step / self.substeps
         return Simulator(self.model, step, self.substeps, self.engine, self.drive, self.varied)
+
+    @abc.abstractmethod
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        """Return the integration state to simulate from, and the command for it, of a control step with `action [a]`."""
+
+    @abc.abstractmethod
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
+        """Return what `_land` does, given the simulated `data` and the `sensors [nsensordata]` of its last substep."""
+
+    def _launch(self, state: State, action: jax.Array) -> Any:
+        data, command = self._command(state, action)
+        return action, data, self.simulator.launch(data, command)
+
+    def _land(self, state: State, flight: Any) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
+        action, data, moving = flight
+        return self._arrive(state, action, *self.simulator.land(data, moving))
 
 
 def leashed(

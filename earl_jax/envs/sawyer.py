@@ -6,7 +6,7 @@ Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 20
 
 import abc
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -111,11 +111,14 @@ class Sawyer(PhysicalEnv):
         vector = jnp.concatenate([jnp.asarray([*pose.hand, pose.grip], jnp.float32), where])[self.kept]
         return self._state(data, vector, {"goal": goal, **info})
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        target = jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], HAND_LOW, HAND_HIGH)
-        data = state.data.replace(mocap_pos=_leashed(state, target)[None])
-        data, sensors = self.simulator.step(data, jnp.stack([action[3], -action[3]]))
-        data = data.replace(mocap_pos=target[None])
+    def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
+        pulled = _leashed(state, _target(state, action))
+        return state.data.replace(mocap_pos=pulled[None]), jnp.stack([action[3], -action[3]])
+
+    def _arrive(
+        self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
+    ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
+        data = data.replace(mocap_pos=_target(state, action)[None])
         hand, right, left, seen = jnp.split(sensors, 4)
         grip = jnp.clip(jnp.linalg.norm(right - left) / OPENING, 0.0, 1.0)
         vector = jnp.concatenate([hand, grip[None], seen])[self.kept]
@@ -145,6 +148,11 @@ class Sawyer(PhysicalEnv):
 
     def success(self, obs: jax.Array) -> jax.Array:
         return self.to_goal(obs) <= self.radius[self.variant]
+
+
+def _target(state: State, action: jax.Array) -> jax.Array:
+    """Return where [3] `action` moves the place that the hand is drawn to."""
+    return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], HAND_LOW, HAND_HIGH)
 
 
 def _leashed(state: State, target: jax.Array) -> jax.Array:

@@ -74,7 +74,7 @@ class TabletopOrganization(Env):
         clear = jnp.linalg.norm(draws[:, None, 2:] - COASTERS, axis=-1) >= WIDE_CLEARANCE
         return draws[jnp.argmax(apart & clear.all(-1))]
 
-    def _advance(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+    def _land(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
         gripper, mug, flag = state.data.qpos[:2], state.data.qpos[2:], state.obs[4:6]
         near = jnp.linalg.norm(gripper - mug) < REACH
         held = (action[2] > 0) & (near | (flag[0] == HELD[0]))

@@ -22,7 +22,6 @@ ENGINES = ("mjx", "warp", "c")
 FASTEST = {"cpu": "c", "gpu": "c"}
 """The engine `auto` takes on a backend, by benchmarks/results/physics; elsewhere (TPU) it is mjx."""
 EXTRAS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
-STEPS = {"mjx": mjx.step, "warp": mjx.step, "c": c.step}
 
 
 def resolve(engine: str) -> str:
@@ -62,7 +61,16 @@ class Simulator:
 
         Pure and unbatched: under vmap `mjx` and `warp` run all lanes in one program, `c` in one threaded call.
         """
-        return STEPS[self.engine](self, state, command)
+        return self.land(state, self.launch(state, command))
+
+    def launch(self, state: Integration, command: jax.Array) -> jax.Array:
+        """Return the control step that begins at `state` under `command`, on its way: with `c` beside a GPU the host works
+        on it from here on, and what the program does before `land` runs meanwhile."""
+        return c.launch(self, state, command) if self.engine == "c" else command
+
+    def land(self, state: Integration, flight: jax.Array) -> tuple[Integration, jax.Array]:
+        """Return what `step` returns, of the step that `launch` began at `state`."""
+        return (c.land if self.engine == "c" else mjx.step)(self, state, flight)
 
     def mujoco_model(self) -> Any:
         """Return the compiled `mujoco.MjModel` at this simulator's time step."""

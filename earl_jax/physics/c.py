@@ -1,7 +1,8 @@
-"""MuJoCo's C engine in float64 behind one callback, which takes and returns one row a lane."""
+"""MuJoCo's C engine in float64 on the host's threads, which takes and returns one row a lane."""
 
 import copy
 import functools
+import hashlib
 import importlib
 import os
 import threading
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.physics import service
 from earl_jax.physics.state import Integration
 
 if TYPE_CHECKING:
@@ -21,26 +23,42 @@ ORDER = ("time", "qpos", "qvel", "act", "qacc_warmstart", "memory")
 HELD = ("mocap_pos", "mocap_quat", "constants")
 
 
-def step(simulator: "Simulator", state: Integration, command: jax.Array) -> tuple[Integration, jax.Array]:
-    """Return what `Simulator.step` promises, from one call of the host for all lanes."""
+def launch(simulator: "Simulator", state: Integration, command: jax.Array) -> jax.Array:
+    """Return the control step of one lane on its way: a ticket where the host works beside a GPU, else the row itself."""
     row = jnp.concatenate([jnp.ravel(getattr(state, field)) for field in ORDER + HELD] + [command])
+    return service.launch(_name(simulator, state), row) if _beside() else row
+
+
+def land(simulator: "Simulator", state: Integration, flight: jax.Array) -> tuple[Integration, jax.Array]:
+    """Return what `Simulator.step` promises of the step that `launch` began from `state`."""
     widths = np.cumsum([getattr(state, field).size for field in ORDER])
-    out = jax.ShapeDtypeStruct((widths[-1] + simulator.mujoco_model().nsensordata,), jnp.float32)
-    after = jax.pure_callback(host_of(simulator, state.memory.size), out, row, vmap_method="broadcast_all")
+    answer = service.land if _beside() else service.step
+    after = answer(_name(simulator, state), flight, int(widths[-1]) + simulator.mujoco_model().nsensordata)
     time, *rest, sensors = jnp.split(after, widths)
     return state.replace(time=time[0], **dict(zip(ORDER[1:], rest, strict=True))), sensors
+
+
+def _beside() -> bool:
+    return jax.default_backend() != "cpu"
+
+
+def _name(simulator: "Simulator", state: Integration) -> str:
+    """Return the name under which XLA finds this simulator's host, the same in every process."""
+    serve = host_of(simulator, state.memory.size)
+    digest = hashlib.blake2b(repr((simulator, state.memory.size)).encode(), digest_size=8).hexdigest()
+    name = f"earl_jax.{simulator.model}.{digest}"
+    service.register(name, serve)
+    return name
 
 
 class Host:
     """The host's half of engine `c`: rows of integration state and command in, rows of state and sensors out.
 
-    All rows go through one call of `mujoco.rollout` (one a substep where a drive has its say before each), on a pool of as
-    many threads as this process may use cores, or half of them for few rows, where waking a thread costs more than it does.
+    Every stream that asks has a crew of its own, and the crews share the cores of this process.
     """
 
     def __init__(self, simulator: "Simulator", memory: int):
         mujoco: Any = importlib.import_module("mujoco")
-        rollout: Any = importlib.import_module("mujoco.rollout")
         self.simulator, self.model = simulator, copy.copy(simulator.mujoco_model())
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         model, bits = self.model, mujoco.mjtState
@@ -49,60 +67,82 @@ class Host:
         self.position, self.velocity = slice(1, 1 + model.nq), slice(1 + model.nq, 1 + model.nq + model.nv)
         self.widths = np.cumsum([self.physics, model.nv, memory, 7 * model.nmocap, simulator.variation_size])
         self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self.data = [mujoco.MjData(model) for _ in range(self.cores)]
-        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.cores, self._few}}
-        self.models: list[Any] = []
-        self.constants = np.zeros((0, simulator.variation_size))
+        self.crews: dict[int, Crew] = {}
         self.lock = threading.Lock()
 
-    @property
-    def _few(self) -> int:
-        return max(1, self.cores // 2)
+    def __call__(self, rows: np.ndarray, stream: int = 0) -> np.ndarray:
+        """Return rows [n, state + warmstart + memory + sensors] for rows [n, state + warmstart + memory + held + command]."""
+        with self.lock:
+            if stream not in self.crews:
+                streams = [*self.crews, stream]
+                self.crews = {one: Crew(self, max(1, self.cores // len(streams))) for one in streams}
+            crew = self.crews[stream]
+        return crew.advance(rows)
 
-    def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows [..., state + warmstart + memory + sensors] for rows [..., state + warmstart + memory + held + command]."""
-        shape, rows = rows.shape[:-1], np.asarray(rows, np.float64).reshape(-1, rows.shape[-1])
-        state, warmstart, memory, mocap, constants, command = np.split(rows, self.widths, axis=1)
+
+class Crew:
+    """Threads, and the data and models they work on, for the rows of one stream.
+
+    All rows go through one call of `mujoco.rollout` (one a substep where a drive has its say before each), on all its
+    threads, or half of them for few rows, where waking a thread costs more than it does.
+    """
+
+    def __init__(self, host: Host, threads: int):
+        mujoco: Any = importlib.import_module("mujoco")
+        rollout: Any = importlib.import_module("mujoco.rollout")
+        self.host, self.most, self.few = host, threads, max(1, threads // 2)
+        self.data = [mujoco.MjData(host.model) for _ in range(threads)]
+        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.most, self.few}}
+        self.models: list[Any] = []
+        self.constants = np.zeros((0, host.simulator.variation_size))
+        self.lock = threading.Lock()
+
+    def advance(self, rows: np.ndarray) -> np.ndarray:
+        """Return the rows [n, m] that follow `rows [n, k]` one control step later, float32."""
+        simulator = self.host.simulator
+        state, warmstart, memory, mocap, constants, command = np.split(
+            rows.astype(np.float64), self.host.widths, axis=1
+        )
         with self.lock:
             models = self._models(constants)
-            if self.simulator.drive is None:
-                after = self._roll(models, state, warmstart, mocap, command, self.simulator.substeps)
-            for _ in range(self.simulator.substeps if self.simulator.drive else 0):
-                joints, speeds = state[:, self.position], state[:, self.velocity]
-                ctrl, memory = self.simulator.controls(np, joints, speeds, command, memory)
+            if simulator.drive is None:
+                after = self._roll(models, state, warmstart, mocap, command, simulator.substeps)
+            for _ in range(simulator.substeps if simulator.drive else 0):
+                joints, speeds = state[:, self.host.position], state[:, self.host.velocity]
+                ctrl, memory = simulator.controls(np, joints, speeds, command, memory)
                 state, warmstart, _ = after = self._roll(models, state, warmstart, mocap, ctrl, 1)
         state, warmstart, sensors = after
-        return np.concatenate([state, warmstart, memory, sensors], axis=1, dtype=np.float32).reshape(*shape, -1)
+        return np.concatenate([state, warmstart, memory, sensors], axis=1, dtype=np.float32)
 
     def _roll(
         self, models: list, state, warmstart, mocap, ctrl, steps: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return state, acceleration and sensors of the last of `steps` steps."""
-        count, last = len(state), steps - 1
-        states = np.empty((count, steps, self.physics))
-        sensors = np.empty((count, steps, self.model.nsensordata))
+        host, count, last = self.host, len(state), steps - 1
+        states = np.empty((count, steps, host.physics))
+        sensors = np.empty((count, steps, host.model.nsensordata))
         held = np.repeat(np.concatenate([ctrl, mocap], axis=1)[:, None], steps, axis=1)
-        threads = self.cores if count > 4 * self.cores else self._few
+        threads = self.most if count > 4 * self.most else self.few
         start = np.ascontiguousarray(state)
         self.pools[threads].rollout(
-            models, self.data[:threads], start, held, control_spec=self.spec, skip_checks=True, nstep=steps,
+            models, self.data[:threads], start, held, control_spec=host.spec, skip_checks=True, nstep=steps,
             initial_warmstart=np.ascontiguousarray(warmstart), state=states, sensordata=sensors,
         )  # fmt: skip
         before = states[:, last - 1] if last else start
-        acceleration = (states[:, last, self.velocity] - before[:, self.velocity]) / self.model.opt.timestep
+        acceleration = (states[:, last, host.velocity] - before[:, host.velocity]) / host.model.opt.timestep
         return states[:, last], acceleration, sensors[:, last]
 
     def _models(self, constants: np.ndarray) -> list[Any]:
         """Return a model a row: one for all, or each with its own `constants [n, k]`, written only where they changed."""
-        if not self.simulator.varied:
-            return [self.model] * len(constants)
+        if not self.host.simulator.varied:
+            return [self.host.model] * len(constants)
         missing = len(constants) - len(self.models)
         if missing > 0:
-            self.models += [copy.copy(self.model) for _ in range(missing)]
+            self.models += [copy.copy(self.host.model) for _ in range(missing)]
             self.constants = np.vstack([self.constants, np.full((missing, constants.shape[1]), np.nan)])
         known = self.constants[: len(constants)]
         for lane in np.flatnonzero((known != constants).any(axis=1)):
-            for field, value in self.simulator.variation(constants[lane]).items():
+            for field, value in self.host.simulator.variation(constants[lane]).items():
                 getattr(self.models[lane], field)[:] = value
         known[:] = constants
         return self.models[: len(constants)]

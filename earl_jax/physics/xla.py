@@ -1,0 +1,129 @@
+"""XLA's foreign function interface as ctypes see it: a call's frame, its buffers, and how a Python function answers one.
+
+Source: XLA's stable C interface (xla/ffi/api/c_api.h, major version 0), of which only fields are read that every minor
+version has had since 0.1.
+"""
+
+import ctypes
+from collections.abc import Callable
+from ctypes import POINTER, Structure, c_char_p, c_int, c_int64, c_size_t, c_uint32, c_void_p
+from typing import Any
+
+import numpy as np
+
+METADATA, INTERNAL = 1, 13
+"""An extension's type when XLA asks for the version, and the code of an error."""
+
+
+class _Version(Structure):
+    _fields_ = [("size", c_size_t), ("extension", c_void_p), ("major", c_int), ("minor", c_int)]
+
+
+class _Api(Structure):
+    _fields_ = [
+        ("size", c_size_t), ("extension", c_void_p), ("version", _Version), ("internal", c_void_p),
+        ("error_create", c_void_p), ("error_message", c_void_p), ("error_destroy", c_void_p), ("register", c_void_p),
+        ("stream_get", c_void_p),
+    ]  # fmt: skip
+
+
+class _Metadata(Structure):
+    _fields_ = [("size", c_size_t), ("version", _Version), ("traits", c_uint32)]
+
+
+class _Extension(Structure):
+    _fields_ = [("size", c_size_t), ("type", c_int), ("next", c_void_p), ("metadata", POINTER(_Metadata))]
+
+
+class Buffer(Structure):
+    """An operand or a result: where its bytes are, and its shape."""
+
+    _fields_ = [
+        ("size", c_size_t), ("extension", c_void_p), ("dtype", c_int), ("data", c_void_p), ("rank", c_int64),
+        ("dims", POINTER(c_int64)),
+    ]  # fmt: skip
+
+    @property
+    def count(self) -> int:
+        """Elements, of four bytes each."""
+        return int(np.prod(self.shape))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of its axes."""
+        return tuple(self.dims[: self.rank])
+
+
+class _Buffers(Structure):
+    _fields_ = [
+        ("size", c_size_t), ("extension", c_void_p), ("count", c_int64), ("types", c_void_p),
+        ("items", POINTER(POINTER(Buffer))),
+    ]  # fmt: skip
+
+
+class _StreamGet(Structure):
+    _fields_ = [("size", c_size_t), ("extension", c_void_p), ("context", c_void_p), ("stream", c_void_p)]
+
+
+class Frame(Structure):
+    """What XLA hands to a foreign function when it calls it."""
+
+    _fields_ = [
+        ("size", c_size_t), ("extension", POINTER(_Extension)), ("api", POINTER(_Api)), ("context", c_void_p),
+        ("stage", c_int), ("inputs", _Buffers), ("outputs", _Buffers),
+    ]  # fmt: skip
+
+    @property
+    def transfer(self) -> tuple[Buffer, Buffer]:
+        """The one buffer that comes in and the one that goes out."""
+        return self.inputs.items[0].contents, self.outputs.items[0].contents
+
+    @property
+    def stream(self) -> int:
+        """The stream that a GPU executes this call in."""
+        get = ctypes.CFUNCTYPE(c_void_p, POINTER(_StreamGet))(self.api.contents.stream_get)
+        asked = _StreamGet(ctypes.sizeof(_StreamGet), None, self.context, None)
+        if get(ctypes.byref(asked)):
+            raise RuntimeError("XLA gave no stream")
+        return asked.stream
+
+
+class _ErrorCreate(Structure):
+    _fields_ = [("size", c_size_t), ("extension", c_void_p), ("message", c_char_p), ("code", c_int)]
+
+
+_HANDLER = ctypes.CFUNCTYPE(c_void_p, POINTER(Frame))
+
+
+def handler(work: Callable[[Frame], None]) -> Any:
+    """Return `work` as XLA calls it: it answers the question for a version, and an exception becomes an XLA error."""
+
+    def handle(pointer) -> int | None:
+        frame = pointer.contents
+        if frame.extension and frame.extension.contents.type == METADATA:
+            metadata, version = frame.extension.contents.metadata.contents, frame.api.contents.version
+            metadata.version.major, metadata.version.minor, metadata.traits = version.major, version.minor, 0
+            return None
+        try:
+            work(frame)
+        except Exception as error:
+            return _failure(frame.api.contents, f"{type(error).__name__}: {error}")
+        return None
+
+    return _HANDLER(handle)
+
+
+def _failure(api: _Api, message: str) -> int:
+    create = ctypes.CFUNCTYPE(c_void_p, POINTER(_ErrorCreate))(api.error_create)
+    asked = _ErrorCreate(ctypes.sizeof(_ErrorCreate), None, message.encode(), INTERNAL)
+    return create(ctypes.byref(asked))
+
+
+def view(address: int, count: int, kind: Any) -> np.ndarray:
+    """Return `count` numbers of the ctypes `kind` that stand at `address`."""
+    return np.ctypeslib.as_array((kind * count).from_address(address))
+
+
+def rows_of(buffer: Buffer, address: int | None = None) -> np.ndarray:
+    """Return the float32 buffer, or memory of its size at `address`, as rows [n, k]."""
+    return view(address or buffer.data or 0, buffer.count, ctypes.c_float).reshape(-1, buffer.shape[-1])
