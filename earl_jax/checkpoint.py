@@ -7,6 +7,7 @@ with a checksum of every file. Arrays only; nothing is ever unpickled.
 import hashlib
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +15,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.algos.autonomy import Lives
+from earl_jax.algos.autonomy import Lane, Lives
 from earl_jax.algos.replay import Replay
 
 MANIFEST = "manifest.json"
 
 
-def save(folder: Path, lives: Lives) -> Path:
-    """Write `lives` to `folder/<step>` and return that path; older checkpoints go once the new one is whole."""
+def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
+    """Write lanes `span` of `lives` to `folder/<step>`, return that path; older checkpoints go once the new one is whole."""
     step = int(lives.step)
     part, done = folder / f"part-{step}", folder / f"{step:09d}"
     for stale in folder.glob("part-*"):
         shutil.rmtree(stale)
     part.mkdir(parents=True)
-    lanes = _plain(lives.lanes)
+    lanes = _plain(jax.tree.map(lambda leaf: leaf[span], lives.lanes))
     _write(part / "lanes", lanes)
-    _write(part / "replay", _filled(lives.replay))
+    _write(part / "replay", _filled(lives.replay, span))
     manifest = {"step": step, "lanes": _described(lanes), "files": _checksums(part)}
     (part / MANIFEST).write_text(json.dumps(manifest))
     older = _found(folder)
@@ -41,6 +42,12 @@ def save(folder: Path, lives: Lives) -> Path:
     return done
 
 
+def newest(folder: Path) -> int:
+    """Return the step of the newest checkpoint in `folder`, 0 where there is none."""
+    found = _found(folder)
+    return int(found[-1].name) if found else 0
+
+
 def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None:
     """Return the newest checkpoint in `folder` in the form of `like` (shapes suffice), or None where there is none.
 
@@ -49,17 +56,41 @@ def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None
     Raises:
         ValueError: a file of the checkpoint is missing, changed or of another experiment; the message names it.
     """
-    found = _found(folder)
-    if not found:
+    return restore_together([folder], [like.replay.counts.shape[0]], like, with_replay)
+
+
+def restore_together(
+    folders: Sequence[Path], sizes: Sequence[int], like: Lives, with_replay: bool = True
+) -> Lives | None:
+    """Return the newest checkpoints of `folders`, of `sizes` lanes, side by side in the form of `like`; None without any.
+
+    Raises:
+        ValueError: as `restore`, or the checkpoints are not of one step.
+    """
+    steps = {newest(folder) for folder in folders}
+    if len(steps) > 1:
+        raise ValueError(f"checkpoints of steps {sorted(steps)} can't go on in one program")
+    if steps == {0}:
         return None
-    path = found[-1]
+    paths = [_found(folder)[-1] for folder in folders]
+    lanes = [_lanes(path, size, like) for path, size in zip(paths, sizes, strict=True)]
+    replay = (
+        _spread([_read(path / "replay", None) for path in paths], sizes, like.replay) if with_replay else like.replay
+    )
+    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
+    return Lives(joined, replay, jnp.asarray(steps.pop(), jnp.int32))
+
+
+def _lanes(path: Path, size: int, like: Lives) -> Lane:
+    """Return the `size` lanes of the checkpoint at `path`, every file of which is as it was written."""
     manifest = _verified(path)
-    wanted = _plain(like.lanes)
+    if manifest["step"] != int(path.name):
+        raise ValueError(f"checkpoint {path} is damaged: {MANIFEST} speaks of step {manifest['step']}")
+    form = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
+    wanted = _plain(form)
     if manifest["lanes"] != _described(wanted):
         raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
-    lanes = _typed(_read(path / "lanes", wanted), like.lanes)
-    replay = _spread(_read(path / "replay", None), like.replay) if with_replay else like.replay
-    return Lives(lanes, replay, jnp.asarray(manifest["step"], jnp.int32))
+    return _typed(_read(path / "lanes", wanted), form)
 
 
 def _found(folder: Path) -> list[Path]:
@@ -138,38 +169,39 @@ def _typed(leaves: dict[str, Any], like: Any) -> Any:
     return jax.tree.unflatten(structure, [typed(*pair) for pair in enumerate(wanted)])
 
 
-def _filled(replay: Replay) -> dict[str, np.ndarray]:
-    """Return the part of the replay that has been written; index rows of both controllers, counted from their ends."""
-    row, capacity = int(replay.row), replay.capacity
-    mine, other = (int(count) for count in np.asarray(replay.counts).max(axis=0))
+def _filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
+    """Return the written part of lanes `span` of the replay; index rows of both controllers, counted from their ends."""
+    row, capacity, counts = int(replay.row), replay.capacity, np.asarray(replay.counts)[span]
+    mine, other = (int(count) for count in counts.max(axis=0))
     rows = {
-        "state": np.asarray(replay.state[: row + 1]),
-        "action": np.asarray(replay.action[:row]),
-        "marks": np.asarray(replay.marks[:row]),
-        "reward": np.asarray(replay.reward[:row]),
-        "mine": np.asarray(replay.index[:mine]),
-        "other": np.asarray(replay.index[capacity - other :]),
-        "counts": np.asarray(replay.counts),
+        "state": np.asarray(replay.state[: row + 1, span]),
+        "action": np.asarray(replay.action[:row, span]),
+        "marks": np.asarray(replay.marks[:row, span]),
+        "reward": np.asarray(replay.reward[:row, span]),
+        "mine": np.asarray(replay.index[:mine, span]),
+        "other": np.asarray(replay.index[capacity - other :, span]),
+        "counts": counts,
         "demos": np.asarray(replay.demos),
         "row": np.asarray(row, np.int32),
     }
     return {name: array for name, array in rows.items() if array.size}
 
 
-def _spread(saved: dict[str, np.ndarray], like: Replay) -> Replay:
-    """Return the saved rows in a buffer of the capacity of `like`, which may be larger than the saved one's."""
-
-    def pad(name):
-        want = getattr(like, name)
-        buffer = np.zeros(want.shape, want.dtype)
-        if name in saved:
-            buffer[: len(saved[name])] = saved[name]
-        return jnp.asarray(buffer)
-
-    index = np.zeros(like.index.shape, like.index.dtype)
-    for name, place in (("mine", slice(None, None)), ("other", slice(None, None, -1))):
-        if name in saved:
-            index[place][: len(saved[name])] = saved[name][place]
-    rows = {name: pad(name) for name in ("state", "action", "marks", "reward")}
-    whole = {name: jnp.asarray(saved[name]) for name in ("counts", "demos", "row")}
-    return Replay(**rows, index=jnp.asarray(index), **whole)
+def _spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
+    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had."""
+    names = ("state", "action", "marks", "reward", "index", "counts")
+    buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
+    places = {"mine": buffers["index"], "other": buffers["index"][::-1]}
+    start = 0
+    for saved, size in zip(parts, sizes, strict=True):
+        span = slice(start, start := start + size)
+        buffers["counts"][span] = saved["counts"]
+        for name in names[:4]:
+            if name in saved:
+                buffers[name][: len(saved[name]), span] = saved[name]
+        for name, place in places.items():
+            if name in saved:
+                rows = saved[name] if name == "mine" else saved[name][::-1]
+                place[: len(rows), span] = rows
+    whole = {name: jnp.asarray(parts[0][name]) for name in ("demos", "row")}
+    return Replay(**{name: jnp.asarray(buffer) for name, buffer in buffers.items()}, **whole)

@@ -1,14 +1,11 @@
-"""The command line: `earl-jax list | train | resume | evaluate | plot | table | demos | import-demos | quickstart`."""
+"""The command line: `earl-jax list | train | resume | sweep | evaluate | plot | table | demos | import-demos | quickstart`."""
 
-import dataclasses
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
-
-from earl_jax import algos, envs
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
@@ -16,6 +13,7 @@ Physics = Annotated[
     str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
 ]
 Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
+Slurm = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs for sbatch: time (minutes), partition, ...")]
 
 
 def _say(result: dict[str, Any], as_json: bool, text: str) -> None:
@@ -30,20 +28,21 @@ def _value(text: str) -> Any:
         return text
 
 
-def _options(pairs: tuple[str, ...], env: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the task's and the method's options among name=value `pairs`."""
-    known = {field.name for field in dataclasses.fields(envs.make(env))}
-    parts: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+def _options(pairs: tuple[str, ...]) -> dict[str, Any]:
+    """Return name=value `pairs` as a dictionary."""
+    options = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
             raise ValueError(f"--set takes name=value, not {pair!r}")
-        parts[0 if name in known else 1][name] = _value(text)
-    return parts
+        options[name] = _value(text)
+    return options
 
 
 def list_(json: JSON = False) -> None:
     """Show the tasks and methods by name."""
+    from earl_jax import algos, envs
+
     names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
     _say(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
 
@@ -73,9 +72,9 @@ def train(
         eval_episodes: greedy episodes of each deployed evaluation.
         checkpoint_every: steps between checkpoints.
     """
-    from earl_jax import training
+    from earl_jax import algos, envs, training
 
-    env_options, options = _options(set, env)
+    env_options, options = training.split_options(env, _options(set))
     task = envs.with_physics(envs.make(env, **env_options), physics)
     result = training.train(
         task, algos.method_for(task, algo, **options), seeds=seeds, steps=steps, out=out,
@@ -98,6 +97,42 @@ def resume(folder: Positional[Path], steps: int | None = None, json: JSON = Fals
     if steps is not None:
         run = run.extended(steps)
     _report_run(execute(run.experiment, run, progress=True), folder, json)
+
+
+def sweep(
+    grid: Positional[Path],
+    out: Path = Path("runs/sweep"),
+    launcher: Literal["local", "slurm"] = "local",
+    max_lanes: int | None = None,
+    slurm: Slurm = (),
+    dry_run: bool = False,
+    json: JSON = False,
+) -> None:
+    """Train every cell of a grid, as many of them in one program as fit it; the same command goes on after a kill.
+
+    Args:
+        grid: a TOML file of tasks, methods and options (docs/sweeps.md).
+        out: the folder of the run folders, DIR/<task>/<method>/<options>.
+        launcher: local, one program after another on this machine; slurm, an array job through submitit.
+        max_lanes: lanes (cells x seeds) of the largest program.
+        dry_run: print the programs with their lanes, folders and memory, and start nothing.
+    """
+    from earl_jax import sweep as launching
+
+    if dry_run:
+        plan = launching.planned(grid, out, max_lanes)
+        _say(plan, json, launching.described(plan))
+        return
+    lines: list[str] = []
+    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, lines.append if json else _print)
+    if json:
+        _say({"out": str(out), "failed": failed, "lines": lines}, json, "")
+    if failed:
+        raise SystemExit(1)
+
+
+def _print(line: str) -> None:
+    print(line, flush=True)
 
 
 def _report_run(result: Any, out: Path, as_json: bool) -> None:
@@ -178,6 +213,7 @@ def demos(env: Positional[str], out: Path, seed: int = 0, physics: Physics = Non
         seed: of the expert's noise; 0 gives the file that ships.
     """
     from earl_jax import demos as making
+    from earl_jax import envs
 
     making.save(making.make(envs.with_physics(envs.make(env), physics), seed), out)
     print(out)
@@ -207,6 +243,7 @@ COMMANDS = {
     "list": list_,
     "train": train,
     "resume": resume,
+    "sweep": sweep,
     "evaluate": evaluate,
     "plot": plot,
     "table": table,

@@ -1,9 +1,7 @@
-"""Seeds in, curves out: chunks of the jitted loop, with evaluations, logs and checkpoints between them."""
+"""Seeds in, curves out: training by name, from a run folder, or as one pure function."""
 
 import dataclasses
 import functools
-import math
-import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,50 +12,11 @@ import numpy as np
 
 from earl_jax.algos import Method, autonomy, birth, method_for
 from earl_jax.algos.autonomy import Lane, Lives, Loop
-from earl_jax.checkpoint import restore, save
+from earl_jax.checkpoint import restore
 from earl_jax.envs import Env, make
 from earl_jax.experiment import Experiment, RunFolder
-from earl_jax.metrics.continuing import continuing_lane
-from earl_jax.metrics.deployed import deployed_lane
 from earl_jax.policy import Policy
-from earl_jax.progress import Progress
-from earl_jax.protocol import Protocol
-
-
-def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
-    """Return the lives with their reward window closed, and every metric [N] under both of the paper's protocols."""
-    since = jnp.asarray(loop.protocol.eval_every, jnp.float32)
-    step = lives.step.astype(jnp.float32)
-    deployed = jax.vmap(lambda m, lane: deployed_lane(loop, m, lane, lives.step))(method, lives.lanes)
-    lanes, continuing = jax.vmap(lambda lane: continuing_lane(lane, step, since))(lives.lanes)
-    return lives.replace(lanes=lanes), {**deployed, **continuing, **lanes.tally.diagnostics}
-
-
-_begin = jax.jit(birth.begin, static_argnames=("loop", "capacity"))
-_advance = jax.jit(autonomy.run, static_argnames=("loop", "steps", "explore"), donate_argnames="lives")
-_judge = jax.jit(judge, static_argnames="loop", donate_argnames="lives")
-
-
-def per_lane(method: Method, lanes: int) -> Method:
-    """Return `method` with every float leaf as an array [lanes]; a leaf that is one already keeps its values.
-
-    Raises:
-        ValueError: a leaf is neither a scalar nor of length `lanes`.
-    """
-
-    def spread(leaf):
-        shape = jnp.shape(leaf)
-        if shape not in ((), (lanes,)):
-            raise ValueError(f"a hyper-parameter has shape {shape}; give one value, or one for each of {lanes} lanes")
-        dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
-        return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
-
-    return jax.tree.map(spread, method)
-
-
-def _chunk(method: Method, protocol: Protocol) -> int:
-    """Return the steps of one jitted call: as many as fit both the random start and the evaluations."""
-    return math.gcd(method.sac.random_steps, protocol.eval_every)
+from earl_jax.program import Run, chunk_of, judge, keys_of, live, per_lane
 
 
 def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:
@@ -75,7 +34,7 @@ def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[L
     every, method = loop.protocol.eval_every, per_lane(method, keys.shape[0])
     if steps < 1 or steps % every:
         raise ValueError(f"steps {steps} is not a multiple of eval_every {every}")
-    chunk = _chunk(method, loop.protocol)
+    chunk = chunk_of(method, loop.protocol)
     warm = min(method.sac.random_steps, steps)
     lives = birth.begin(loop, method, keys, birth.capacity_for(loop, method, steps))
 
@@ -179,6 +138,15 @@ def train(
     return execute(experiment, folder, env=env, method=method, progress=progress)
 
 
+def split_options(env: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the task's and the method's options among `options`."""
+    known = {field.name for field in dataclasses.fields(make(env))}
+    return (
+        {name: value for name, value in options.items() if name in known},
+        {name: value for name, value in options.items() if name not in known},
+    )
+
+
 def _with_options(method: Method, options: dict[str, Any]) -> Method:
     if options:
         raise ValueError(f"options {', '.join(options)} go with an algo's name; this one is built: use .replace(...)")
@@ -195,42 +163,9 @@ def execute(
 ) -> Result:
     """Return the result of `experiment`, carried on from the newest checkpoint in `folder` where there is one."""
     env, method = env or experiment.build_env(), method or experiment.build_method()
-    loop = Loop(env, experiment.protocol(env))
-    lanes = per_lane(method, len(experiment.seeds))
-    chunk, warm = _chunk(method, loop.protocol), method.sac.random_steps
-    lives = _start(loop, lanes, experiment, folder)
-    step = int(lives.step)
-    rows = folder.rows_until(step) if folder else []
-    with Progress(experiment, step, show=progress) as bar:
-        while step < experiment.steps:
-            began = time.perf_counter()
-            lives = _advance(loop, lanes, lives, chunk, step < warm)
-            lives.step.block_until_ready()
-            step += chunk
-            bar.advance(chunk, time.perf_counter() - began)
-            if step % loop.protocol.eval_every:
-                continue
-            lives, metrics = _judge(loop, lanes, lives)
-            fresh = experiment.rows(step, {name: np.asarray(values) for name, values in metrics.items()})
-            rows += fresh
-            bar.report(step, fresh)
-            if folder:
-                folder.append(fresh)
-                if experiment.checkpoint_due(step):
-                    save(folder.checkpoints, lives)
-    return Result(experiment, env, lanes, experiment.seeds, *experiment.curves(rows), lives)
-
-
-def _start(loop: Loop, lanes: Method, experiment: Experiment, folder: RunFolder | None) -> Lives:
-    capacity = birth.capacity_for(loop, lanes, experiment.steps)
-    fresh = functools.partial(_begin, loop, lanes, _keys(experiment), capacity)
-    if folder and (saved := restore(folder.checkpoints, jax.eval_shape(fresh))) is not None:
-        return saved
-    return fresh()
-
-
-def _keys(experiment: Experiment) -> jax.Array:
-    return jax.vmap(jax.random.key)(jnp.asarray(experiment.seeds, jnp.uint32))
+    run = Run(experiment, per_lane(method, len(experiment.seeds)), folder)
+    lives = live(env, [run], progress)
+    return Result(experiment, env, run.method, experiment.seeds, *experiment.curves(run.rows), lives)
 
 
 def load_lanes(folder: RunFolder) -> tuple[Env, Method, Lane]:
@@ -243,7 +178,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, Lane]:
     env, method = experiment.build_env(), per_lane(experiment.build_method(), len(experiment.seeds))
     loop = Loop(env, experiment.protocol(env))
     capacity = birth.capacity_for(loop, method, 1)
-    shape = jax.eval_shape(functools.partial(_begin, loop, method, _keys(experiment), capacity))
+    shape = jax.eval_shape(functools.partial(birth.begin, loop, method, keys_of(experiment), capacity))
     lives = restore(folder.checkpoints, shape, with_replay=False)
     if lives is None:
         raise ValueError(f"{folder.path} has no checkpoint yet; earl-jax resume {folder.path} goes on with the run")

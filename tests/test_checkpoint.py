@@ -1,6 +1,7 @@
 """Checkpoints come back whole or say which file is not."""
 
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -38,6 +39,29 @@ def test_a_larger_buffer_keeps_both_ends_of_the_lists(tmp_path, loop, lives):
         np.testing.assert_array_equal(back.index[:mine, lane], lives.replay.index[:mine, lane])
         np.testing.assert_array_equal(back.index[-other:, lane], lives.replay.index[-other:, lane])
     assert back.capacity == larger.replay.capacity
+
+
+def test_lanes_are_saved_apart_and_come_back_side_by_side(tmp_path, loop):
+    method = tiny_method("fbrl", lanes=3)
+    lives = advance(loop, method, newborn(loop, method, [0, 1, 2]), 40)
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder, span in zip(folders, (slice(0, 1), slice(1, 3)), strict=True):
+        checkpoint.save(folder, lives, span)
+        assert checkpoint.newest(folder) == 40
+    shapes = jax.eval_shape(lambda: lives)
+    back = checkpoint.restore_together(folders, [1, 2], shapes)
+    assert_same(lives.lanes, back.lanes)
+    assert_same(used(lives.replay), used(back.replay))
+    assert_same(lives.replay.index, back.replay.index)
+    alone = checkpoint.restore(folders[1], jax.eval_shape(lambda: newborn(loop, tiny_method("fbrl"), [1, 2])))
+    assert_same(jax.tree.map(lambda leaf: leaf[1:], lives.lanes), alone.lanes)
+    np.testing.assert_array_equal(alone.replay.state[:41], lives.replay.state[:41, 1:])
+    with pytest.raises(ValueError, match="not of this experiment"):
+        checkpoint.restore_together(folders, [2, 1], shapes)
+    shutil.rmtree(folders[0])
+    assert checkpoint.newest(folders[0]) == 0
+    with pytest.raises(ValueError, match=r"steps \[0, 40\] can't go on in one program"):
+        checkpoint.restore_together(folders, [1, 2], shapes)
 
 
 def test_only_the_newest_is_kept_and_an_unfinished_one_is_ignored(tmp_path, loop, lives):
@@ -81,6 +105,12 @@ def test_a_broken_manifest_is_named(tmp_path, lives):
     path = checkpoint.save(tmp_path, lives)
     (path / "manifest.json").write_text("{")
     with pytest.raises(ValueError, match=r"manifest\.json cannot be read"):
+        checkpoint.restore(tmp_path, lives)
+
+
+def test_a_checkpoint_under_another_step_s_name_is_damaged(tmp_path, lives):
+    checkpoint.save(tmp_path, lives).rename(tmp_path / "000000080")
+    with pytest.raises(ValueError, match=r"damaged: manifest\.json speaks of step 40"):
         checkpoint.restore(tmp_path, lives)
 
 

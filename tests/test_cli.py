@@ -147,6 +147,11 @@ def test_a_damaged_checkpoint_is_one_line_and_nothing_is_overwritten(finished, t
         (["evaluate", "nowhere"], ["no run folder"]),
         (["plot", "nowhere"], ["no run folder"]),
         (["table", "nowhere", "--last", "0"], ["last must be at least 1"]),
+        (["sweep", "nowhere.toml"], ["nowhere.toml can't be read"]),
+        (["sweep", "nowhere.toml", "--launcher", "cloud"], ["cloud", "local", "slurm"]),
+        (["sweep", "nowhere.toml", "--slurm", "time=5"], ["--slurm options go with --launcher slurm"]),
+        (["sweep", "nowhere.toml", "--launcher", "slurm", "--slurm", "time"], ["name=value"]),
+        (["sweep", "nowhere.toml", "--max-lanes", "0"], ["max_lanes must be at least 1"]),
         (["fly"], ["fly"]),
     ],
 )

@@ -114,12 +114,14 @@ def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, step: jax.A
     return Outcome(fault, reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
 
 
+@jax.named_scope("act")
 def depart(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> tuple[jax.Array, Any]:
     """Return the action [a] of one lane, uniform with `explore`, and the control step that it sets off, in flight."""
     action = _act(loop, method, lane, key, explore)
     return action, loop.env.launch(lane.world, action)
 
 
+@jax.named_scope("physics")
 def arrive(
     loop: Loop, method: Method, lane: Lane, action: jax.Array, flight: Any, keys: Keys, step: jax.Array
 ) -> tuple:
@@ -165,6 +167,7 @@ def controller_of(method: Method, phase: jax.Array) -> jax.Array:
     return jnp.minimum(phase, method.controllers - 1)
 
 
+@jax.named_scope("update")
 def learn(loop: Loop, method: Method, lane: Lane, keys: Keys, rows: Rows, phase: jax.Array) -> Lane:
     """Return the lane after one SAC step of the controller that acted in `phase`, on sampled transitions `rows [B]`."""
     table = jnp.asarray(loop.goals.table)

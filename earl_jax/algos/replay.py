@@ -105,6 +105,7 @@ def unpack(words: jax.Array) -> Marks:
     return Marks(words & (REACHED - 1), *bits)
 
 
+@jax.named_scope("store")
 def write(replay: Replay, transition: Transition, valid: jax.Array, controller: jax.Array) -> Replay:
     """Append one transition a lane, listed for `controller [N]` where `valid [N]`.
 
@@ -129,6 +130,7 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
     )
 
 
+@jax.named_scope("sample")
 def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array) -> Rows:
     """Return `size` transitions a lane, uniform with replacement over what is listed for `controller [N]`.
 
