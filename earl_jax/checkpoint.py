@@ -17,20 +17,29 @@ import numpy as np
 
 from earl_jax.algos.autonomy import Lane, Lives
 from earl_jax.algos.replay import Replay
+from earl_jax.devices import first_host, gathered
 
 MANIFEST = "manifest.json"
+PIECE = 1 << 28
+"""Bytes of the replay that leave a device at a time."""
 
 
 def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
-    """Write lanes `span` of `lives` to `folder/<step>`, return that path; older checkpoints go once the new one is whole."""
-    step = int(lives.step)
+    """Write lanes `span` of `lives` to `folder/<step>`, return that path; older checkpoints go once the new one is whole.
+
+    Where lanes live on several hosts all of them must call, and the first one writes.
+    """
+    step = int(gathered(lives.step))
     part, done = folder / f"part-{step}", folder / f"{step:09d}"
+    lanes = gathered(_plain(jax.tree.map(lambda leaf: leaf[span], lives.lanes)))
+    replay = _filled(lives.replay, span)
+    if not first_host():
+        return done
     for stale in folder.glob("part-*"):
         shutil.rmtree(stale)
     part.mkdir(parents=True)
-    lanes = _plain(jax.tree.map(lambda leaf: leaf[span], lives.lanes))
     _write(part / "lanes", lanes)
-    _write(part / "replay", _filled(lives.replay, span))
+    _write(part / "replay", replay)
     manifest = {"step": step, "lanes": _described(lanes), "files": _checksums(part)}
     (part / MANIFEST).write_text(json.dumps(manifest))
     older = _found(folder)
@@ -127,17 +136,23 @@ def _described(leaves: dict[str, Any]) -> dict[str, str]:
     return {name: f"{leaf.dtype}{list(leaf.shape)}" for name, leaf in leaves.items()}
 
 
-def _write(path: Path, tree: Any) -> None:
+def _checkpointer() -> Any:
+    """Return orbax's checkpointer for arrays on this host alone: the first host writes, every host reads for itself."""
     import orbax.checkpoint as ocp
 
-    with ocp.StandardCheckpointer() as checkpointer:
+    me = jax.process_index()
+    several = {"primary_host": me, "active_processes": {me}, "barrier_sync_key_prefix": f"host{me}"}
+    options = ocp.options.MultiprocessingOptions(**(several if jax.process_count() > 1 else {}))
+    return ocp.StandardCheckpointer(multiprocessing_options=options)
+
+
+def _write(path: Path, tree: Any) -> None:
+    with _checkpointer() as checkpointer:
         checkpointer.save(path.resolve(), jax.tree.map(np.asarray, tree))
 
 
 def _read(path: Path, like: Any) -> Any:
-    import orbax.checkpoint as ocp
-
-    with ocp.StandardCheckpointer() as checkpointer:
+    with _checkpointer() as checkpointer:
         return checkpointer.restore(path.resolve(), like)
 
 
@@ -171,20 +186,28 @@ def _typed(leaves: dict[str, Any], like: Any) -> Any:
 
 def _filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
     """Return the written part of lanes `span` of the replay; index rows of both controllers, counted from their ends."""
-    row, capacity, counts = int(replay.row), replay.capacity, np.asarray(replay.counts)[span]
+    row, capacity, counts = int(gathered(replay.row)), replay.capacity, gathered(replay.counts)[span]
     mine, other = (int(count) for count in counts.max(axis=0))
     rows = {
-        "state": np.asarray(replay.state[: row + 1, span]),
-        "action": np.asarray(replay.action[:row, span]),
-        "marks": np.asarray(replay.marks[:row, span]),
-        "reward": np.asarray(replay.reward[:row, span]),
-        "mine": np.asarray(replay.index[:mine, span]),
-        "other": np.asarray(replay.index[capacity - other :, span]),
+        "state": _rows(replay.state, 0, row + 1, span),
+        "action": _rows(replay.action, 0, row, span),
+        "marks": _rows(replay.marks, 0, row, span),
+        "reward": _rows(replay.reward, 0, row, span),
+        "mine": _rows(replay.index, 0, mine, span),
+        "other": _rows(replay.index, capacity - other, capacity, span),
         "counts": counts,
-        "demos": np.asarray(replay.demos),
+        "demos": gathered(replay.demos),
         "row": np.asarray(row, np.int32),
     }
     return {name: array for name, array in rows.items() if array.size}
+
+
+def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
+    """Return rows `start` to `stop` of lanes `span` on the host, by pieces: a slice of it all would double a full device."""
+    stop = min(stop, len(array))
+    step = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
+    pieces = [gathered(array[first : min(first + step, stop), span]) for first in range(start, stop, step)]
+    return np.concatenate(pieces) if pieces else gathered(array[:0, span])
 
 
 def _spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:

@@ -1,6 +1,7 @@
 """The command line: `earl-jax list | train | resume | sweep | evaluate | plot | table | demos | import-demos | quickstart`."""
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +14,15 @@ Physics = Annotated[
     str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
 ]
 Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
+Devices = Annotated[
+    int | None, tyro.conf.arg(help="Devices that share the lanes: one, or those of all hosts where there are several.")
+]
+Hosts = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="Run as one of several hosts: auto on a cluster that jax knows, else ADDRESS:PORT,HOSTS,NUMBER."
+    ),
+]
 Slurm = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs for sbatch: time (minutes), partition, ...")]
 
 
@@ -57,6 +67,8 @@ def train(
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
     physics: Physics = None,
+    devices: Devices = None,
+    hosts: Hosts = None,
     set: Set = (),
     json: JSON = False,
 ) -> None:
@@ -74,16 +86,20 @@ def train(
     """
     from earl_jax import algos, envs, training
 
+    _join(hosts)
     env_options, options = training.split_options(env, _options(set))
     task = envs.with_physics(envs.make(env, **env_options), physics)
     result = training.train(
         task, algos.method_for(task, algo, **options), seeds=seeds, steps=steps, out=out,
         eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
+        devices=devices,
     )  # fmt: skip
     _report_run(result, out, json)
 
 
-def resume(folder: Positional[Path], steps: int | None = None, json: JSON = False) -> None:
+def resume(
+    folder: Positional[Path], steps: int | None = None, devices: Devices = None, hosts: Hosts = None, json: JSON = False
+) -> None:
     """Go on with a run from its newest checkpoint; the end is bit-identical to that of a run never stopped.
 
     Args:
@@ -93,10 +109,23 @@ def resume(folder: Positional[Path], steps: int | None = None, json: JSON = Fals
     from earl_jax.experiment import RunFolder
     from earl_jax.training import execute
 
+    _join(hosts)
     run = RunFolder.open(folder)
     if steps is not None:
         run = run.extended(steps)
-    _report_run(execute(run.experiment, run, progress=True), folder, json)
+    _report_run(execute(run.experiment, run, progress=True, devices=devices), folder, json)
+
+
+def _join(hosts: str | None) -> None:
+    """Make this process one of several, as `--hosts` says."""
+    if hosts is None:
+        return
+    from earl_jax.devices import join_hosts
+
+    parts = hosts.split(",")
+    if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
+        raise ValueError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
+    join_hosts(*((None, None, None) if hosts == "auto" else (parts[0], int(parts[1]), int(parts[2]))))
 
 
 def sweep(
@@ -105,6 +134,7 @@ def sweep(
     launcher: Literal["local", "slurm"] = "local",
     max_lanes: int | None = None,
     slurm: Slurm = (),
+    devices: Devices = None,
     dry_run: bool = False,
     json: JSON = False,
 ) -> None:
@@ -124,7 +154,7 @@ def sweep(
         _say(plan, json, launching.described(plan))
         return
     lines: list[str] = []
-    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, lines.append if json else _print)
+    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, devices, lines.append if json else _print)
     if json:
         _say({"out": str(out), "failed": failed, "lines": lines}, json, "")
     if failed:
@@ -254,7 +284,11 @@ COMMANDS = {
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command; what the user got wrong is one line on stderr and exit code 2."""
+    """Run one command; what the user got wrong is one line on stderr and exit code 2.
+
+    A GPU is taken nearly whole, not three quarters of it as jax would: replays are what fills it.
+    """
+    os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=arguments, description=__doc__)
     except (ValueError, OSError) as error:

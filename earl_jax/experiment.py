@@ -199,7 +199,8 @@ class RunFolder:
             raise ValueError(f"{self.path} has lived {lived} steps already, more than {steps}")
         longer = dataclasses.replace(self.experiment, steps=steps)
         config = json.loads((self.path / "config.json").read_text())
-        write_atomically(self.path / "config.json", json.dumps({**config, "steps": steps}, indent=2) + "\n")
+        if jax.process_index() == 0:
+            write_atomically(self.path / "config.json", json.dumps({**config, "steps": steps}, indent=2) + "\n")
         return RunFolder(self.path, longer)
 
     def append(self, rows: list[Row]) -> None:

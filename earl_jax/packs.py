@@ -158,7 +158,9 @@ def experiment_of(fields: dict[str, Any]) -> Experiment:
     return Experiment(**{**fields, "seeds": tuple(fields["seeds"])})
 
 
-def work(out: Path, experiments: dict[str, Experiment], say: Any, progress: bool = True) -> bool:
+def work(
+    out: Path, experiments: dict[str, Experiment], say: Any, progress: bool = True, devices: int | None = None
+) -> bool:
     """Return whether every cell of `experiments`, by name in the sweep at `out`, is finished in the end.
 
     Cells are packed anew by what they have reached. `say(cell, state, ...)` hears of each: started, resumed, done, failed.
@@ -177,16 +179,17 @@ def work(out: Path, experiments: dict[str, Experiment], say: Any, progress: bool
             if entry.finished:
                 say(entry.name, "done")
         for pack in packed(entries):
-            well &= _lived(pack, folders, say, progress)
+            well &= _lived(pack, folders, say, progress, devices)
     return well
 
 
-def _lived(pack: list[Entry], folders: dict[str, RunFolder], say: Any, progress: bool) -> bool:
+def _lived(pack: list[Entry], folders: dict[str, RunFolder], say: Any, progress: bool, devices: int | None) -> bool:
     """Return whether one program with all cells of `pack` came to its end."""
     for entry in pack:
         say(entry.name, "resumed" if entry.step else "started", step=entry.step)
     try:
-        live(pack[0].env, [Run(entry.experiment, entry.method, folders[entry.name]) for entry in pack], progress)
+        runs = [Run(entry.experiment, entry.method, folders[entry.name]) for entry in pack]
+        live(pack[0].env, runs, progress, devices)
     except Exception as error:  # the next pack may still be fine
         if not isinstance(error, ValueError | OSError):
             traceback.print_exc()
@@ -210,7 +213,7 @@ def _serve(stdin: IO[str]) -> int:
     def say(cell: str, state: str, **more: Any) -> None:
         print(json.dumps({"cell": cell, "state": state, **more}), flush=True)
 
-    return 0 if work(Path(task["out"]), experiments, say) else 1
+    return 0 if work(Path(task["out"]), experiments, say, devices=task.get("devices")) else 1
 
 
 def _end_with(descriptor: int) -> None:

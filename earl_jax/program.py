@@ -10,11 +10,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 
+from earl_jax import memory
 from earl_jax.algos import Method, autonomy, birth
 from earl_jax.algos.autonomy import Lives, Loop
 from earl_jax.algos.mixed import together
+from earl_jax.cache import keep_programs
 from earl_jax.checkpoint import restore_together, save
+from earl_jax.devices import LANES, LIVES, first_host, gathered, lane_mesh, mapped, placed
 from earl_jax.envs import Env
 from earl_jax.experiment import Experiment, Row, RunFolder
 from earl_jax.metrics.continuing import continuing_lane
@@ -32,9 +36,21 @@ def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, ja
     return lives.replace(lanes=lanes), {**deployed, **continuing, **lanes.tally.diagnostics}
 
 
-_begin = jax.jit(birth.begin, static_argnames=("loop", "capacity"))
-_advance = jax.jit(autonomy.run, static_argnames=("loop", "steps", "explore"), donate_argnames="lives")
-_judge = jax.jit(judge, static_argnames="loop", donate_argnames="lives")
+@functools.partial(jax.jit, static_argnames=("loop", "capacity", "mesh"))
+def _begin(loop: Loop, method: Method, keys: jax.Array, capacity: int, mesh: Mesh | None) -> Lives:
+    begin = mapped(lambda m, k: birth.begin(loop, m, k, capacity), mesh, (LANES, LANES), LIVES)
+    return begin(method, keys)
+
+
+@functools.partial(jax.jit, static_argnames=("loop", "steps", "explore", "mesh"), donate_argnames="lives")
+def _advance(loop: Loop, method: Method, lives: Lives, steps: int, explore: bool, mesh: Mesh | None) -> Lives:
+    run = mapped(lambda m, state: autonomy.run(loop, m, state, steps, explore), mesh, (LANES, LIVES), LIVES)
+    return run(method, lives)
+
+
+@functools.partial(jax.jit, static_argnames=("loop", "mesh"), donate_argnames="lives")
+def _judge(loop: Loop, method: Method, lives: Lives, mesh: Mesh | None) -> tuple[Lives, dict[str, jax.Array]]:
+    return mapped(functools.partial(judge, loop), mesh, (LANES, LIVES), (LIVES, LANES))(method, lives)
 
 
 def per_lane(method: Method, lanes: int) -> Method:
@@ -72,41 +88,57 @@ class Run:
         """Return the rows of `metrics [n]` at `step`, written to the folder."""
         fresh = self.experiment.rows(step, metrics)
         self.rows += fresh
-        if self.folder:
+        if self.folder and first_host():
             self.folder.append(fresh)
         return fresh
 
 
-def live(env: Env, runs: Sequence[Run], progress: bool = False) -> Lives:
+def live(env: Env, runs: Sequence[Run], progress: bool = False, devices: int | None = None) -> Lives:
     """Return the final lives of all lanes of `runs`, one after the other, carried on from their newest checkpoints.
 
     Runs of one program have `env`, lengths, the `form` of their methods and the step of their newest checkpoint in common.
     What each one earns is its own `rows`, and goes to its folder with the checkpoints of its own lanes.
     """
+    keep_programs()
     whole, pairs = _whole(runs), list(zip(runs, _spans(runs), strict=True))
-    loop, method = Loop(env, whole.protocol(env)), together([run.method for run in runs])
-    chunk, warm = chunk_of(method, loop.protocol), method.sac.random_steps
-    lives = _start(loop, method, runs)
-    step = int(lives.step)
+    method = together([run.method for run in runs])
+    loop, mesh, needed = fitting(env, method, whole, devices)
+    method, chunk, warm = placed(method, mesh), chunk_of(method, loop.protocol), method.sac.random_steps
+    lives = _start(loop, method, runs, mesh)
+    step = int(gathered(lives.step))
     for run in runs:
-        run.rows = run.folder.rows_until(step) if run.folder else []
-    with Progress(whole, step, show=progress) as bar:
+        run.rows = run.folder.rows_until(step) if run.folder and first_host() else []
+    with Progress(whole, step, show=progress and first_host()) as bar:
+        bar.say(str(needed))
         while step < whole.steps:
             began = time.perf_counter()
-            lives = _advance(loop, method, lives, chunk, step < warm)
+            lives = _advance(loop, method, lives, chunk, step < warm, mesh)
             lives.step.block_until_ready()
             step += chunk
             bar.advance(chunk, time.perf_counter() - began)
             if step % loop.protocol.eval_every:
                 continue
-            lives, metrics = _judge(loop, method, lives)
-            host = {name: np.asarray(values) for name, values in metrics.items()}
+            lives, metrics = _judge(loop, method, lives, mesh)
+            host = gathered(metrics)
             fresh = [run.add(step, {name: values[span] for name, values in host.items()}) for run, span in pairs]
             bar.report(step, list(itertools.chain(*fresh)))
             for run, span in pairs:
                 if run.folder and run.experiment.checkpoint_due(step):
                     save(run.folder.checkpoints, lives, span)
     return lives
+
+
+def fitting(env: Env, method: Method, whole: Experiment, devices: int | None) -> tuple[Loop, Mesh | None, memory.Need]:
+    """Return the world of a program, the devices for its lanes and what they will occupy.
+
+    Raises:
+        ValueError: a task lacks the demonstrations that a method needs, or lanes and devices don't fit.
+    """
+    lanes = len(whole.seeds)
+    loop, mesh = Loop(env.for_lanes(lanes), whole.protocol(env)), lane_mesh(devices, lanes)
+    needed = memory.need(loop, method, lanes, whole.steps)
+    memory.require(needed, mesh)
+    return loop, mesh, needed
 
 
 def _whole(runs: Sequence[Run]) -> Experiment:
@@ -121,14 +153,14 @@ def _spans(runs: Sequence[Run]) -> list[slice]:
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _start(loop: Loop, method: Method, runs: Sequence[Run]) -> Lives:
-    keys = jnp.concatenate([keys_of(run.experiment) for run in runs])
+def _start(loop: Loop, method: Method, runs: Sequence[Run], mesh: Mesh | None) -> Lives:
+    keys = placed(jnp.concatenate([keys_of(run.experiment) for run in runs]), mesh)
     capacity = birth.capacity_for(loop, method, runs[0].experiment.steps)
-    fresh = functools.partial(_begin, loop, method, keys, capacity)
+    fresh = functools.partial(_begin, loop, method, keys, capacity, mesh)
     folders = [run.folder.checkpoints for run in runs if run.folder]
     sizes = [len(run.experiment.seeds) for run in runs]
     if folders and (saved := restore_together(folders, sizes, jax.eval_shape(fresh))) is not None:
-        return saved
+        return placed(saved, mesh, LIVES)
     return fresh()
 
 

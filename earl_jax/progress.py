@@ -18,7 +18,7 @@ class Progress:
 
     def __init__(self, experiment: "Experiment", done: int, show: bool):
         self._experiment, self._speed, self._metric = experiment, 0.0, experiment.deployed_metric
-        self._console = Console(stderr=True)
+        self._console, self._show = Console(stderr=True), show
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
             TextColumn(f"{self._metric} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
@@ -34,6 +34,11 @@ class Progress:
 
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the bar."""
+        if self._show:
+            self._console.print(text, highlight=False)
 
     def advance(self, steps: int, seconds: float) -> None:
         """Count `steps` of every lane that took `seconds`; the speed shown is of all lanes together."""

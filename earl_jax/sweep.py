@@ -24,6 +24,7 @@ def sweep(
     launcher: str = "local",
     max_lanes: int | None = None,
     slurm: tuple[str, ...] = (),
+    devices: int | None = None,
     say: Say = print,
 ) -> int:
     """Return how many cells of a grid failed, after running those that are not finished (local) or submitting them (slurm).
@@ -34,6 +35,7 @@ def sweep(
         launcher: `local`, one pack after another on this machine, or `slurm`, an array job with a task for each pack.
         max_lanes: lanes of the largest pack.
         slurm: name=value pairs for sbatch, `time` (minutes) among them.
+        devices: how many devices share the lanes of a pack.
         say: told a line for each cell, and a summary.
 
     Raises:
@@ -50,7 +52,7 @@ def sweep(
     for name in plan["cells"]:
         if name not in waiting:
             say(f"done       {name}  (before)")
-    return LAUNCHERS[launcher](plan, say, executor)
+    return LAUNCHERS[launcher]({**plan, "devices": devices}, say, executor)
 
 
 def planned(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
@@ -138,7 +140,11 @@ def _event(line: str) -> dict[str, Any] | None:
 def tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
     """Return what a worker needs to know of each pack, independent of the grid's file."""
     return [
-        {"out": plan["out"], "cells": {name: plan["cells"][name]["experiment"] for name in pack["cells"]}}
+        {
+            "out": plan["out"],
+            "devices": plan.get("devices"),
+            "cells": {name: plan["cells"][name]["experiment"] for name in pack["cells"]},
+        }
         for pack in plan["packs"]
     ]
 

@@ -13,10 +13,11 @@ import numpy as np
 from earl_jax.algos import Method, autonomy, birth, method_for
 from earl_jax.algos.autonomy import Lane, Lives, Loop
 from earl_jax.checkpoint import restore
+from earl_jax.devices import first_host
 from earl_jax.envs import Env, make
 from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.policy import Policy
-from earl_jax.program import Run, chunk_of, judge, keys_of, live, per_lane
+from earl_jax.program import Run, chunk_of, fitting, judge, keys_of, live, per_lane
 
 
 def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:
@@ -109,6 +110,7 @@ def train(
     out: str | Path | None = None,
     checkpoint_every: int = 100_000,
     progress: bool = False,
+    devices: int | None = None,
     **options: Any,
 ) -> Result:
     """Return the curves and final lives of `algo` on `env`, all seeds in one jitted program.
@@ -123,6 +125,7 @@ def train(
         out: a folder for config, metrics and checkpoints; without it nothing is written.
         checkpoint_every: steps between checkpoints, where `out` is given.
         progress: show a bar, or on a plain stream a line per evaluation.
+        devices: how many devices share the lanes; one, or those of all hosts where jax runs on several.
         options: hyper-parameters by name; a list gives each lane its own value.
 
     Raises:
@@ -132,10 +135,13 @@ def train(
     method = method_for(env, algo, **options) if isinstance(algo, str) else _with_options(algo, options)
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
     experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every)
-    # Refuses a task without the demonstrations that a method needs, before there is a folder.
-    birth.demo_rows(Loop(env, experiment.protocol(env)), method)
-    folder = RunFolder.create(Path(out), experiment) if out is not None else None
-    return execute(experiment, folder, env=env, method=method, progress=progress)
+    fitting(env, method, experiment, devices)  # before there is a folder
+    folder = _folder(Path(out), experiment) if out is not None else None
+    return execute(experiment, folder, env=env, method=method, progress=progress, devices=devices)
+
+
+def _folder(path: Path, experiment: Experiment) -> RunFolder:
+    return RunFolder.create(path, experiment) if first_host() else RunFolder(path, experiment)
 
 
 def split_options(env: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -160,11 +166,12 @@ def execute(
     env: Env | None = None,
     method: Method | None = None,
     progress: bool = False,
+    devices: int | None = None,
 ) -> Result:
     """Return the result of `experiment`, carried on from the newest checkpoint in `folder` where there is one."""
     env, method = env or experiment.build_env(), method or experiment.build_method()
     run = Run(experiment, per_lane(method, len(experiment.seeds)), folder)
-    lives = live(env, [run], progress)
+    lives = live(env, [run], progress, devices)
     return Result(experiment, env, run.method, experiment.seeds, *experiment.curves(run.rows), lives)
 
 

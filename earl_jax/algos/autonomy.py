@@ -214,7 +214,7 @@ def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) 
         replay, rows = _once_read(replay, rows)
         lanes = jax.vmap(lambda *each: learn(loop, *each))(method, lanes, keys, rows, lanes.phase)
         flight = _once_learnt(lanes.agent, flight)
-    land = jax.vmap(lambda *each: arrive(loop, *each, step))
+    land = jax.vmap(lambda m, lane, one, away, key: arrive(loop, m, lane, one, away, key, step))
     lanes, transition, listed = land(method, lanes, action, flight, keys)
     return Lives(lanes, replay_lib.write(replay, transition, listed, controller), step + 1)
 
@@ -241,8 +241,8 @@ def _once_learnt(agent: sac_lib.Agent, flight: Any) -> Any:
     def held(leaf):
         if not jnp.issubdtype(leaf.dtype, jnp.integer):
             return leaf
-        numbers = [part.reshape(part.shape[0], -1)[:, 0] for part in jax.tree.leaves(agent)]
-        return leaf + (sum(numbers)[:, None] == UNLIKELY)
+        numbers = jnp.stack([part.reshape(part.shape[0], -1)[:, 0] for part in jax.tree.leaves(agent)])
+        return leaf + (numbers.sum(axis=0)[:, None] == UNLIKELY)
 
     return jax.tree.map(held, flight)
 

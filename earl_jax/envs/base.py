@@ -74,6 +74,11 @@ class Env(abc.ABC):
         """What moves this world: a physics engine's name, or `kinematic` for plain arithmetic."""
         return "kinematic"
 
+    def for_lanes(self, lanes: int) -> "Env":
+        """Return this task with what only the number of lanes can tell decided: for a physics engine `auto`, which one."""
+        del lanes
+        return self
+
     @property
     def obs_size(self) -> int:
         """Length of `obs`: state and goal."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env, State
-from earl_jax.physics import Drive, Integration, Simulator, resolve
+from earl_jax.physics import Drive, Integration, Simulator, fastest, resolve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +33,9 @@ class PhysicalEnv(Env):
     @property
     def engine(self) -> str:
         return resolve(self.physics)
+
+    def for_lanes(self, lanes: int) -> "PhysicalEnv":
+        return dataclasses.replace(self, physics=fastest(self.model, lanes)) if self.physics == "auto" else self
 
     @property
     def model(self) -> str:

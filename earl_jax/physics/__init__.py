@@ -20,7 +20,16 @@ __all__ = ["Drive", "Integration", "Simulator", "load_model", "mjx_data", "mujoc
 
 ENGINES = ("mjx", "warp", "c")
 FASTEST = {"cpu": "c", "gpu": "c"}
-"""The engine `auto` takes on a backend, by benchmarks/results/physics; elsewhere (TPU) it is mjx."""
+"""The engine `auto` takes on a backend for few lanes, by benchmarks/results/physics; elsewhere (TPU) it is mjx."""
+HOST_MS = {
+    "cheetah_run": 0.027, "dhand_lightbulb": 0.71, "fish_swim": 0.098, "franka_kitchen": 0.49, "minitaur_pen": 0.31,
+    "sawyer_door": 0.10, "sawyer_peg": 0.10,
+}  # fmt: skip
+"""Milliseconds of one core for one lane's control step on `c`, from 1,000 lanes on 16 cores beside an H200."""
+DEVICE_MS = {
+    "dhand_lightbulb": 103.0, "franka_kitchen": 47.0, "minitaur_pen": 9.1, "sawyer_door": 43.0, "sawyer_peg": 109.0,
+}  # fmt: skip
+"""Milliseconds of a control step of 1,000 lanes on `mjx` on the same H200; fewer take hardly less."""
 EXTRAS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
 
 
@@ -38,6 +47,15 @@ def resolve(engine: str) -> str:
     if importlib.util.find_spec(module.partition(".")[0]) is None:
         raise ValueError(f"physics engine {engine!r} is not installed; get it with: pip install 'earl-jax{extra}'")
     return engine
+
+
+def fastest(model: str, lanes: int) -> str:
+    """Return the engine that steps `lanes` of `model` soonest here, by what was measured for it and the cores of this process."""
+    engine = resolve("auto")
+    if jax.default_backend() != "gpu" or model not in DEVICE_MS:
+        return engine
+    host = lanes * HOST_MS[model] / (c.cores() / jax.local_device_count())
+    return "mjx" if host > DEVICE_MS[model] * max(1.0, lanes / 1000) else engine
 
 
 @dataclasses.dataclass(frozen=True)

@@ -26,15 +26,14 @@ HELD = ("mocap_pos", "mocap_quat", "constants")
 def launch(simulator: "Simulator", state: Integration, command: jax.Array) -> jax.Array:
     """Return the control step of one lane on its way: a ticket where the host works beside a GPU, else the row itself."""
     row = jnp.concatenate([jnp.ravel(getattr(state, field)) for field in ORDER + HELD] + [command])
-    return service.launch(_name(simulator, state), row) if _beside() else row
+    return service.launch(_served(simulator, state)[0], row) if _beside() else row
 
 
 def land(simulator: "Simulator", state: Integration, flight: jax.Array) -> tuple[Integration, jax.Array]:
     """Return what `Simulator.step` promises of the step that `launch` began from `state`."""
-    widths = np.cumsum([getattr(state, field).size for field in ORDER])
-    answer = service.land if _beside() else service.step
-    after = answer(_name(simulator, state), flight, int(widths[-1]) + simulator.mujoco_model().nsensordata)
-    time, *rest, sensors = jnp.split(after, widths)
+    name, width = _served(simulator, state)
+    after = (service.land if _beside() else service.step)(name, flight, width)
+    time, *rest, sensors = jnp.split(after, _ends(state))
     return state.replace(time=time[0], **dict(zip(ORDER[1:], rest, strict=True))), sensors
 
 
@@ -42,13 +41,22 @@ def _beside() -> bool:
     return jax.default_backend() != "cpu"
 
 
-def _name(simulator: "Simulator", state: Integration) -> str:
-    """Return the name under which XLA finds this simulator's host, the same in every process."""
-    serve = host_of(simulator, state.memory.size)
+def _ends(state: Integration) -> np.ndarray:
+    return np.cumsum([getattr(state, field).size for field in ORDER])
+
+
+def _served(simulator: "Simulator", state: Integration) -> tuple[str, int]:
+    """Return the name under which XLA finds this simulator's host, the same in every process, and the width of its answers."""
+    serve, width = host_of(simulator, state.memory.size), int(_ends(state)[-1]) + simulator.mujoco_model().nsensordata
     digest = hashlib.blake2b(repr((simulator, state.memory.size)).encode(), digest_size=8).hexdigest()
     name = f"earl_jax.{simulator.model}.{digest}"
-    service.register(name, serve)
-    return name
+    service.register(name, serve, width)
+    return name, width
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Host:
@@ -66,7 +74,6 @@ class Host:
         self.physics = 1 + model.nq + model.nv + model.na
         self.position, self.velocity = slice(1, 1 + model.nq), slice(1 + model.nq, 1 + model.nq + model.nv)
         self.widths = np.cumsum([self.physics, model.nv, memory, 7 * model.nmocap, simulator.variation_size])
-        self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self.crews: dict[int, Crew] = {}
         self.lock = threading.Lock()
 
@@ -75,7 +82,7 @@ class Host:
         with self.lock:
             if stream not in self.crews:
                 streams = [*self.crews, stream]
-                self.crews = {one: Crew(self, max(1, self.cores // len(streams))) for one in streams}
+                self.crews = {one: Crew(self, max(1, cores() // len(streams))) for one in streams}
             crew = self.crews[stream]
         return crew.advance(rows)
 
@@ -83,16 +90,18 @@ class Host:
 class Crew:
     """Threads, and the data and models they work on, for the rows of one stream.
 
-    All rows go through one call of `mujoco.rollout` (one a substep where a drive has its say before each), on all its
-    threads, or half of them for few rows, where waking a thread costs more than it does.
+    All rows go through one call of `mujoco.rollout` (one a substep where a drive has its say before each). Waking a thread
+    costs more than it does for few rows: half the threads take as many rows as there are threads, three quarters four times
+    as many, and short calls for a drive half as many again, as measured on 16 cores (benchmarks/PROFILE.md).
     """
 
     def __init__(self, host: Host, threads: int):
         mujoco: Any = importlib.import_module("mujoco")
         rollout: Any = importlib.import_module("mujoco.rollout")
-        self.host, self.most, self.few = host, threads, max(1, threads // 2)
+        self.host, self.threads = host, threads
+        self.half, self.most = max(1, threads // 2), max(1, threads * 3 // 4)
         self.data = [mujoco.MjData(host.model) for _ in range(threads)]
-        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.most, self.few}}
+        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.half, self.most, self.threads}}
         self.models: list[Any] = []
         self.constants = np.zeros((0, host.simulator.variation_size))
         self.lock = threading.Lock()
@@ -122,7 +131,7 @@ class Crew:
         states = np.empty((count, steps, host.physics))
         sensors = np.empty((count, steps, host.model.nsensordata))
         held = np.repeat(np.concatenate([ctrl, mocap], axis=1)[:, None], steps, axis=1)
-        threads = self.most if count > 4 * self.most else self.few
+        threads = self._threads(count)
         start = np.ascontiguousarray(state)
         self.pools[threads].rollout(
             models, self.data[:threads], start, held, control_spec=host.spec, skip_checks=True, nstep=steps,
@@ -131,6 +140,11 @@ class Crew:
         before = states[:, last - 1] if last else start
         acceleration = (states[:, last, host.velocity] - before[:, host.velocity]) / host.model.opt.timestep
         return states[:, last], acceleration, sensors[:, last]
+
+    def _threads(self, rows: int) -> int:
+        """Return how many threads work on `rows`."""
+        load = rows / self.threads / (4 if self.host.simulator.drive else 1)
+        return self.half if load <= 1 else self.most if load <= 4 else self.threads
 
     def _models(self, constants: np.ndarray) -> list[Any]:
         """Return a model a row: one for all, or each with its own `constants [n, k]`, written only where they changed."""

@@ -49,6 +49,11 @@ class Buffer(Structure):
         return int(np.prod(self.shape))
 
     @property
+    def integers(self) -> np.ndarray:
+        """Its bytes as int32, where they are on the host."""
+        return view(self.data or 0, self.count, ctypes.c_int32)
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of its axes."""
         return tuple(self.dims[: self.rank])

@@ -1,0 +1,112 @@
+"""Lanes over several devices and hosts: fake CPU devices in a process of their own, two processes as two hosts."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from earl_jax.devices import lane_mesh
+from earl_jax.experiment import RunFolder
+from tests.conftest import CACHE
+
+FOUR = {**os.environ, "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
+SETTING = """
+import json, sys
+import jax
+import numpy as np
+import earl_jax
+from earl_jax import devices, program
+from earl_jax.algos.autonomy import Loop
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16, 16], batch_size=16, random_steps=20)
+"""
+EQUAL = """
+apart = {}
+for task, algo in (("tabletop_organization", "fbrl"), ("sawyer_door", "naive")):
+    one, four = (earl_jax.train(task, algo, devices=count, **tiny) for count in (1, 4))
+    apart[task] = [float(np.abs(one.metrics[name] - four.metrics[name]).max()) for name in one.metrics]
+    spread = len(four.lives.lanes.phase.sharding.device_set)
+print(json.dumps({"apart": apart, "devices": spread, "moved": float(np.abs(one.metrics["critic_loss"]).min())}))
+"""
+ALONE = """
+run = earl_jax.train("tabletop_organization", "naive", **tiny)
+loop, mesh = Loop(run.env, run.experiment.protocol(run.env)), devices.lane_mesh(4, 8)
+method, keys = (devices.placed(tree, mesh) for tree in (run.method, program.keys_of(run.experiment)))
+lives = program._begin(loop, method, keys, 5000, mesh)
+text = program._advance.lower(loop, method, lives, 20, False, mesh).compile().as_text()
+words = ("all-reduce", "all-gather", "all-to-all", "collective", "reduce-scatter")
+print(json.dumps({"found": [word for word in words if word in text], "long": len(text) > 10_000}))
+"""
+
+
+def told(script):
+    command = [sys.executable, "-c", SETTING + script, str(CACHE)]
+    result = subprocess.run(command, env=FOUR, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr[-2000:]
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def test_four_devices_live_the_lives_of_one():
+    said = told(EQUAL)
+    assert said["devices"] == 4
+    assert said["moved"] > 0
+    assert max(map(max, said["apart"].values())) < 1e-4, "products over other numbers of lanes round differently"
+
+
+def test_the_program_holds_no_collective():
+    assert told(ALONE) == {"found": [], "long": True}
+
+
+def test_what_does_not_fit_the_devices_says_what_would():
+    with pytest.raises(ValueError, match=r"2 devices asked for, and there are 1 \(cpu\)"):
+        lane_mesh(2, 8)
+    assert lane_mesh(None, 8) is None
+    said = told("""
+try:
+    earl_jax.train("tabletop_organization", "naive", devices=3, **tiny)
+except ValueError as error:
+    print(json.dumps(str(error)))
+""")
+    assert said == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("localhost", 0))
+        return listener.getsockname()[1]
+
+
+def on_two_hosts(*arguments):
+    address = f"localhost:{free_port()}"
+    env = {**os.environ, "EARL_JAX_CACHE": str(CACHE)}
+    hosts = [
+        subprocess.Popen(
+            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}"],
+            env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )
+        for number in range(2)
+    ]  # fmt: skip
+    try:
+        said = [host.communicate(timeout=120)[0] for host in hosts]
+    finally:
+        for host in hosts:
+            host.kill()
+    assert [host.returncode for host in hosts] == [0, 0], said
+
+
+def test_two_hosts_write_one_run_and_go_on_with_it(tmp_path):
+    options = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
+    lengths = ["--seeds", "4", "--eval-every", "40", "--checkpoint-every", "40"]
+    train = ["train", "tabletop_organization", "--algo", "fbrl", *lengths]
+    on_two_hosts(*train, "--steps", "40", "--out", str(tmp_path / "two"), *options)
+    on_two_hosts("resume", str(tmp_path / "two"), "--steps", "80")
+    command = [sys.executable, "-m", "earl_jax.cli", *train, "--steps", "80", "--out", str(tmp_path / "one"), *options]
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "EARL_JAX_CACHE": str(CACHE)})
+    two, one = (RunFolder.open(tmp_path / name).rows() for name in ("two", "one"))
+    assert [(row["step"], row["seed"]) for row in two] == [(row["step"], row["seed"]) for row in one]
+    for ours, theirs in zip(two, one, strict=True):
+        np.testing.assert_allclose([*ours.values()], [*theirs.values()], rtol=1e-4, atol=1e-5)
