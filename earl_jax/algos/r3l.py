@@ -8,16 +8,12 @@ from flax import struct
 
 from earl_jax.algos import sac as sac_lib
 from earl_jax.algos.method import RETURN, TASK, Commands, Goals, Method
-from earl_jax.algos.networks import mlp
+from earl_jax.algos.networks import apply, mlp
 from earl_jax.algos.replay import Rows
 from earl_jax.envs import Env
 
 EMBEDDING = 512
 _NETWORK = mlp((256, 256), EMBEDDING)
-
-
-def _embed(params: Any, states: jax.Array) -> jax.Array:
-    return jnp.asarray(_NETWORK.apply(params, states))
 
 
 class RND(struct.PyTreeNode):
@@ -28,9 +24,10 @@ class RND(struct.PyTreeNode):
     moments: Any
     sigma: jax.Array
 
-    def error(self, predictor: Any, states: jax.Array) -> jax.Array:
+    def error(self, predictor: Any, states: jax.Array, precision: str = "tf32") -> jax.Array:
         """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
-        return jnp.square(_embed(self.target, states) - _embed(predictor, states)).mean(axis=-1)
+        aim, guess = [apply(_NETWORK, params, states, precision) for params in (self.target, predictor)]
+        return jnp.square(aim - guess).mean(axis=-1)
 
 
 class R3L(Method):
@@ -64,12 +61,14 @@ class R3L(Method):
         return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
 
     def reward(self, rows: Rows, phase: jax.Array, extra: RND) -> jax.Array:
-        novelty = jnp.clip(extra.error(extra.predictor, rows.state) / extra.sigma, 0.0, self.rnd_clip)
+        novelty = jnp.clip(
+            extra.error(extra.predictor, rows.state, self.sac.precision) / extra.sigma, 0.0, self.rnd_clip
+        )
         return jnp.where(phase == RETURN, novelty, rows.reward)
 
     def learn_extra(self, extra: RND, rows: Rows, phase: jax.Array) -> RND:
         def loss(predictor):
-            errors = extra.error(predictor, rows.state)
+            errors = extra.error(predictor, rows.state, self.sac.precision)
             return errors.mean(), errors
 
         grads, errors = jax.grad(loss, has_aux=True)(extra.predictor)

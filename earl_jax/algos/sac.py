@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from earl_jax.algos import networks
 from earl_jax.algos.networks import TanhNormal, mlp
 
 SOFT_CRITICS = 2
@@ -45,6 +46,12 @@ class SAC(struct.PyTreeNode):
     """Normalise the critics' hidden layers; off as in the paper, on in later work (MEDAL, RLPD), where it tames them."""
     random_steps: int = struct.field(pytree_node=False, default=1000)
     """Uniformly random actions, without updates, at the start of a life (paper)."""
+    precision: str = struct.field(pytree_node=False, default="tf32")
+    """Arithmetic of the networks' matrix products: "float32" everywhere, "tf32" (XLA's default: TF32 on NVIDIA GPUs,
+    float32 on CPUs) or "bf16" (bfloat16 operands and activations; parameters, sums, losses and Adam stay float32)."""
+
+    def __post_init__(self):
+        networks.check_precision(self.precision)
 
 
 class Batch(NamedTuple):
@@ -78,6 +85,11 @@ def _critic(sac: SAC) -> Any:
     return mlp(sac.hidden_sizes, 1, sac.layer_norm)
 
 
+def _policy(sac: SAC, actor: Any, obs: jax.Array, action_size: int) -> jax.Array:
+    """Return the parameters [..., 2a] of the action distribution at `obs [..., o]`."""
+    return networks.apply(mlp(sac.hidden_sizes, 2 * action_size), actor, obs, sac.precision)
+
+
 def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int = SOFT_CRITICS) -> Agent:
     """Return a fresh `Agent` for observations [o] and actions [a] with `critics` >= 2 stacked critics."""
     actor_key, critic_key = jax.random.split(key)
@@ -95,17 +107,17 @@ def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int
 
 def act(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, action_size: int) -> jax.Array:
     """Return actions [..., a] sampled from the policy at `obs [..., o]`."""
-    return TanhNormal(action_size).sample(mlp(sac.hidden_sizes, 2 * action_size).apply(actor, obs), key)
+    return TanhNormal(action_size).sample(_policy(sac, actor, obs, action_size), key)
 
 
 def greedy(sac: SAC, actor: Any, obs: jax.Array, action_size: int) -> jax.Array:
     """Return the mode of the policy [..., a] at `obs [..., o]`, the action of every evaluation."""
-    return TanhNormal(action_size).mode(mlp(sac.hidden_sizes, 2 * action_size).apply(actor, obs))
+    return TanhNormal(action_size).mode(_policy(sac, actor, obs, action_size))
 
 
 def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
     """Return reparametrised actions [..., a] and their log-probabilities [...] (appendix C of the SAC paper)."""
-    policy, parameters = TanhNormal(size), mlp(sac.hidden_sizes, 2 * size).apply(actor, obs)
+    policy, parameters = TanhNormal(size), _policy(sac, actor, obs, size)
     raw = policy.sample_no_postprocessing(parameters, key)
     return policy.postprocess(raw), policy.log_prob(parameters, raw)
 
@@ -113,7 +125,12 @@ def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size
 def q_values(sac: SAC, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
     """Return the values [K, ...] that K stacked critics give to `obs [..., o]` and `action [..., a]`."""
     pair = jnp.concatenate([obs, action], axis=-1)
-    return jax.vmap(_critic(sac).apply, (0, None))(critics, pair)[..., 0]
+    network = _critic(sac)
+    if sac.precision == "bf16" and networks.WAYS.spread:
+        count = jax.tree.leaves(critics)[0].shape[0]
+        pairs = jnp.broadcast_to(pair, (count, *pair.shape))
+        return jax.vmap(lambda one, x: networks.apply(network, one, x, sac.precision))(critics, pairs)[..., 0]
+    return jax.vmap(lambda one: networks.apply(network, one, pair, sac.precision))(critics)[..., 0]
 
 
 def _pair_min(values: jax.Array) -> jax.Array:

@@ -1,13 +1,16 @@
 """The learner against closed forms: targets, densities, and a world whose value is known."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
+from earl_jax.algos import make_algo, networks
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.networks import TanhNormal, mlp
+from earl_jax.algos.networks import TanhNormal, apply, mlp
 from earl_jax.algos.sac import SAC, Batch
 
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
@@ -62,6 +65,84 @@ def test_networks_start_glorot_uniform_with_zero_biases():
     assert 0.98 * bound < np.abs(kernel).max() <= bound
     assert all(not layer["bias"].any() for layer in params.values())
     assert params["hidden_2"]["kernel"].shape == (256, 3)
+
+
+def updated(precision, critics=2, layer_norm=False):
+    """Return two lanes' agents after one update, and that update as XLA is given it."""
+    sac = SMALL.replace(precision=precision, layer_norm=layer_norm)
+    keys = jax.random.split(jax.random.key(0), 2)
+    agents = jax.vmap(lambda key: sac_lib.init(key, SMALL.replace(layer_norm=layer_norm), 4, 2, critics))(keys)
+    update = jax.jit(jax.vmap(functools.partial(sac_lib.update, sac), (0, None, 0)))
+    return update(agents, batch(64), keys)[0], update.lower(agents, batch(64), keys).as_text()
+
+
+def off(found, exact):
+    """Return each leaf's relative distance from `exact`."""
+    return [
+        np.linalg.norm(a - b) / np.linalg.norm(b)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(exact), strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("critics", "layer_norm"), [(2, False), (4, False), (2, True)])
+def test_precisions_differ_only_by_rounding(critics, layer_norm):
+    after = {name: updated(name, critics, layer_norm)[0] for name in ("float32", "tf32", "bf16")}
+    for network in ("critics", "actor"):
+        exact, usual, coarse = [after[name].moments[network].mu for name in ("float32", "tf32", "bf16")]
+        assert max(off(usual, exact)) == 0  # a CPU's default is float32
+        assert 0 < max(off(coarse, exact)) < 0.15
+    for leaf in jax.tree.leaves(after["bf16"]):
+        assert leaf.dtype in (jnp.float32, jnp.int32)
+
+
+@pytest.mark.parametrize("outputs", [1, 5])
+@pytest.mark.parametrize("hidden_sizes", [(), (16,), (32, 16), (24, 24, 24)])
+def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs):
+    """Biases keep every unit far from where its ReLU bends, so that nothing but rounding is left between the two."""
+    network = mlp(hidden_sizes, outputs)
+    keys = jax.random.split(jax.random.key(0), 2)
+    blank = network.init(keys[0], jnp.zeros(7))
+    params = jax.tree.map(lambda leaf: 4.0 * (-1) ** jnp.arange(len(leaf)) if leaf.ndim == 1 else leaf, blank)
+    x = 0.3 * jax.random.normal(keys[1], (3, 40, 7))
+
+    def everything(precision):
+        out, pull = jax.vjp(lambda p, x: apply(network, p, x, precision), params, x)
+        return out, *pull(1 + 0.5 * jnp.cos(jnp.arange(out.size, dtype=jnp.float32)).reshape(out.shape))
+
+    exact, coarse = everything("float32"), everything("bf16")
+    assert max(off(coarse, exact)) < 0.02
+    assert {leaf.dtype for leaf in jax.tree.leaves(coarse)} == {jnp.dtype("float32")}
+    np.testing.assert_allclose(apply(network, params, x[0, 0], "bf16"), coarse[0][0, 0], rtol=1e-5, atol=1e-5)
+
+
+def test_the_default_is_the_networks_own_arithmetic(monkeypatch):
+    _, usual = updated("tf32")
+    _, low = updated("bf16")
+    monkeypatch.setattr(networks, "apply", lambda network, params, x, precision: network.apply(params, x))
+    assert usual == updated("tf32")[1]
+    assert "bf16" in low
+    assert "bf16" not in usual
+
+
+def test_float32_asks_for_true_float32_forward_and_backward():
+    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    texts = {
+        precision: jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
+        .lower(agent, batch(64), jax.random.key(1))
+        .as_text()
+        for precision in ("float32", "tf32")
+    }
+    products = [line for line in texts["float32"].splitlines() if "dot_general" in line]
+    assert len(products) > 15
+    assert all("HIGHEST" in line for line in products)
+    assert "HIGHEST" not in texts["tf32"]
+
+
+def test_an_unknown_precision_is_refused_with_the_choices():
+    with pytest.raises(ValueError, match="'fp8' is not one of float32, tf32, bf16"):
+        make_algo("naive", precision="fp8")
+    with pytest.raises(ValueError, match="'fp8' is not one of float32, tf32, bf16"):
+        SMALL.replace(precision="fp8")
 
 
 def test_one_update_moves_everything_the_right_way():
