@@ -56,7 +56,50 @@ def mapped(function: Callable, mesh: Mesh | None, takes: Sequence[Any], gives: A
     """Return `function` run by every device of `mesh` on its share of what `takes` and `gives` say; unchanged without one."""
     if mesh is None:
         return function
-    return jax.shard_map(function, mesh=mesh, in_specs=tuple(takes), out_specs=gives, check_vma=False)
+
+    def call(*arguments):
+        given, into = jax.tree.flatten(arguments)
+        promised, out = jax.tree.flatten(jax.eval_shape(function, *arguments))
+        takes_each, gives_each = _each(tuple(takes), arguments), _each(gives, jax.tree.unflatten(out, promised))
+
+        def share(*some):
+            local = [_empty(leaf, spec, mesh.size) for leaf, spec in zip(given, takes_each, strict=True)]
+            result = function(*jax.tree.unflatten(into, _filled(local, some)))
+            return _sized(jax.tree.leaves(result))
+
+        specs = [[spec for leaf, spec in zip(leaves, each, strict=True) if leaf.size]
+                 for leaves, each in ((given, takes_each), (promised, gives_each))]  # fmt: skip
+        run = jax.shard_map(share, mesh=mesh, in_specs=tuple(specs[0]), out_specs=specs[1], check_vma=False)
+        whole = [_empty(leaf, ALIKE, 1) for leaf in promised]
+        return jax.tree.unflatten(out, _filled(whole, run(*_sized(given))))
+
+    return call
+
+
+def _each(specs: Any, tree: Any) -> list[PartitionSpec]:
+    """Return the spec of every leaf of `tree`, where `specs` may speak for whole branches."""
+    is_spec = lambda node: isinstance(node, PartitionSpec)  # noqa: E731
+    spread = jax.tree.map(lambda spec, part: jax.tree.map(lambda _: spec, part), specs, tree, is_leaf=is_spec)
+    return jax.tree.leaves(spread, is_leaf=is_spec)
+
+
+def _sized(leaves: Sequence[Any]) -> list[Any]:
+    """Return the leaves that hold anything: XLA for GPUs (jaxlib 0.11) crashes on an empty array spread over devices."""
+    return [leaf for leaf in leaves if leaf.size]
+
+
+def _filled(leaves: Sequence[Any], sized: Sequence[Any]) -> list[Any]:
+    """Return `leaves` with those that hold anything replaced by `sized`, in their order."""
+    rest = iter(sized)
+    return [next(rest) if leaf.size else leaf for leaf in leaves]
+
+
+def _empty(leaf: Any, spec: PartitionSpec, count: int) -> Any:
+    """Return an empty leaf as one of `count` devices has it; one that holds anything is left as it is, to be replaced."""
+    if leaf.size:
+        return leaf
+    axes = (*spec, *[None] * (len(leaf.shape) - len(spec)))
+    return jnp.zeros([size // count if axis else size for size, axis in zip(leaf.shape, axes, strict=True)], leaf.dtype)
 
 
 def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
