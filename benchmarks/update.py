@@ -1,13 +1,13 @@
-"""Gradient steps a second of SAC alone, by precision and way of writing bf16: `python -m benchmarks.update --out FILE`.
+"""Gradient steps a second of SAC alone, by precision: `python -m benchmarks.update --out FILE`.
 
-Prints the card's ceilings (large products, a large copy), a row a bf16 variant at the first of `--lanes` with the
-share of both ceilings it reaches, kernel tables of the first two, how far the fastest is from float32, its rows at the
-other lanes, and tf32's. Writes FILE.json and FILE.csv after every row; a variant that fails is a row with its error.
+Prints the device's ceilings (large products, a large copy), a row for every precision and number of lanes with the
+share of both ceilings it reaches, kernel tables and errors against float32 of tf32 and bf16. Writes FILE.json and
+FILE.csv after every row; a run that fails is a row with its error.
 """
 
 import argparse
-import dataclasses
 import functools
+import itertools
 import statistics
 import tempfile
 import time
@@ -15,7 +15,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +22,6 @@ import jax.numpy as jnp
 from benchmarks.output import save
 from earl_jax.algos import networks
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.networks import WAYS, Ways
 from earl_jax.algos.sac import SAC, Agent, Batch
 from earl_jax.report.tables import write
 
@@ -32,30 +30,8 @@ OBS, ACTION, CRITICS, POOL = 14, 4, 2, 2048
 SIZE = 8192
 
 
-@dataclasses.dataclass(frozen=True)
-class Variant:
-    """One way to run the update."""
-
-    label: str
-    precision: str
-    ways: Ways = WAYS
-
-
-BASE, GUESS, USUAL = (
-    Variant("bf16 autodiff", "bf16", Ways(False, *WAYS[1:])._replace(spread=False)),
-    Variant("bf16", "bf16"),
-    Variant("tf32", "tf32"),
-)
-
-
-def variants() -> list[Variant]:
-    """Return those of bf16: the base, the guess, then the guess with one choice the other way round."""
-    choices = {name: not value for name, value in WAYS._asdict().items() if name != "hand"}
-    flipped = [
-        Variant(f"bf16 {'with' if value else 'without'} {name}", "bf16", WAYS._replace(**{name: value}))
-        for name, value in choices.items()
-    ]
-    return [BASE, GUESS, *flipped]
+COMPARED = ("tf32", "bf16")
+"""Precisions whose kernels and errors are told."""
 
 
 def timed(call: Callable[[], Any], repeats: int, flight: int = 1) -> float:
@@ -136,16 +112,14 @@ def program(sac: SAC, lanes: int, steps: int) -> tuple[Callable, tuple]:
 
 
 def measure(
-    variant: Variant, lanes: int, repeats: int, limits: dict[str, float], look: bool
-) -> tuple[dict, list[dict]]:
-    """Return one variant's row, steps a second and how much of the ceilings they take, and its kernels if to `look`."""
+    precision: str, lanes: int, repeats: int, limits: dict[str, float], look: bool
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return a precision's row, steps a second and how much of the ceilings they take, and its kernels if to `look`."""
     steps = max(2, min(200, 20_000 // lanes)) if jax.default_backend() == "gpu" else 4
-    sac = SAC(precision=variant.precision)
-    jax.clear_caches()
-    with mock.patch.object(networks, "WAYS", variant.ways):
-        began = time.perf_counter()
-        run, (agents, *rest) = program(sac, lanes, steps)
-        compiled = time.perf_counter() - began
+    sac = SAC(precision=precision)
+    began = time.perf_counter()
+    run, (agents, *rest) = program(sac, lanes, steps)
+    compiled = time.perf_counter() - began
     state = [agents]
 
     def call():
@@ -156,15 +130,15 @@ def measure(
     flops, least = cost(sac, CRITICS)
     rate, traffic = pace * lanes * flops / 1e12, pace * lanes * least / 1e9
     row = {
-        "variant": variant.label, "lanes": lanes, "compile_s": round(compiled, 1), "steps_per_s": round(pace, 1),
+        "precision": precision, "lanes": lanes, "compile_s": round(compiled, 1), "steps_per_s": round(pace, 1),
         "lane_steps_per_s": round(pace * lanes), "tflops": round(rate, 2),
-        "of_matmul": round(rate / limits[variant.precision], 4), "of_copy": round(traffic / limits["copy"], 4),
+        "of_matmul": round(rate / limits[precision], 4), "of_copy": round(traffic / limits["copy"], 4),
         "critic_loss": float(call()["critic_loss"]), "error": "",
     }  # fmt: skip
-    return row, kernels(variant.label, lanes, steps, call) if look else []
+    return row, kernels(precision, lanes, steps, call) if look else []
 
 
-def kernels(label: str, lanes: int, steps: int, call: Callable[[], Any]) -> list[dict[str, Any]]:
+def kernels(precision: str, lanes: int, steps: int, call: Callable[[], Any]) -> list[dict[str, Any]]:
     """Return microseconds a step and launches of the 25 dearest kernels of `call`, after their sums over all."""
     spent: dict[str, list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
@@ -178,37 +152,33 @@ def kernels(label: str, lanes: int, steps: int, call: Callable[[], Any]) -> list
 
     def row(name, times):
         each = {"us_per_step": round(sum(times) / steps, 2), "launches_per_step": round(len(times) / steps, 2)}
-        return {"variant": label, "lanes": lanes, "kernel": name[:90], **each}
+        return {"precision": precision, "lanes": lanes, "kernel": name[:90], **each}
 
     dearest = sorted(spent.items(), key=lambda item: -sum(item[1]))[:25]
     return [row("all", [one for times in spent.values() for one in times]), *[row(*item) for item in dearest]]
 
 
-def errors(variant: Variant, tiny: bool) -> Iterator[dict[str, Any]]:
-    """Yield the relative error norms of outputs and gradients against float32, for a critic and an actor."""
+def errors(tiny: bool) -> Iterator[dict[str, Any]]:
+    """Yield the relative error norms of outputs and gradients against float32, for critics and an actor's network."""
     batch, hidden, lanes = (32, 64, 2) if tiny else (256, 256, 8)
     for name, inputs, outputs in (("critic", OBS + ACTION, 1), ("actor", OBS, 2 * ACTION)):
         network = networks.mlp((hidden, hidden), outputs)
         keys = jax.random.split(jax.random.key(2), (lanes, CRITICS))
-        params = jax.vmap(jax.vmap(lambda key, n=network, k=inputs: n.init(key, jnp.zeros(k))))(keys)
+        params = jax.vmap(jax.vmap(network.init, (0, None)), (0, None))(keys, jnp.zeros(inputs))
         x = jax.random.normal(jax.random.key(3), (lanes, batch, inputs))
         weight = jax.random.normal(jax.random.key(4), (lanes, CRITICS, batch, outputs))
 
-        def results(variant, network=network, params=params, x=x, weight=weight):
-            def everything(params, x):
-                one = functools.partial(networks.apply, network, precision=variant.precision)
-                out, pull = jax.vjp(jax.vmap(jax.vmap(one, (0, None))), params, x)
-                return out, *pull(weight)
+        def results(params, x, precision, network=network, weight=weight):
+            one = functools.partial(networks.apply, network, precision=precision)
+            out, pull = jax.vjp(jax.vmap(jax.vmap(one, (0, None))), params, x)
+            return out, *pull(weight)
 
-            jax.clear_caches()
-            with mock.patch.object(networks, "WAYS", variant.ways):
-                return jax.jit(everything)(params, x)
-
-        right = results(Variant("float32", "float32"))
-        off = jax.tree.map(lambda a, b: float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b)), results(variant), right)
-        layers = {f"{k}/{p}": round(v, 5) for k, layer in off[1]["params"].items() for p, v in layer.items()}
-        whole = {"outputs": round(off[0], 5), "x": round(off[2], 5)}
-        yield {"network": name, "variant": variant.label, **whole, **layers}
+        found = {one: jax.jit(functools.partial(results, precision=one))(params, x) for one in ("float32", *COMPARED)}
+        for precision in COMPARED:
+            pair = found[precision], found["float32"]
+            off = jax.tree.map(lambda a, b: round(float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b)), 5), *pair)
+            layers = {f"{k}/{p}": value for k, layer in off[1]["params"].items() for p, value in layer.items()}
+            yield {"network": name, "precision": precision, "outputs": off[0], "x": off[2], **layers}
 
 
 def _brief(error: Exception) -> str:
@@ -231,34 +201,25 @@ class Report:
 
 
 def compare(report: Report, lanes: list[int], repeats: int, limits: dict[str, float], deadline: float) -> None:
-    """Measure every bf16 variant at the first number of lanes, then the fastest and tf32 at the others."""
-
-    def attempt(variant, count, look=False):
+    """Measure every precision at every number of lanes, and look closely at `COMPARED` at the first."""
+    for count, precision in itertools.product(lanes, reversed(networks.PRECISIONS)):
         if time.perf_counter() > deadline:
-            return 0.0
+            return
         try:
-            row, table = measure(variant, count, repeats, limits, look)
+            look = count == lanes[0] and precision in COMPARED
+            row, table = measure(precision, count, repeats, limits, look)
         except Exception as error:
             names = ("compile_s", "steps_per_s", "lane_steps_per_s", "tflops", "of_matmul", "of_copy", "critic_loss")
-            row, table = {"variant": variant.label, "lanes": count, **dict.fromkeys(names), "error": _brief(error)}, []
+            row, table = {"precision": precision, "lanes": count, **dict.fromkeys(names), "error": _brief(error)}, []
         report.add("rows", row)
         report.add("kernels", *table)
-        return row["steps_per_s"] or 0.0
-
-    paces = {variant: attempt(variant, lanes[0], variant in (BASE, GUESS)) for variant in variants()}
-    fastest = max(paces, key=paces.__getitem__)
-    if time.perf_counter() < deadline:
-        report.add("errors", *errors(fastest, tiny=jax.default_backend() != "gpu"))
-    for variant, counts in ((fastest, lanes[1:]), (USUAL, lanes)):
-        for count in counts:
-            attempt(variant, count)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--lanes", type=int, nargs="+", default=[50, 5, 500])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=95, help="start no variant later than this")
+    parser.add_argument("--seconds", type=float, default=95, help="start no row later than this")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/update/run"))
     arguments = parser.parse_args()
     deadline = time.perf_counter() + arguments.seconds
@@ -267,6 +228,7 @@ def main() -> None:
     flops, least = cost(SAC(), CRITICS)
     report.add("ceilings", limits)
     report.add("update", {"flops": flops, "least_bytes": least})
+    report.add("errors", *errors(tiny=jax.default_backend() != "gpu"))
     compare(report, arguments.lanes, arguments.repeats, limits, deadline)
 
 

@@ -85,8 +85,9 @@ def train(
         checkpoint_every: steps between checkpoints.
     """
     from earl_jax import algos, envs, training
+    from earl_jax.devices import join_hosts
 
-    _join(hosts)
+    join_hosts(hosts)
     env_options, options = training.split_options(env, _options(set))
     task = envs.with_physics(envs.make(env, **env_options), physics)
     result = training.train(
@@ -106,26 +107,15 @@ def resume(
         folder: a run folder.
         steps: make the run this long instead of what it was started with.
     """
+    from earl_jax.devices import join_hosts
     from earl_jax.experiment import RunFolder
     from earl_jax.training import execute
 
-    _join(hosts)
+    join_hosts(hosts)
     run = RunFolder.open(folder)
     if steps is not None:
         run = run.extended(steps)
     _report_run(execute(run.experiment, run, progress=True, devices=devices), folder, json)
-
-
-def _join(hosts: str | None) -> None:
-    """Make this process one of several, as `--hosts` says."""
-    if hosts is None:
-        return
-    from earl_jax.devices import join_hosts
-
-    parts = hosts.split(",")
-    if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
-        raise ValueError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
-    join_hosts(*((None, None, None) if hosts == "auto" else (parts[0], int(parts[1]), int(parts[2]))))
 
 
 def sweep(

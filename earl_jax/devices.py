@@ -134,9 +134,21 @@ def gathered(tree: Any) -> Any:
     return jax.tree.map(gather, tree)
 
 
-def join_hosts(address: str | None, hosts: int | None, number: int | None) -> None:
-    """Make this process one of several that run one program; a cluster that jax knows (SLURM, Open MPI) needs no arguments."""
-    jax.distributed.initialize(address, hosts, number)
+def join_hosts(hosts: str | None) -> None:
+    """Make this process one of several that run one program: `auto` on a cluster that jax knows (SLURM, Open MPI), else
+    ADDRESS:PORT,HOSTS,NUMBER with this one's number from 0; None leaves it alone.
+
+    Raises:
+        ValueError: `hosts` is neither.
+    """
+    if hosts is None:
+        return
+    parts = hosts.split(",")
+    if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
+        raise ValueError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
+    if hosts == "auto":
+        return jax.distributed.initialize()
+    jax.distributed.initialize(parts[0], int(parts[1]), int(parts[2]))
 
 
 def first_host() -> bool:

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from earl_jax.devices import lane_mesh
+from earl_jax.devices import join_hosts, lane_mesh
 from earl_jax.experiment import RunFolder
 from tests.conftest import CACHE
 
@@ -72,6 +72,12 @@ except ValueError as error:
     print(json.dumps(str(error)))
 """)
     assert said == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
+
+
+def test_hosts_are_asked_for_in_one_of_two_ways():
+    join_hosts(None)
+    with pytest.raises(ValueError, match="--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not 'two'"):
+        join_hosts("two")
 
 
 def free_port():

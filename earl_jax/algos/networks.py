@@ -6,7 +6,7 @@
 import contextlib
 import functools
 import io
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,28 +19,7 @@ with contextlib.redirect_stdout(io.StringIO()):
 LOG_STD_RANGE = (-20.0, 2.0)
 PRECISIONS = ("float32", "tf32", "bf16")
 Weights = tuple[tuple[jax.Array, jax.Array], ...]
-
-
-class Ways(NamedTuple):
-    """How bf16 networks are written for XLA; each is a choice that only a measurement decides."""
-
-    hand: bool = True
-    """Write the backward pass by hand: masks from the saved activations, no float32 copy of anything but results."""
-    sums: bool = True
-    """Sum over the batch by products with the column of ones instead of reductions."""
-    mask: bool = False
-    """Scale a single output's cotangent after its product instead of before, so that the mask is the operand."""
-    spread: bool = True
-    """Repeat inputs for every critic, so that all products of a stack have one batch axis."""
-    apart: bool = True
-    """Keep the actor's two forward passes apart, which XLA would merge and then cut again."""
-    split: bool = True
-    """Keep the products with the column of ones apart from those with activations."""
-    wide: bool = True
-    """Round hidden sums after their bias instead of before, so that both can be part of the product's kernel."""
-
-
-WAYS = Ways()
+Saved = tuple[list[jax.Array], list[jax.Array]]
 
 
 class TanhNormal(distribution.NormalTanhDistribution):
@@ -77,11 +56,9 @@ def apply(network: networks.MLP, params: Any, x: jax.Array, precision: str = "tf
     CPUs), "bf16" with bfloat16 operands and activations, sums in float32.
     """
     if precision == "bf16":
-        if network.layer_norm or len(network.layer_sizes) == 1 or not WAYS.hand:
-            return _apply_normalised(network, params, x)
-        layers = [params["params"][f"hidden_{number}"] for number in range(len(network.layer_sizes))]
-        weights = tuple((layer["kernel"], layer["bias"]) for layer in layers)
-        return _perceptron(weights, x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], -1)
+        by_hand = len(network.layer_sizes) > 1 and not network.layer_norm
+        run = _apply_plain if by_hand else _apply_normalised
+        return run(network, params["params"], x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], -1)
     with jax.default_matmul_precision("highest") if precision == "float32" else contextlib.nullcontext():
         return jnp.asarray(network.apply(params, x))
 
@@ -94,78 +71,62 @@ def _dot(a: jax.Array, b: jax.Array, over: tuple[int, int] = (1, 0), dtype: Any 
     return out.astype(dtype)
 
 
+def _apply_plain(network: networks.MLP, layers: Any, x: jax.Array) -> jax.Array:
+    names = [f"hidden_{number}" for number in range(len(network.layer_sizes))]
+    return _perceptron(tuple((layers[name]["kernel"], layers[name]["bias"]) for name in names), x)
+
+
 @jax.custom_vjp
 def _perceptron(weights: Weights, x: jax.Array) -> jax.Array:
-    """Return the float32 outputs [B, O] of the ReLU network of these weights at `x [B, K]`, bfloat16 inside.
+    """Return the float32 outputs [B, O] of the ReLU network of these kernels and biases at `x [B, K]`.
 
-    The first bias is one more row of its kernel, for a column of ones beside the inputs, whose products also sum over
-    the batch: XLA's reductions that write activations too are several times slower.
+    The backward pass is written by hand: it masks by the saved activations and keeps cotangents in bfloat16, where
+    autodiff would write float32 copies of both. The first bias is one more row of its kernel, for a column of ones
+    beside the inputs, so that one product gives the gradients of both.
     """
     return _forward(weights, x)[0]
 
 
-def _forward(weights: Weights, x: jax.Array) -> tuple[jax.Array, tuple[list[jax.Array], list[jax.Array]]]:
-    """Return the outputs, and for the backward pass the kernels and every layer's inputs in bfloat16."""
-    lows = [kernel.astype(jnp.bfloat16) for kernel, _ in weights]
-    lows[0] = jnp.concatenate([lows[0], weights[0][1][None].astype(jnp.bfloat16)])
-    values = jnp.concatenate([x, jnp.ones_like(x[:, :1])], axis=1).astype(jnp.bfloat16)
-    several = weights[-1][1].shape[0] > 1
-    if WAYS.apart and several:
-        lows, values = jax.lax.optimization_barrier((lows, values))
-    rows = [values, jnp.maximum(_dot(values, lows[0]), 0)]
-    for low, (_, bias) in zip(lows[1:-1], weights[1:-1], strict=True):
-        after = _dot(rows[-1], low, dtype=jnp.float32 if WAYS.wide and several else jnp.bfloat16) + bias
-        rows.append(jnp.maximum(after, 0).astype(jnp.bfloat16))
-    return _dot(rows[-1], lows[-1], dtype=jnp.float32) + weights[-1][1], (lows, rows)
+def _forward(weights: Weights, x: jax.Array) -> tuple[jax.Array, Saved]:
+    """Return the outputs, and for the backward pass every layer's kernel and inputs in bfloat16."""
+    (first, bias), *others = weights
+    kernels = [jnp.concatenate([first, bias[None]]), *(kernel for kernel, _ in others)]
+    lows = [kernel.astype(jnp.bfloat16) for kernel in kernels]
+    inputs = jnp.concatenate([x, jnp.ones_like(x[:, :1])], axis=1).astype(jnp.bfloat16)
+    if lows[-1].shape[1] > 1:  # an actor, whose forward passes at two batches XLA would merge and then cut again
+        lows, inputs = jax.lax.optimization_barrier((lows, inputs))
+    rows = [inputs, jnp.maximum(_dot(inputs, lows[0]), 0)]
+    for low, (_, bias) in zip(lows[1:-1], others[:-1], strict=True):
+        rows.append(jnp.maximum(_dot(rows[-1], low) + bias, 0).astype(jnp.bfloat16))
+    return _dot(rows[-1], lows[-1], dtype=jnp.float32) + others[-1][1], (lows, rows)
 
 
-def _backward(residuals: tuple[list[jax.Array], list[jax.Array]], gradient: jax.Array) -> tuple[Weights, jax.Array]:
-    """Return the float32 gradients of weights and inputs; cotangents of hidden layers are bfloat16."""
-    lows, rows = residuals
-    low, scale = gradient.astype(jnp.bfloat16), None
-    gradients = [(_last_kernel(rows, gradient), gradient.sum(axis=0))]
-    for number in reversed(range(len(rows) - 1)):
-        active, above = rows[number + 1] > 0, lows[number + 1]
-        if number == len(rows) - 2 and above.shape[1] == 1:
-            scale = gradient if WAYS.mask else None
-            low = jnp.where(active, above[:, 0] if WAYS.mask else (gradient * above[:, 0]).astype(jnp.bfloat16), 0)
-        else:
-            low = jnp.where(active, _dot(low, above, (1, 1)), 0)
-        gradients.append(_hidden_layer(rows, number, low, scale))
-    dx = _dot(low, lows[0][:-1], (1, 1), jnp.float32)
-    return tuple(reversed(gradients)), dx if scale is None else dx * scale
+def _backward(saved: Saved, gradient: jax.Array) -> tuple[Weights, jax.Array]:
+    """Return the float32 gradients of the weights and of `x` for the outputs' `gradient [B, O]`."""
+    lows, rows = saved
+    low, above = gradient.astype(jnp.bfloat16), lows[-1]
+    if above.shape[1] == 1:  # a product over one output, or for one, is a multiplication
+        kernel = (rows[-1].astype(jnp.float32) * gradient).sum(axis=0)[:, None]
+        low = (gradient * above[:, 0]).astype(jnp.bfloat16)
+    else:
+        kernel, low = _dot(rows[-1], low, (0, 0), jnp.float32), _dot(low, above, (1, 1))
+    gradients = [(kernel, gradient.sum(axis=0))]
+    for number in reversed(range(1, len(lows) - 1)):
+        low = jnp.where(rows[number + 1] > 0, low, 0)
+        gradients.append((_dot(rows[number], low, (0, 0), jnp.float32), low.astype(jnp.float32).sum(axis=0)))
+        low = _dot(low, lows[number], (1, 1))
+    low = jnp.where(rows[1] > 0, low, 0)
+    first = _dot(rows[0], low, (0, 0), jnp.float32)
+    gradients.append((first[:-1], first[-1]))
+    return tuple(reversed(gradients)), _dot(low, lows[0][:-1], (1, 1), jnp.float32)
 
 
 _perceptron.defvjp(_forward, _backward)
 
 
-def _last_kernel(rows: list[jax.Array], gradient: jax.Array) -> jax.Array:
-    if gradient.shape[1] > 1:
-        return _dot(rows[-1], gradient.astype(jnp.bfloat16), (0, 0), jnp.float32)
-    if not WAYS.sums:
-        return (rows[-1].astype(jnp.float32) * gradient).sum(axis=0)[:, None]
-    return _dot(rows[-1], (rows[0] * gradient).astype(jnp.bfloat16), (0, 0), jnp.float32)[:, -1:]
-
-
-def _hidden_layer(rows: list[jax.Array], number: int, low: jax.Array, scale: jax.Array | None) -> tuple:
-    """Return the gradients of a hidden layer's kernel and bias for the cotangent `low [B, H]`, times `scale [B, 1]`."""
-
-    def scaled(values):
-        return values if scale is None else (values * scale).astype(jnp.bfloat16)
-
-    kernel = _dot(scaled(rows[number]), low, (0, 0), jnp.float32)
-    if number == 0:
-        return kernel[:-1], kernel[-1]
-    if not WAYS.sums:
-        return kernel, (low.astype(jnp.float32) * (1.0 if scale is None else scale)).sum(axis=0)
-    inputs = scaled(rows[0])
-    inputs, low = jax.lax.optimization_barrier((inputs, low)) if WAYS.split else (inputs, low)
-    return kernel, _dot(inputs, low, (0, 0), jnp.float32)[-1]
-
-
-def _apply_normalised(network: networks.MLP, params: Any, x: jax.Array) -> jax.Array:
-    """Return `network` at `x` with hidden activations in bfloat16, biases, normalisation and outputs in float32."""
-    layers, hidden, last = params["params"], x.astype(jnp.bfloat16), len(network.layer_sizes) - 1
+def _apply_normalised(network: networks.MLP, layers: Any, x: jax.Array) -> jax.Array:
+    """Return the outputs of any network: hidden activations in bfloat16, biases, normalisation and outputs float32."""
+    hidden, last = x.astype(jnp.bfloat16), len(network.layer_sizes) - 1
     for number in range(last):
         layer = layers[f"hidden_{number}"]
         hidden = linen.relu(_product(jnp.bfloat16, hidden, layer["kernel"]) + layer["bias"])
@@ -175,31 +136,22 @@ def _apply_normalised(network: networks.MLP, params: Any, x: jax.Array) -> jax.A
     return _product(jnp.float32, hidden, layers[f"hidden_{last}"]["kernel"]) + layers[f"hidden_{last}"]["bias"]
 
 
-def _matmul(dtype: Any, a: jax.Array, b: jax.Array) -> jax.Array:
-    """Return the product of bfloat16 matrices in `dtype`, summed in float32; XLA's CPU has that only for float32."""
-    if jax.default_backend() == "cpu":
-        return jnp.matmul(a.astype(jnp.float32), b.astype(jnp.float32)).astype(dtype)
-    return jnp.matmul(a, b, preferred_element_type=dtype)
-
-
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _product(dtype: Any, x: jax.Array, kernel: jax.Array) -> jax.Array:
-    """Return `x @ kernel` in `dtype` for bfloat16 `x` and a float32 `kernel`, whose gradient is float32."""
-    return _matmul(dtype, x, kernel.astype(jnp.bfloat16))
+    """Return `x @ kernel` in `dtype` for bfloat16 `x [B, K]` and a float32 `kernel`, whose gradient is float32."""
+    return _product_forward(dtype, x, kernel)[0]
 
 
 def _product_forward(dtype: Any, x: jax.Array, kernel: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     low = kernel.astype(jnp.bfloat16)
-    return _matmul(dtype, x, low), (x, low)
+    return _dot(x, low, dtype=dtype), (x, low)
 
 
-def _product_backward(dtype: Any, residuals: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple:
+def _product_backward(dtype: Any, saved: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple:
     """Without a rule of its own a product in float32 would multiply its float32 gradient in float32 too."""
     del dtype
-    (x, low), gradient = residuals, gradient.astype(jnp.bfloat16)
-    dx = _matmul(jnp.bfloat16, gradient, low.T)
-    rows, sums = x.reshape(-1, x.shape[-1]), gradient.reshape(-1, gradient.shape[-1])
-    return dx, _matmul(jnp.float32, rows.T, sums)
+    (x, low), gradient = saved, gradient.astype(jnp.bfloat16)
+    return _dot(gradient, low, (1, 1)), _dot(x, gradient, (0, 0), jnp.float32)
 
 
 _product.defvjp(_product_forward, _product_backward)

@@ -4,6 +4,7 @@ Source: Haarnoja et al. 2018 (arXiv 1812.05905), with the shared hyper-parameter
 Where the paper is silent the defaults follow the authors' released TF-Agents code, as each field says.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -125,12 +126,10 @@ def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size
 def q_values(sac: SAC, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
     """Return the values [K, ...] that K stacked critics give to `obs [..., o]` and `action [..., a]`."""
     pair = jnp.concatenate([obs, action], axis=-1)
-    network = _critic(sac)
-    if sac.precision == "bf16" and networks.WAYS.spread:
-        count = jax.tree.leaves(critics)[0].shape[0]
-        pairs = jnp.broadcast_to(pair, (count, *pair.shape))
-        return jax.vmap(lambda one, x: networks.apply(network, one, x, sac.precision))(critics, pairs)[..., 0]
-    return jax.vmap(lambda one: networks.apply(network, one, pair, sac.precision))(critics)[..., 0]
+    one, axis = functools.partial(networks.apply, _critic(sac), precision=sac.precision), None
+    if sac.precision == "bf16":  # repeated for every critic, so that all products of a stack have one batch axis
+        pair, axis = jnp.broadcast_to(pair, (jax.tree.leaves(critics)[0].shape[0], *pair.shape)), 0
+    return jax.vmap(one, (0, axis))(critics, pair)[..., 0]
 
 
 def _pair_min(values: jax.Array) -> jax.Array:
