@@ -205,6 +205,25 @@ def test_engines_are_chosen_by_name_and_missing_ones_name_their_extra(monkeypatc
         make("sawyer_door", physics="warp")
 
 
+def test_auto_turns_to_the_accelerator_where_lanes_are_too_many_for_the_cores(monkeypatch):
+    assert physics.fastest("minitaur_pen", 10_000) == "c"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(physics.c, "cores", lambda: 16)
+    taken = [physics.fastest("minitaur_pen", lanes) for lanes in (50, 400, 600)]
+    assert taken == ["c", "c", "mjx"]
+    assert physics.fastest("sawyer_door", 500) == "c"
+    monkeypatch.setattr(physics.c, "cores", lambda: 4)
+    assert physics.fastest("minitaur_pen", 200) == "mjx"
+    assert make("minitaur_pen").for_lanes(200).engine == "mjx"
+    assert make("minitaur_pen", physics="c").for_lanes(200).engine == "c"
+
+
+def test_few_rows_wake_few_threads(monkeypatch):
+    monkeypatch.setattr(physics.c, "cores", lambda: 16)
+    crew = physics.c.Crew(physics.c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
+    assert [crew._threads(rows) for rows in (1, 16, 50, 64, 65)] == [8, 8, 12, 12, 16]
+
+
 @EVERY
 def test_the_arm_is_as_heavy_as_the_original(name):
     """Inverse weights of the seven joints, as the original compiles: a shape that should only be seen would change them."""

@@ -5,9 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import autonomy, make_algo
+from earl_jax.algos import SAC, Method, autonomy, make_algo
 from earl_jax.algos.autonomy import Loop
+from earl_jax.envs import make
+from earl_jax.physics import c
 from earl_jax.protocol import Protocol
+from earl_jax.training import per_lane
 from tests.conftest import ALGOS, advance, assert_same, newborn, tiny_method
 
 EVERY = pytest.mark.parametrize("algo", ALGOS)
@@ -158,3 +161,41 @@ def test_vaprl_without_demonstrations_says_so(loop, monkeypatch):
     monkeypatch.setattr("earl_jax.assets.has_demos", lambda name: False)
     with pytest.raises(ValueError, match="vaprl needs demonstrations"):
         newborn(loop, make_algo("vaprl"), [0])
+
+
+class Witness(Method):
+    """Remembers the latest row that it was given to learn from."""
+
+    name = "witness"
+    demo_directions = ()
+
+    def init_extra(self, key, env, goals):
+        return jnp.zeros((), jnp.int32)
+
+    def learn_extra(self, extra, rows, phase):
+        return rows.row.max()
+
+
+def test_a_batch_holds_what_was_stored_before_its_step():
+    env = make("cheetah_run", physics="c")
+    loop, method = (
+        Loop(env, Protocol(env.train_horizon, env.eval_horizon)),
+        Witness(SAC(hidden_sizes=(8,), batch_size=64)),
+    )
+    method = per_lane(method, 2)
+    lives = advance(loop, method, newborn(loop, method, [0, 1]), 3, explore=True)
+    for step in (3, 4, 5):
+        lives = advance(loop, method, lives, 1)
+        np.testing.assert_array_equal(lives.lanes.extra, [step - 1] * 2)
+
+
+def test_a_step_in_two_halves_is_the_step_in_one(monkeypatch):
+    env = make("sawyer_door", physics="c")
+    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    method = tiny_method("naive", demo_share=0.5)
+    start = newborn(loop, method, [0, 1], steps=60)
+    whole = advance(loop, method, start, 20)
+    monkeypatch.setattr(c, "_beside", lambda: True)
+    halves = advance(loop, method, start, 20)
+    assert_same(whole, halves)
+    assert int(whole.step) == 20

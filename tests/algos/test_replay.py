@@ -52,6 +52,13 @@ def test_each_controller_samples_its_own_valid_rows():
             np.testing.assert_array_equal(rows.marks.goal[lane], rows.row[lane])
 
 
+def test_a_controller_without_a_row_of_its_own_is_given_the_others():
+    buffer = filled([(0, 1), (0, 1)], [(True, True)] * 2)
+    rows = replay.sample(buffer, jax.random.split(jax.random.key(0), 2), jnp.array([1, 0]), 50, NONE)
+    for lane in range(2):
+        assert {int(row) for row in rows.row[lane]} == {0, 1}
+
+
 def test_a_sparse_reward_is_the_success_bit():
     buffer = filled([(0, 0)] * 4, [(True, True)] * 4, sparse=True)
     rows = replay.sample(buffer, jax.random.split(jax.random.key(0), 2), jnp.zeros(2, int), 100, NONE)
