@@ -211,7 +211,10 @@ def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
 
 
 def _spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
-    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had."""
+    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had.
+
+    It stays on the host: which device gets what part of it is for others to say.
+    """
     names = ("state", "action", "marks", "reward", "index", "counts")
     buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
     places = {"mine": buffers["index"], "other": buffers["index"][::-1]}
@@ -226,5 +229,5 @@ def _spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: 
             if name in saved:
                 rows = saved[name] if name == "mine" else saved[name][::-1]
                 place[: len(rows), span] = rows
-    whole = {name: jnp.asarray(parts[0][name]) for name in ("demos", "row")}
-    return Replay(**{name: jnp.asarray(buffer) for name, buffer in buffers.items()}, **whole)
+    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
+    return Replay(**arrays)

@@ -78,9 +78,12 @@ def mapped(function: Callable, mesh: Mesh | None, takes: Sequence[Any], gives: A
 
 def _each(specs: Any, tree: Any) -> list[PartitionSpec]:
     """Return the spec of every leaf of `tree`, where `specs` may speak for whole branches."""
-    is_spec = lambda node: isinstance(node, PartitionSpec)  # noqa: E731
-    spread = jax.tree.map(lambda spec, part: jax.tree.map(lambda _: spec, part), specs, tree, is_leaf=is_spec)
-    return jax.tree.leaves(spread, is_leaf=is_spec)
+    spread = jax.tree.map(lambda spec, part: jax.tree.map(lambda _: spec, part), specs, tree, is_leaf=_is_spec)
+    return jax.tree.leaves(spread, is_leaf=_is_spec)
+
+
+def _is_spec(node: Any) -> bool:
+    return isinstance(node, PartitionSpec)
 
 
 def _sized(leaves: Sequence[Any]) -> list[Any]:
@@ -103,15 +106,18 @@ def _empty(leaf: Any, spec: PartitionSpec, count: int) -> Any:
 
 
 def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
-    """Return the arrays of `tree`, whole on every host, laid out on `mesh` by `specs` (one for all, or a tree of them)."""
+    """Return the arrays of `tree`, whole on every host, laid out on `mesh` by `specs` (one for all, or a tree of them).
+
+    Without a mesh they go to the one device.
+    """
     if mesh is None:
-        return tree
+        return jax.device_put(tree)
 
     def place(spec, part):
         put = functools.partial(_place, sharding=NamedSharding(mesh, spec))
         return jax.tree.map(put, part)
 
-    return jax.tree.map(place, specs, tree, is_leaf=lambda leaf: isinstance(leaf, PartitionSpec))
+    return jax.tree.map(place, specs, tree, is_leaf=_is_spec)
 
 
 def _place(leaf: Any, sharding: NamedSharding) -> jax.Array:

@@ -20,12 +20,18 @@ from earl_jax.training import per_lane
 
 CACHE = Path(__file__).parent.parent / ".cache" / "jax"
 TINY = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 20}
+LONGEST = {"test_physics.py", "test_sweep.py", "test_devices.py"}
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 
 
 def pytest_configure():
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def pytest_collection_modifyitems(items):
+    """Put the longest files first, so that two workers end together."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 @pytest.fixture(scope="session")

@@ -26,6 +26,7 @@ def start(folder):
     env = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
     command = [sys.executable, "-c", START]
     env["EARL_JAX_CACHE"] = str(folder)
+    env["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # else what takes about a second is kept or not, by chance
     return [float(word) for word in subprocess.check_output(command, env=env, text=True).split()]
 
 

@@ -21,7 +21,7 @@ seeds = 2
 steps = 800
 eval_every = 40
 eval_episodes = 2
-checkpoint_every = 40
+checkpoint_every = 200
 [options]
 hidden_sizes = [[16, 16]]
 batch_size = 16
