@@ -22,27 +22,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.output import save
-from earl_jax.algos import autonomy, birth, make_algo
+from benchmarks.speed import world
+from earl_jax.algos import autonomy
 from earl_jax.algos.autonomy import Lives, Loop
-from earl_jax.algos.method import Method
-from earl_jax.envs import make
 from earl_jax.physics import c
-from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
-from earl_jax.training import per_lane
 
 PARTS = ("update", "sample", "store", "act", "physics")
 """The named scopes of the loop."""
 TRACED = 40
-
-
-def world(name: str, algo: str, lanes: int, capacity: int, options: dict[str, Any]) -> tuple[Loop, Method, Lives]:
-    """Return a loop, its method and fresh lives."""
-    env = make(name)
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
-    method = per_lane(make_algo(algo, **options), lanes)
-    keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
-    return loop, method, jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
 
 
 def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
@@ -121,8 +109,7 @@ def _guess(kernel: str) -> str:
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one task and number of lanes."""
-    capacity = steps * (repeats + 4) * 2 + 20_000
-    loop, method, lives = world(name, algo, lanes, capacity, options)
+    loop, method, lives = world(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
     state = [lives]
 
     def runner(count: int, explore: bool) -> tuple[Callable[[], Any], Any]:

@@ -7,26 +7,33 @@ import argparse
 import statistics
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from benchmarks.output import save
-from earl_jax.algos import autonomy, birth, make_algo
+from earl_jax.algos import Method, autonomy, birth, make_algo
+from earl_jax.algos.autonomy import Lives, Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
 from earl_jax.training import per_lane
 
 
+def world(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Loop, Method, Lives]:
+    """Return a loop, its method and fresh lives with room for `steps`."""
+    env = make(name)
+    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    method = per_lane(make_algo(algo, **options), lanes)
+    keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
+    capacity = birth.capacity_for(loop, method, steps)
+    return loop, method, jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
+
+
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     """Return compile seconds and the median steps a second of `algo` on task `name` with `lanes` lanes."""
-    env = make(name)
-    loop = autonomy.Loop(env, Protocol(env.train_horizon, env.eval_horizon))
-    method = per_lane(make_algo(algo), lanes)
-    keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
-    capacity = birth.capacity_for(loop, method, 100_000)
-    lives = jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
+    loop, method, lives = world(name, algo, lanes, 100_000)
     advance = jax.jit(lambda m, state: autonomy.run(loop, m, state, steps), donate_argnums=1)
     began = time.perf_counter()
     program = advance.lower(method, lives).compile()
@@ -39,7 +46,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     pace = steps / statistics.median(times[1:])
     return {
-        "env": name, "engine": env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "env": name, "engine": loop.env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
         "steps_per_s": round(pace, 1),
         "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip

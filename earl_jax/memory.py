@@ -45,9 +45,15 @@ class Need:
         )
 
 
+def replay_bytes(loop: Loop, method: Method, steps: int) -> int:
+    """Return what the replay of one lane of `steps` occupies, nothing of it being ever evicted."""
+    env, rows = loop.env, birth.capacity_for(loop, method, steps)
+    return rows * replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
+
+
 def need(loop: Loop, method: Method, lanes: int, steps: int) -> Need:
-    """Return what `lanes` lives of `steps` occupy, nothing of a replay being ever evicted."""
-    env, sac = loop.env, method.sac
+    """Return what `lanes` lives of `steps` occupy."""
+    sac = method.sac
     capacity = birth.capacity_for(loop, method, steps)
     one = jax.eval_shape(
         lambda key: birth.begin(loop, _single(method), key[None], 1 + capacity - steps), jax.random.key(0)
@@ -55,7 +61,7 @@ def need(loop: Loop, method: Method, lanes: int, steps: int) -> Need:
     networks = (1 + method.critics) * sum(sac.hidden_sizes)
     return Need(
         lanes,
-        replay=capacity * replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse),
+        replay=replay_bytes(loop, method, steps),
         agent=_bytes(one.lanes),
         work=4 * ACTIVATIONS * sac.batch_size * networks // 3,
     )

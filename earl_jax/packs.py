@@ -18,11 +18,10 @@ from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from earl_jax import envs, grid
+from earl_jax import envs, grid, memory
 from earl_jax.algos import Method, birth, method_for
 from earl_jax.algos.autonomy import Loop
 from earl_jax.algos.mixed import form
-from earl_jax.algos.replay import bytes_per_transition
 from earl_jax.checkpoint import newest
 from earl_jax.envs import Env
 from earl_jax.experiment import Experiment, RunFolder
@@ -61,8 +60,7 @@ class Entry:
     def replay_bytes(self) -> int:
         """Return what the replay of all lanes occupies."""
         loop = Loop(self.env, self.experiment.protocol(self.env))
-        rows = birth.capacity_for(loop, self.method, self.experiment.steps)
-        return self.lanes * rows * bytes_per_transition(self.env.state_size, self.env.action_size, self.env.sparse)
+        return self.lanes * memory.replay_bytes(loop, self.method, self.experiment.steps)
 
 
 def packed(entries: Sequence[Entry], max_lanes: int | None = None) -> list[list[Entry]]:
