@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from benchmarks.output import save
 from earl_jax import program
 from earl_jax.algos import make_algo
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.devices import lane_mesh, placed
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from benchmarks.output import tell
 from earl_jax import memory, program
 from earl_jax.algos import make_algo
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 

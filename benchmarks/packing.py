@@ -13,13 +13,14 @@ import jax.numpy as jnp
 
 from benchmarks.output import tell
 from earl_jax.algos import autonomy, birth, make_algo
+from earl_jax.algos.life import Loop
 from earl_jax.algos.mixed import together
 from earl_jax.envs import make
 from earl_jax.program import per_lane
 from earl_jax.protocol import Protocol
 
 
-def prepared(loop: autonomy.Loop, algos: list[str], lanes: int, steps: int, options: dict) -> dict:
+def prepared(loop: Loop, algos: list[str], lanes: int, steps: int, options: dict) -> dict:
     """Return a compiled program of `lanes` lanes of each of `algos`, and the lives that it takes."""
     method = together([per_lane(make_algo(algo, **options), lanes) for algo in algos])
     keys = jax.vmap(jax.random.key)(jnp.tile(jnp.arange(lanes), len(algos)))
@@ -34,7 +35,7 @@ def prepared(loop: autonomy.Loop, algos: list[str], lanes: int, steps: int, opti
 def measure(env: str, packs: list[list[str]], lanes: int, steps: int, rounds: int, options: dict) -> list[dict]:
     """Return the median seconds of `steps` of each pack; what fails says so and leaves the others alone."""
     task, ready, rows = make(env), {}, []
-    loop = autonomy.Loop(task, Protocol(task.train_horizon, task.eval_horizon))
+    loop = Loop(task, Protocol(task.train_horizon, task.eval_horizon))
     for algos in packs:
         name = "+".join(algos)
         try:

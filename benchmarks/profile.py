@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.output import save
 from benchmarks.speed import world
 from earl_jax.algos import autonomy
-from earl_jax.algos.autonomy import Lives, Loop
+from earl_jax.algos.life import Lives, Loop
 from earl_jax.physics import c
 from earl_jax.report.tables import write
 

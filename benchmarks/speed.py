@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from benchmarks.output import save
 from earl_jax.algos import Method, autonomy, birth, make_algo
-from earl_jax.algos.autonomy import Lives, Loop
+from earl_jax.algos.life import Lives, Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write

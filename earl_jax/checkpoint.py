@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.algos.autonomy import Lane, Lives
+from earl_jax.algos.life import Lane, Lives
 from earl_jax.algos.replay import Replay
 from earl_jax.devices import first_host, gathered
 

@@ -14,7 +14,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from earl_jax.algos.autonomy import Lives
+from earl_jax.algos.life import Lives
 from earl_jax.algos.replay import Replay
 
 LANES, ALIKE = PartitionSpec("lanes"), PartitionSpec()

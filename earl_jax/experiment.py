@@ -16,7 +16,7 @@ import numpy as np
 
 from earl_jax.algos import Method, make_algo
 from earl_jax.envs import Env, make
-from earl_jax.protocol import Protocol
+from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, settled
 
 PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco", "mujoco-mjx", "numpy")
 Row = dict[str, float]
@@ -35,6 +35,8 @@ class Experiment:
     eval_every: int
     eval_episodes: int
     checkpoint_every: int
+    setting: dict[str, Any] = dataclasses.field(default_factory=lambda: {"name": Deployment.name})
+    """The name of the setting, and those of its options that differ from the defaults."""
 
     def __post_init__(self):
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
@@ -57,21 +59,22 @@ class Experiment:
         every: int,
         episodes: int,
         checkpoint_every: int,
+        setting: Setting | None = None,
     ) -> "Experiment":
         """Return the experiment of built objects; `every` is shortened to `steps` where a run is shorter than that."""
-        env_options = {
-            field.name: getattr(env, field.name)
-            for field in dataclasses.fields(env)
-            if getattr(env, field.name) != field.default
-        }
+        task, setting = settled(env, setting or Deployment())
         return cls(
-            env.name, env_options, method.name, method_options(method), tuple(seeds), steps, min(every, steps), episodes,
-            checkpoint_every,
+            task.name, _changed(task), method.name, method_options(method), tuple(seeds), steps, min(every, steps), episodes,
+            checkpoint_every, {"name": setting.name, **_changed(setting)},
         )  # fmt: skip
 
+    def build_setting(self) -> Setting:
+        """Return what the life is for and what may touch it."""
+        return setting_of(**self.setting)
+
     def build_env(self) -> Env:
-        """Return the task."""
-        return make(self.env, **self.env_options)
+        """Return the world: the task, with help where the setting has a budget for it."""
+        return self.build_setting().world(make(self.env, **self.env_options))
 
     @property
     def deployed_metric(self) -> str:
@@ -83,8 +86,8 @@ class Experiment:
         return make_algo(self.algo, **self.options)
 
     def protocol(self, env: Env) -> Protocol:
-        """Return the protocol: the task's horizons, this run's evaluations."""
-        return Protocol(env.train_horizon, env.eval_horizon, self.eval_every, self.eval_episodes)
+        """Return the protocol: the task's horizons, the setting's rules, this run's evaluations."""
+        return self.build_setting().protocol(env, self.eval_every, self.eval_episodes)
 
     def checkpoint_due(self, step: int) -> bool:
         """Return whether a checkpoint follows the evaluation at `step`: at least `checkpoint_every` apart, and at the end."""
@@ -109,6 +112,12 @@ class Experiment:
             name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds])
             for name in names
         }
+
+
+def _changed(options: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that differ from its defaults."""
+    fields = {field.name: field.default for field in dataclasses.fields(options)}
+    return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
 
 
 def method_options(method: Method) -> dict[str, Any]:
@@ -187,10 +196,12 @@ class RunFolder:
             raise ValueError(f"{path} is no run folder: it has no config.json")
         try:
             config = json.loads(file.read_text())
-            fields = {field.name: config[field.name] for field in dataclasses.fields(Experiment)}
+            fields = {
+                field.name: config[field.name] for field in dataclasses.fields(Experiment) if field.name in config
+            }
+            return cls(path, Experiment(**{**fields, "seeds": tuple(fields["seeds"])}))
         except (json.JSONDecodeError, KeyError, TypeError) as error:
             raise ValueError(f"{file} is damaged: {error!r}") from error
-        return cls(path, Experiment(**{**fields, "seeds": tuple(fields["seeds"])}))
 
     def extended(self, steps: int) -> "RunFolder":
         """Return the same folder with its experiment made `steps` long; one that has lived longer is refused."""

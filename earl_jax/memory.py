@@ -10,7 +10,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method, birth
 from earl_jax.algos import replay as replay_lib
-from earl_jax.algos.autonomy import Lives, Loop
+from earl_jax.algos.life import Lives, Loop
 
 ACTIVATIONS = 16
 """Hidden activations of a batch that are alive at once in a gradient step, measured as 11 to 14 of them (temporary_mb of

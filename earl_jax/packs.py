@@ -18,9 +18,9 @@ from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from earl_jax import envs, grid, memory
+from earl_jax import grid, memory
 from earl_jax.algos import Method, birth, method_for
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.algos.mixed import form
 from earl_jax.checkpoint import newest
 from earl_jax.envs import Env
@@ -55,7 +55,8 @@ class Entry:
         """Return what cells have to agree in to live in one program."""
         one = self.experiment
         lengths = (one.steps, one.eval_every, one.eval_episodes, one.checkpoint_every, self.step)
-        return self.env, lengths, form(self.method)
+        world = self.env if self.env.ends else dataclasses.replace(self.env, train_horizon=1)  # lanes carry it as data
+        return world, lengths, form(self.method)
 
     def replay_bytes(self) -> int:
         """Return what the replay of all lanes occupies."""
@@ -106,11 +107,10 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
 def _entry(cell: grid.Cell, out: Path) -> Entry:
     """Return a cell of a grid with all that can be wrong with it found out."""
     try:
-        env_options, options = split_options(cell.env, cell.options)
-        env = envs.make(cell.env, **env_options)
+        env, setting, options = split_options(cell.env, cell.options)
         method = method_for(env, cell.algo, **options)
         experiment = Experiment.of(
-            env, method, cell.seeds, cell.steps, cell.eval_every, cell.eval_episodes, cell.checkpoint_every
+            env, method, cell.seeds, cell.steps, cell.eval_every, cell.eval_episodes, cell.checkpoint_every, setting
         )
         loop, method = Loop(env, experiment.protocol(env)), per_lane(method, len(cell.seeds))
         birth.demo_rows(loop, method)

@@ -6,7 +6,7 @@ import jax
 from flax import struct
 
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.autonomy import Lane
+from earl_jax.algos.life import Lane
 from earl_jax.algos.method import TASK, Method
 from earl_jax.algos.sac import SAC
 from earl_jax.envs import Env

@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 
 from earl_jax import memory
 from earl_jax.algos import Method, autonomy, birth
-from earl_jax.algos.autonomy import Lives, Loop
+from earl_jax.algos.life import Lives, Loop
 from earl_jax.algos.mixed import together
 from earl_jax.cache import keep_programs
 from earl_jax.checkpoint import restore_together, save
@@ -24,7 +24,7 @@ from earl_jax.experiment import Experiment, Row, RunFolder
 from earl_jax.metrics.continuing import continuing_lane
 from earl_jax.metrics.deployed import deployed_lane
 from earl_jax.progress import Progress
-from earl_jax.protocol import Protocol
+from earl_jax.protocol import Protocol, Rules
 
 
 def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, jax.Array]]:
@@ -37,9 +37,9 @@ def judge(loop: Loop, method: Method, lives: Lives) -> tuple[Lives, dict[str, ja
 
 
 @functools.partial(jax.jit, static_argnames=("loop", "capacity", "mesh"))
-def _begin(loop: Loop, method: Method, keys: jax.Array, capacity: int, mesh: Mesh | None) -> Lives:
-    begin = mapped(lambda m, k: birth.begin(loop, m, k, capacity), mesh, (LANES, LANES), LIVES)
-    return begin(method, keys)
+def _begin(loop: Loop, method: Method, keys: jax.Array, rules: Rules, capacity: int, mesh: Mesh | None) -> Lives:
+    begin = mapped(lambda m, k, r: birth.begin(loop, m, k, capacity, r), mesh, (LANES, LANES, LANES), LIVES)
+    return begin(method, keys, rules)
 
 
 @functools.partial(jax.jit, static_argnames=("loop", "steps", "explore", "mesh"), donate_argnames="lives")
@@ -96,7 +96,8 @@ class Run:
 def live(env: Env, runs: Sequence[Run], progress: bool = False, devices: int | None = None) -> Lives:
     """Return the final lives of all lanes of `runs`, one after the other, carried on from their newest checkpoints.
 
-    Runs of one program have `env`, lengths, the `form` of their methods and the step of their newest checkpoint in common.
+    Runs of one program have `env`, lengths, the `form` of their methods and the step of their newest checkpoint in common;
+    rules of their worlds (H_T, settings) may differ, since lanes carry them as data.
     What each one earns is its own `rows`, and goes to its folder with the checkpoints of its own lanes.
     """
     keep_programs()
@@ -155,13 +156,21 @@ def _spans(runs: Sequence[Run]) -> list[slice]:
 
 def _start(loop: Loop, method: Method, runs: Sequence[Run], mesh: Mesh | None) -> Lives:
     keys = placed(jnp.concatenate([keys_of(run.experiment) for run in runs]), mesh)
+    rules = placed(jax.tree.map(lambda *each: jnp.concatenate(each), *map(_rules_of, runs)), mesh)
     capacity = birth.capacity_for(loop, method, runs[0].experiment.steps)
-    fresh = functools.partial(_begin, loop, method, keys, capacity, mesh)
+    fresh = functools.partial(_begin, loop, method, keys, rules, capacity, mesh)
     folders = [run.folder.checkpoints for run in runs if run.folder]
     sizes = [len(run.experiment.seeds) for run in runs]
     if folders and (saved := restore_together(folders, sizes, jax.eval_shape(fresh))) is not None:
         return placed(saved, mesh, LIVES)
     return fresh()
+
+
+def _rules_of(run: Run) -> Rules:
+    """Return the rules of a run's lanes, leaves [n]."""
+    experiment = run.experiment
+    rules = experiment.protocol(experiment.build_env()).rules
+    return jax.tree.map(lambda rule: jnp.full(len(experiment.seeds), rule), rules)
 
 
 def keys_of(experiment: Experiment) -> jax.Array:

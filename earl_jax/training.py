@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method, autonomy, birth, method_for
-from earl_jax.algos.autonomy import Lane, Lives, Loop
+from earl_jax.algos.life import Lane, Lives, Loop
 from earl_jax.checkpoint import restore
 from earl_jax.devices import first_host
 from earl_jax.envs import Env, make
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.metrics.judgement import Judgement, judged
 from earl_jax.policy import Policy
 from earl_jax.program import Run, chunk_of, fitting, judge, keys_of, live, per_lane
+from earl_jax.protocol import Deployment, Setting, setting_of, settled
 
 
 def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:
@@ -81,6 +83,11 @@ class Result:
     metrics: dict[str, np.ndarray]
     lives: Lives
 
+    @property
+    def judgement(self) -> Judgement:
+        """What the lives were worth: J_D, D(A), C(A)."""
+        return judged(self.steps, self.metrics, self.experiment.deployed_metric)
+
     def policy(self, seed: int = 0) -> Policy:
         """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o]."""
         return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.lives, seed))
@@ -103,6 +110,7 @@ def train(
     env: str | Env,
     algo: str | Method,
     *,
+    setting: str | Setting = Deployment.name,
     seeds: int | Sequence[int] = 5,
     steps: int = 100_000,
     eval_every: int = 10_000,
@@ -118,6 +126,7 @@ def train(
     Args:
         env: a name of `list_envs()` or an `Env`.
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
+        setting: `deployment`, `continuing`, or one of their objects with its own interventions and budget (`protocol`).
         seeds: how many seeds (0, 1, ...) or which.
         steps: training steps of each seed.
         eval_every: steps between evaluations; the last one is at `steps`.
@@ -131,10 +140,13 @@ def train(
     Raises:
         ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
     """
-    env = make(env) if isinstance(env, str) else env
+    task, setting = settled(
+        make(env) if isinstance(env, str) else env, setting_of(setting) if isinstance(setting, str) else setting
+    )
+    env = setting.world(task)
     method = method_for(env, algo, **options) if isinstance(algo, str) else _with_options(algo, options)
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
-    experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every)
+    experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every, setting)
     fitting(env, method, experiment, devices)  # before there is a folder
     folder = _folder(Path(out), experiment) if out is not None else None
     return execute(experiment, folder, env=env, method=method, progress=progress, devices=devices)
@@ -144,13 +156,20 @@ def _folder(path: Path, experiment: Experiment) -> RunFolder:
     return RunFolder.create(path, experiment) if first_host() else RunFolder(path, experiment)
 
 
-def split_options(env: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the task's and the method's options among `options`."""
-    known = {field.name for field in dataclasses.fields(make(env))}
-    return (
-        {name: value for name, value in options.items() if name in known},
-        {name: value for name, value in options.items() if name not in known},
-    )
+def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
+    """Return the world of the task `env`, its setting (`setting=NAME` among them) and the method's options, out of `options`.
+
+    Raises:
+        ValueError: an unknown task or setting, or options of theirs that don't fit.
+    """
+    rest = dict(options)
+    name = rest.pop("setting", Deployment.name)
+    known = {field.name for field in dataclasses.fields(setting_of(name))}
+    asked = {option: rest.pop(option) for option in list(rest) if option in known}
+    fields = {field.name for field in dataclasses.fields(make(env))}
+    task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
+    setting = setting_of(name, **asked)
+    return setting.world(task), setting, rest
 
 
 def _with_options(method: Method, options: dict[str, Any]) -> Method:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import autonomy, birth, make_algo
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.training import per_lane

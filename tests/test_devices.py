@@ -21,7 +21,7 @@ import jax
 import numpy as np
 import earl_jax
 from earl_jax import devices, program
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16, 16], batch_size=16, random_steps=20)
 """

@@ -8,7 +8,7 @@ import pytest
 import earl_jax
 from earl_jax import memory
 from earl_jax.algos import birth, make_algo
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import list_envs, make
 from earl_jax.protocol import Protocol
 from tests.conftest import newborn, tiny_method

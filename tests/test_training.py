@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.algos.naive import Naive
 from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Protocol

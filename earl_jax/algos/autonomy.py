@@ -7,111 +7,53 @@ select, not a branch: a branch under vmap would pay for both sides as well, and 
 interventions and later faults by one rule.
 """
 
-import dataclasses
 import functools
 import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from flax import struct
+import numpy as np
 
 from earl_jax.algos import replay as replay_lib
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.method import TASK, Commands, Goals, Method, goals_of
+from earl_jax.algos.life import BINS, Keys, Lane, Lives, Loop, keys_of
+from earl_jax.algos.method import TASK, Commands, Method
 from earl_jax.algos.replay import Marks, Replay, Rows, Transition
-from earl_jax.envs import Env, State
-from earl_jax.protocol import Protocol
+from earl_jax.envs import State
 
 UNLIKELY = -1.2345e38
 """A number that nothing here ever is, so that a comparison with it orders a program and changes nothing."""
 
 
-class Tally(struct.PyTreeNode):
-    """What a lane has earned and suffered: task reward since the last report and in all, interventions (`faults` among
-    them were enforced by a broken simulation), goals reached."""
-
-    window_reward: jax.Array
-    total_reward: jax.Array
-    interventions: jax.Array
-    faults: jax.Array
-    reached: jax.Array
-    diagnostics: dict[str, jax.Array]
-
-
-class Lane(struct.PyTreeNode):
-    """One life: its key, world, phase, commands, learner and tally."""
-
-    key: jax.Array
-    world: State
-    phase: jax.Array
-    phase_step: jax.Array
-    commands: Commands
-    agent: sac_lib.Agent
-    extra: Any
-    tally: Tally
-
-
-class Lives(struct.PyTreeNode):
-    """All lanes (leading axis N), their replay, and the number of steps each has lived."""
-
-    lanes: Lane
-    replay: Replay
-    step: jax.Array
-
-
-class Keys(NamedTuple):
-    """A lane's randomness of one step, a function of its seed and the step alone."""
-
-    act: jax.Array
-    goal: jax.Array
-    reset: jax.Array
-    sample: jax.Array
-    relabel: jax.Array
-    update: jax.Array
-
-
-def keys_of(key: jax.Array, step: jax.Array) -> Keys:
-    """Return the randomness of one lane at `step`."""
-    parts = jax.random.split(jax.random.fold_in(key, step), len(Keys._fields))
-    return Keys(*[parts[number] for number in range(len(Keys._fields))])
-
-
-@dataclasses.dataclass(frozen=True)
-class Loop:
-    """The static half of a program: the world, its goals and the protocol it is lived under."""
-
-    env: Env
-    protocol: Protocol
-
-    @property
-    def goals(self) -> Goals:
-        """The goal table that replay's indices point into."""
-        return goals_of(self.env)
-
-
 class Outcome(NamedTuple):
     """How one step of a lane ended, bool scalars: the phase is `over` where the goal was `reached` or time ran out.
 
-    A `fault` is an intervention of that lane alone: the simulation broke, and nothing of the step is kept.
+    A `fault` is an intervention of that lane alone: the simulation broke, and nothing of the step is kept. What `begins` anew is
+    the task phase: after an intervention, and where the world asks for another goal during one (`switch`).
     """
 
     fault: jax.Array
     reached: jax.Array
     timeout: jax.Array
     over: jax.Array
-    intervene: jax.Array
+    switch: jax.Array
+    begins: jax.Array
     reset: jax.Array
 
 
-def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, step: jax.Array) -> Outcome:
+def outcome_of(loop: Loop, method: Method, lane: Lane, world: State, keys: Keys, step: jax.Array) -> Outcome:
     """Return how the step that led `lane` to `world` ended: the one rule of done, for every method."""
     fault = loop.env.fault(world)
-    reached = loop.env.sparse & loop.env.success(world.obs) & method.ends_on_success(lane.phase) & ~fault
-    intervene = loop.protocol.intervention_due(step + 1) | fault
-    expired = (lane.phase_step + 1 >= method.phase_length(loop.env, lane.phase)) | intervene
+    reached = (
+        loop.env.sparse & loop.env.success(world.obs) & method.ends_on_success(lane.phase) & ~fault & (world.done == 0)
+    )
+    intervene = lane.rules.intervened(step + 1, jax.random.fold_in(keys.reset, 1)) | fault
+    switch = lane.rules.goal_changes(step + 1)
+    begins = intervene | (switch & (lane.phase == TASK))
+    expired = (lane.phase_step + 1 >= method.phase_length(loop.env, lane.phase)) | begins
     over = reached | expired
-    return Outcome(fault, reached, expired & ~reached, over, intervene, intervene | (over & method.resets))
+    return Outcome(fault, reached, expired & ~reached, over, switch, begins, intervene | (over & method.resets))
 
 
 @jax.named_scope("act")
@@ -131,7 +73,7 @@ def arrive(
     """
     env, table = loop.env, jnp.asarray(loop.goals.table)
     world = env.land(lane.world, flight)
-    end = outcome_of(loop, method, lane, world, step)
+    end = outcome_of(loop, method, lane, world, keys, step)
     earned = env.goal_reward(world, table[lane.commands.task])
     tally = lane.tally.replace(
         window_reward=lane.tally.window_reward + jnp.where(end.fault, 0.0, earned),
@@ -139,19 +81,37 @@ def arrive(
         faults=lane.tally.faults + end.fault,
         reached=lane.tally.reached + (end.reached & (lane.phase == TASK)),
     )
-    phase = jnp.where(end.intervene, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
-    fresh = method.next_goal(keys.goal, loop.goals, phase, lane.commands, lane.extra)
-    commands = jax.tree.map(lambda new, old: jnp.where(end.over, new, old), fresh, lane.commands)
-    onward = jax.tree.map(lambda new, old: jnp.where(end.reset, new, old), env.reset(keys.reset), world)
+    phase = jnp.where(end.begins, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
+    commands = _commands(loop, method, lane, phase, keys.goal, end)
+    onward = jax.tree.map(lambda new, old: jnp.where(end.reset, new, old), env.intervene(keys.reset, world), world)
     onward = env.with_goal(onward, table[commands.goal])
 
-    marks = Marks(lane.commands.goal, end.reached, end.timeout, end.reset)
+    before, after = lane.world.done > 0, world.done > 0
+    marks = Marks(lane.commands.goal, end.reached, end.timeout, end.reset, after)
     reward = jnp.where(end.fault, 0.0, world.reward)
     transition = Transition(action, onward.obs[: env.state_size], reward, marks)
     bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
     phase_step = jnp.where(end.over, 0, lane.phase_step + 1)
-    lane = lane.replace(world=onward, phase=phase, phase_step=phase_step, commands=commands, tally=tally)
-    return lane, transition, ~(end.reset & bootstrapped) & ~end.fault
+    visits = None if lane.visits is None else _visited(loop, lane.visits, world.obs)
+    lane = lane.replace(world=onward, phase=phase, phase_step=phase_step, commands=commands, tally=tally, visits=visits)
+    return lane, transition, ~(end.reset & bootstrapped) & ~end.fault & ~before
+
+
+def _commands(loop: Loop, method: Method, lane: Lane, phase: jax.Array, key: jax.Array, end: Outcome) -> Commands:
+    """Return what is commanded after a step: where the world asks for goals itself, methods draw no other task than its own."""
+    asks = lane.rules.goal_change > 0
+    asked = jnp.where(end.switch, loop.goals.draw_task(jax.random.fold_in(key, 1)), lane.commands.task)
+    goals = loop.goals._replace(asked=jnp.where(asks, asked, -1))
+    fresh = method.next_goal(key, goals, phase, lane.commands._replace(task=asked), lane.extra)
+    commands = jax.tree.map(lambda new, old: jnp.where(end.over, new, old), fresh, lane.commands)
+    return commands._replace(task=jnp.where(asks, asked, commands.task))
+
+
+def _visited(loop: Loop, visits: jax.Array, obs: jax.Array) -> jax.Array:
+    low, high = np.asarray(loop.env.area)
+    share = (loop.env.place(obs) - low) / (high - low)
+    x, y = jnp.clip(jnp.floor(share * BINS), 0, BINS - 1).astype(jnp.int32)
+    return visits.at[x, y].add(1)
 
 
 def _act(loop: Loop, method: Method, lane: Lane, key: jax.Array, explore: bool) -> jax.Array:
@@ -212,11 +172,23 @@ def step_lives(loop: Loop, method: Method, lives: Lives, explore: bool = False) 
         wanted = _once_begun(flight, controller)
         rows = replay_lib.sample(replay, keys.sample, wanted, method.sac.batch_size, jnp.asarray(method.sac.demo_share))
         replay, rows = _once_read(replay, rows)
-        lanes = jax.vmap(lambda *each: learn(loop, *each))(method, lanes, keys, rows, lanes.phase)
+        learnt = jax.vmap(lambda *each: learn(loop, *each))(method, lanes, keys, rows, lanes.phase)
+        lanes = _unless_over(lanes, learnt) if loop.env.ends else learnt
         flight = _once_learnt(lanes.agent, flight)
     land = jax.vmap(lambda m, lane, one, away, key: arrive(loop, m, lane, one, away, key, step))
     lanes, transition, listed = land(method, lanes, action, flight, keys)
     return Lives(lanes, replay_lib.write(replay, transition, listed, controller), step + 1)
+
+
+def _unless_over(lanes: Lane, learnt: Lane) -> Lane:
+    """Return `learnt` lanes, and those whose world has come to its end as they were: nothing more is learnt there."""
+    over = lanes.world.done > 0
+
+    def keep(old, new):
+        return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+
+    kept = [jax.tree.map(keep, old, new) for old, new in ((lanes.agent, learnt.agent), (lanes.extra, learnt.extra))]
+    return learnt.replace(agent=kept[0], extra=kept[1])
 
 
 def _once_read(replay: Replay, rows: Rows) -> tuple[Replay, Rows]:

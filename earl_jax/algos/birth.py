@@ -8,9 +8,10 @@ import numpy as np
 
 from earl_jax.algos import replay as replay_lib
 from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.autonomy import Commands, Lane, Lives, Loop, Tally
-from earl_jax.algos.method import TASK, Method, trajectories
+from earl_jax.algos.life import BINS, Lane, Lives, Loop, Tally
+from earl_jax.algos.method import TASK, Commands, Method, trajectories
 from earl_jax.algos.replay import Marks, Replay
+from earl_jax.protocol import Rules
 
 
 class DemoRows(NamedTuple):
@@ -33,12 +34,17 @@ def demo_rows(loop: Loop, method: Method) -> DemoRows | None:
     """Return the demonstrations that `method` puts in its replay, or None where the task has none.
 
     Raises:
-        ValueError: the method cannot work without demonstrations and the task has none.
+        ValueError: the method cannot work without demonstrations and the task has none, or none whose states could be goals.
     """
     if not loop.env.has_demos:
         if method.needs_demos:
             raise ValueError(f"{method.name} needs demonstrations, and {loop.env.name} has none")
         return None
+    if method.needs_demos and loop.env.state_size != loop.env.goal_size:
+        raise ValueError(
+            f"{method.name} needs demonstrated states that can be goals: here a state of {loop.env.name} is "
+            f"{loop.env.state_size} numbers, a goal {loop.env.goal_size}"
+        )
     parts, first = [], 0
     for number, direction in enumerate(method.demo_directions):
         demos = loop.env.demos(direction)
@@ -76,7 +82,7 @@ def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay
     obs = jnp.concatenate([demos.states[demos.rows + 1], loop.goals.table[demos.goals]], axis=-1)
     reached = env.success(obs) & env.sparse
     no = jnp.zeros_like(reached)
-    words = replay_lib.pack(Marks(jnp.asarray(demos.goals), reached, no, no))
+    words = replay_lib.pack(Marks(jnp.asarray(demos.goals), reached, no, no, no))
     mine, other = demos.listed(0), demos.listed(1)
     index = replay.index.at[: len(mine)].set(mine[:, None])
     index = index.at[capacity - len(other) :].set(other[::-1, None])
@@ -92,7 +98,7 @@ def _first_rows(loop: Loop, method: Method, lanes: int, capacity: int) -> Replay
     )
 
 
-def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
+def _newborn(loop: Loop, method: Method, key: jax.Array, rules: Rules) -> Lane:
     env, goals = loop.env, loop.goals
     agent_key, extra_key, world_key, goal_key, life_key = jax.random.split(key, 5)
 
@@ -107,12 +113,18 @@ def _newborn(loop: Loop, method: Method, key: jax.Array) -> Lane:
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     tally = Tally(zero, zero, none, none, none, dict.fromkeys(sac_lib.DIAGNOSTICS, zero))
     agents = jax.vmap(agent)(jax.random.split(agent_key, method.controllers))
-    return Lane(life_key, world, phase, none, commands, agents, extra, tally)
+    visits = None if env.area is None else jnp.zeros((BINS, BINS), jnp.int32)
+    return Lane(life_key, world, phase, none, commands, agents, extra, tally, rules, visits)
 
 
-def begin(loop: Loop, method: Method, keys: jax.Array, capacity: int) -> Lives:
-    """Return N lives at step 0 from PRNG keys [N]; `method`'s float leaves have a leading lane axis."""
-    lanes = jax.vmap(lambda m, key: _newborn(loop, m, key))(method, keys)
+def begin(loop: Loop, method: Method, keys: jax.Array, capacity: int, rules: Rules | None = None) -> Lives:
+    """Return N lives at step 0 from PRNG keys [N]; leaves of `method` and `rules` have a leading lane axis.
+
+    Without `rules` those of the loop's protocol hold for every lane.
+    """
+    if rules is None:
+        rules = jax.tree.map(lambda rule: jnp.full(keys.shape[0], rule), loop.protocol.rules)
+    lanes = jax.vmap(lambda *each: _newborn(loop, *each))(method, keys, rules)
     replay = _first_rows(loop, method, keys.shape[0], capacity)
     start = lanes.world.obs[None, :, : loop.env.state_size]
     state = jax.lax.dynamic_update_slice(replay.state, start, (replay.row, 0, 0))

@@ -22,12 +22,14 @@ class Goals(NamedTuple):
     """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, then demo states.
 
     Demo states stand in the order of the replay's first rows; `ends [C]` is the last state of each one's demonstration.
+    `asked []` is the task goal that the world asks for, negative (or None) where a method may draw any.
     """
 
     table: np.ndarray
     tasks: int
     initials: int
     ends: np.ndarray
+    asked: jax.Array | None = None
 
     @property
     def candidates(self) -> np.ndarray:
@@ -35,8 +37,9 @@ class Goals(NamedTuple):
         return self.table[self.tasks + self.initials :]
 
     def draw_task(self, key: jax.Array) -> jax.Array:
-        """Return the index of a task goal, uniform over all of them."""
-        return jax.random.randint(key, (), 0, self.tasks)
+        """Return the index of a task goal: the one that the world asks for, or uniform over all of them."""
+        drawn = jax.random.randint(key, (), 0, self.tasks)
+        return drawn if self.asked is None else jnp.where(self.asked >= 0, self.asked, drawn)
 
 
 class Commands(NamedTuple):
@@ -118,8 +121,12 @@ class Method(struct.PyTreeNode):
         return rows.reward
 
     def terminal(self, rows: Rows) -> jax.Array:
-        """Return where [B] the target stops: at success and, unless bootstrapped through, at time-outs."""
-        return rows.marks.reached | (rows.marks.timeout & ~jnp.asarray(self.sac.timeout_bootstrap, bool))
+        """Return where [B] the target stops: at success, at the end of a life and, unless bootstrapped through, at time-outs."""
+        return (
+            rows.marks.reached
+            | rows.marks.absorbed
+            | (rows.marks.timeout & ~jnp.asarray(self.sac.timeout_bootstrap, bool))
+        )
 
     def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> Any:
         """Return what the method itself learns or remembers, a pytree; nothing by default."""

@@ -15,19 +15,20 @@ import jax.numpy as jnp
 from flax import struct
 
 GOAL_BITS = 16
-REACHED, TIMEOUT, LOST = (1 << GOAL_BITS, 1 << (GOAL_BITS + 1), 1 << (GOAL_BITS + 2))
+REACHED, TIMEOUT, LOST, ABSORBED = (1 << (GOAL_BITS + bit) for bit in range(4))
 
 
 class Marks(NamedTuple):
-    """What a transition was: `goal` index, and whether it `reached` it, hit a `timeout`, or `lost` its successor.
+    """What a transition was: `goal` index, and whether it `reached` it, hit a `timeout`, `lost` its successor or was `absorbed`.
 
-    A successor is lost where a reset overwrote it with the start of the next episode.
+    A successor is lost where a reset overwrote it with the start of the next episode; nothing follows where a life ends.
     """
 
     goal: jax.Array
     reached: jax.Array
     timeout: jax.Array
     lost: jax.Array
+    absorbed: jax.Array
 
 
 class Transition(NamedTuple):
@@ -95,13 +96,13 @@ def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse:
 
 def pack(marks: Marks) -> jax.Array:
     """Return the int32 words of `marks`."""
-    flags = REACHED * marks.reached + TIMEOUT * marks.timeout + LOST * marks.lost
+    flags = REACHED * marks.reached + TIMEOUT * marks.timeout + LOST * marks.lost + ABSORBED * marks.absorbed
     return marks.goal.astype(jnp.int32) | flags.astype(jnp.int32)
 
 
 def unpack(words: jax.Array) -> Marks:
     """Return the `Marks` of int32 `words`."""
-    bits = [(words & bit) != 0 for bit in (REACHED, TIMEOUT, LOST)]
+    bits = [(words & bit) != 0 for bit in (REACHED, TIMEOUT, LOST, ABSORBED)]
     return Marks(words & (REACHED - 1), *bits)
 
 

@@ -3,9 +3,10 @@
 import dataclasses
 
 from earl_jax.envs.base import Env, State
+from earl_jax.envs.helped import Helped
 from earl_jax.registry import Registry
 
-__all__ = ["Env", "State", "list_envs", "make", "register_env", "with_physics"]
+__all__ = ["Env", "Helped", "State", "list_envs", "make", "register_env", "with_physics"]
 
 _ENVS = Registry(
     "env",
@@ -49,6 +50,8 @@ def with_physics(env: Env, engine: str | None) -> Env:
     """
     if engine is None:
         return env
+    if isinstance(env, Helped):
+        return dataclasses.replace(env, task=with_physics(env.task, engine))
     if "physics" not in {field.name for field in dataclasses.fields(env)}:
         raise ValueError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
     return dataclasses.replace(env, **{"physics": engine})

@@ -47,6 +47,12 @@ class Env(abc.ABC):
     action_size: ClassVar[int]
     goal_change: ClassVar[int]
     """Steps between goal changes in the paper's continuing setting."""
+    continuing_horizon: ClassVar[int | None] = None
+    """H_T of the released continuing setting where it differs from `train_horizon`."""
+    area: ClassVar[np.ndarray | None] = None
+    """What `place` lies in, [[x, y] low, [x, y] high], where a map of visited places says something of this task."""
+    ends: ClassVar[bool] = False
+    """Whether a life in this world can come to an end, which `State.done` then says."""
 
     def __post_init__(self):
         self._require("reward_type", REWARD_TYPES)
@@ -132,6 +138,34 @@ class Env(abc.ABC):
         """
         leaves = [leaf for leaf in jax.tree.leaves((state.data, state.obs)) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         return ~jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether `state` is one that this body cannot leave and a watcher can tell, bool []: here a `fault` only.
+
+        Nothing follows from it in the plain world; `Helped` enforces an intervention there.
+        """
+        return self.fault(state)
+
+    def intervene(self, key: jax.Array, state: State) -> State:
+        """Return the state after an intervention from outside: s0 ~ rho, with what `state` remembers across one kept."""
+        del state
+        return self.reset(key)
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return where [..., 2] in its `area` the body or thing that a map of this task follows is in `obs [..., s + g]`.
+
+        Raises:
+            ValueError: this task has no map.
+        """
+        raise ValueError(f"{self.name} has no map of visited places")
+
+    def scattered(self, key: jax.Array) -> State:
+        """Return a state drawn uniformly over the workspace, with a task goal, as figure 5 of the paper asks for.
+
+        Raises:
+            ValueError: this task has no such distribution.
+        """
+        raise ValueError(f"{self.name} has no uniform distribution of starts")
 
     @property
     def has_demos(self) -> bool:

@@ -52,6 +52,10 @@ Nothing holds the arm's elbow, so it sinks for two minutes before it comes to re
 START_HAND = np.array([0.695392282, 0.152986541, 0.821885595])
 BULB_LOW = np.array([0.2, -0.35, TABLE], np.float32)
 BULB_HIGH = np.array([1.2, 0.65, 1.4], np.float32)
+NEAREST = 0.32
+"""Metres: with a smaller x the bulb stands between the hand's range and the arm's foot, where no finger comes."""
+STILL = 0.05
+"""Metres a second below which a bulb out there is not on its way back."""
 STRAY = 0.3
 """Metres beyond its range at which a hand can only be the work of broken physics."""
 FROM_TARGET = np.array([0.1256, -0.032, -0.1406], np.float32)
@@ -108,6 +112,7 @@ class DHandLightbulb(PhysicalEnv):
     name: ClassVar[str] = "dhand_lightbulb"
     action_size: ClassVar[int] = 22
     goal_change: ClassVar[int] = 400
+    area: ClassVar[np.ndarray] = np.stack([BULB_LOW[:2], BULB_HIGH[:2]])
     control_step: ClassVar[float] = 0.1
 
     @property
@@ -166,6 +171,10 @@ class DHandLightbulb(PhysicalEnv):
         _, bulb, _, goal = parts(obs)
         return jnp.linalg.norm(bulb - goal, axis=-1) < RADIUS
 
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the bulb's x, y [..., 2] in `obs [..., 35]`, metres."""
+        return parts(obs)[1][..., :2]
+
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 35]`.
 
@@ -199,6 +208,15 @@ class DHandLightbulb(PhysicalEnv):
         move = jnp.where(around, jnp.where(grip > HELD, _carry(bulb, goal), 0.0), _approach(hand, place, grip))
         squeeze = jnp.where(around, CLOSING * (closed - fingers), OPENING * (opened - fingers))
         return jnp.clip(jnp.concatenate([squeeze, move, jnp.zeros(3)]), -1.0, 1.0)
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether the bulb is below the table or has left it (a `fault`), or stands still out of the hand's reach.
+
+        A tether keeps it over the table, so none falls to the floor.
+        """
+        speed = jnp.linalg.norm(state.data.qvel[ARM + FINGERS : ARM + FINGERS + 3])
+        lost = (parts(state.obs)[1][0] < NEAREST) & (speed < STILL)
+        return super().irreversible(state) | lost
 
     def fault(self, state: State) -> jax.Array:
         _, bulb, hand, _ = parts(state.obs)

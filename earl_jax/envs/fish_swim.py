@@ -50,6 +50,8 @@ class FishSwim(PhysicalEnv):
     name: ClassVar[str] = "fish_swim"
     action_size: ClassVar[int] = 5
     goal_change: ClassVar[int] = 1000
+    area: ClassVar[np.ndarray] = np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32)
+    """Twice the targets' box and more: the water has no walls, and a fish may leave it."""
     control_step: ClassVar[float] = 0.04
 
     @property
@@ -85,6 +87,10 @@ class FishSwim(PhysicalEnv):
         self, state: State, action: jax.Array, data: Integration, sensors: jax.Array
     ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         return data, _observed(data), {}
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the mouth's x, y [..., 2] in `obs [..., 36]`, metres."""
+        return obs[..., 21:23]
 
     def fault(self, state: State) -> jax.Array:
         return super().fault(state) | (jnp.abs(state.obs[:JOINTS]) > TURN).any()

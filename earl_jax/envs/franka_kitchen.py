@@ -94,6 +94,7 @@ class FrankaKitchen(PhysicalEnv):
     action_size: ClassVar[int] = 9
     control_step: ClassVar[float] = 0.08
     goal_change: ClassVar[int] = 800
+    continuing_horizon: ClassVar[int | None] = 50_000
 
     def __post_init__(self):
         super().__post_init__()

@@ -29,6 +29,10 @@ EFFORT = {"released": -0.005 * 0.002, "paper": 0.02}
 FAR = {"closed": 1.75, "floating": 100.0}
 """Metres from the middle that the robot never reaches unless something broke."""
 HIGH = 2.0
+ON_ITS_BACK = -0.5
+"""Cosine of the body's upward axis to the vertical, below which no robot was ever seen to come back: docs/irreversible.md."""
+WALL = 1.5
+"""Metres from the middle to the walls."""
 
 STANDING = (
     (
@@ -74,6 +78,7 @@ class MinitaurPen(PhysicalEnv):
     name: ClassVar[str] = "minitaur_pen"
     action_size: ClassVar[int] = MOTORS
     goal_change: ClassVar[int] = 2000
+    area: ClassVar[np.ndarray] = np.array([[-WALL, -WALL], [WALL, WALL]], np.float32)
     control_step: ClassVar[float] = 0.01
 
     def __post_init__(self):
@@ -136,6 +141,18 @@ class MinitaurPen(PhysicalEnv):
 
     def success(self, obs: jax.Array) -> jax.Array:
         return jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], axis=-1) < RADIUS
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether the robot is on its back (or at fault): its upward axis more than 120 degrees from the vertical.
+
+        At rest it stands (cosine 1), lies on a side (about 0.1) or on its back (below -0.9).
+        """
+        x, y = state.obs[24:26]
+        return super().irreversible(state) | (1.0 - 2.0 * (x**2 + y**2) < ON_ITS_BACK)
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave the `area`."""
+        return obs[..., 28:30]
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...]: released, minus twice the L1 distance and a little of the motors' power; in the paper's text

@@ -9,7 +9,7 @@ import numpy as np
 
 from earl_jax.envs import sawyer_experts
 from earl_jax.envs.base import State
-from earl_jax.envs.sawyer import Pose, Sawyer
+from earl_jax.envs.sawyer import HAND_HIGH, HAND_LOW, Pose, Sawyer
 from earl_jax.envs.shaping import tolerance
 
 HINGE = np.array([-0.085, 0.85], np.float32)
@@ -24,6 +24,8 @@ CLOSED = np.array([0.29072163, 0.74286009, 0.10003595], np.float32)
 START = np.array([0.00591636, 0.39968333, 0.19493164, 1.0, 0.01007495, 0.47104556, 0.10003595], np.float32)
 GOAL_RADIUS = 0.05
 """Metres within which the dense reward is at its highest."""
+OVERSHOOT = np.float32(0.05)
+"""Metres beyond the target's box that a map of the hand's places shows."""
 HOME = Pose(
     target=(0.0, 0.4, 0.2),
     qpos=(
@@ -67,6 +69,8 @@ class SawyerDoor(Sawyer):
 
     name: ClassVar[str] = "sawyer_door"
     goal_change: ClassVar[int] = 600
+    continuing_horizon: ClassVar[int | None] = 50_000
+    area: ClassVar[np.ndarray] = np.stack([HAND_LOW[:2] - OVERSHOOT, HAND_HIGH[:2] + OVERSHOOT])
     radius: ClassVar[dict[str, float]] = {"released": 0.02, "paper": 0.08}
     object_low: ClassVar[np.ndarray] = np.array([-0.2, 0.4, 0.05], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.35, 0.85, 0.15], np.float32)
@@ -88,6 +92,10 @@ class SawyerDoor(Sawyer):
         noise = jax.random.uniform(key, maxval=NOISE if self.door_noise else 0.0)
         angle = -noise if self.reset_at_goal else OPEN + noise
         return self.placed(angle[None], handle_at(angle), goal)
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the hand's x, y [..., 2] in `obs [..., o]`, metres."""
+        return obs[..., :2]
 
     def reward(self, obs: jax.Array) -> jax.Array:
         if self.sparse:

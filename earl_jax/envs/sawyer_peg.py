@@ -20,6 +20,9 @@ LOW = np.array([0.0, 0.5, 0.02], np.float32)
 HIGH = np.array([0.2, 0.7, 0.02], np.float32)
 SCATTER = 0.02
 RADIUS = 0.05
+NEAREST, WIDEST = 0.335, 0.64
+"""Metres: nearer to the robot than this y, and further to a side than this x, a hand inside its range can touch the middle of the
+peg's length no more, or only push it on: docs/irreversible.md."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -76,9 +79,11 @@ class SawyerPeg(Sawyer):
 
     name: ClassVar[str] = "sawyer_peg"
     goal_change: ClassVar[int] = 400
+    continuing_horizon: ClassVar[int | None] = 50_000
     radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
     object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
+    area: ClassVar[np.ndarray] = np.stack([object_low[:2], object_high[:2]])
 
     def __post_init__(self):
         super().__post_init__()
@@ -120,6 +125,15 @@ class SawyerPeg(Sawyer):
 
     def _changed(self, state: State, action: jax.Array, tips: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
         return {"grasp": jnp.zeros(()) if self.sparse else _caging(tips, seen, state.info["start"], action[GRIPPER])}
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether the peg is off the table (a `fault`: its middle past an edge of the top) or out of the hand's reach."""
+        middle = state.obs[self.state_size - 3 : self.state_size] - HEAD
+        return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
+        return obs[..., self.state_size - 3 : self.state_size - 1]
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., o]`.

@@ -43,6 +43,7 @@ class TabletopOrganization(Env):
     name: ClassVar[str] = "tabletop_organization"
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
+    area: ClassVar[np.ndarray] = np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32)
 
     @property
     def state_size(self) -> int:
@@ -66,6 +67,16 @@ class TabletopOrganization(Env):
         qpos = self._wide_start(start_key) if self.wide else jnp.asarray(HOME)
         info = {"goal": self.sample_goal(goal_key)}
         return self._state(Integration.at(qpos), jnp.concatenate([qpos, FREE]), info)
+
+    def scattered(self, key: jax.Array) -> State:
+        start_key, goal_key = jax.random.split(key)
+        qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)
+        info = {"goal": self.sample_goal(goal_key)}
+        return self._state(Integration.at(qpos), jnp.concatenate([qpos, FREE]), info)
+
+    def place(self, obs: jax.Array) -> jax.Array:
+        """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""
+        return obs[..., :2]
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
         """Return the first of 64 uniform draws [4] that keeps its distances (about half do: a miss has odds of 1e-17)."""

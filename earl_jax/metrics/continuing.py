@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.autonomy import Lane
+from earl_jax.algos.life import Lane
+from earl_jax.envs import State
 
 
 def continuing_lane(lane: Lane, step: jax.Array, since: jax.Array) -> tuple[Lane, dict[str, jax.Array]]:
@@ -11,7 +12,8 @@ def continuing_lane(lane: Lane, step: jax.Array, since: jax.Array) -> tuple[Lane
 
     `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted;
     `continuing/recent` the same since the last report; `interventions`, `faults` (those among them that a broken
-    simulation enforced) and `reached` are counts since birth.
+    simulation enforced) and `reached` are counts since birth. In a world with help (`Helped`) `help/asked` and
+    `help/enforced` count its own interventions, `help/budget` is what is left, and `help/over` whether that ended the life.
     """
     total = lane.tally.total_reward + lane.tally.window_reward
     metrics = {
@@ -21,5 +23,9 @@ def continuing_lane(lane: Lane, step: jax.Array, since: jax.Array) -> tuple[Lane
         "faults": lane.tally.faults,
         "reached": lane.tally.reached,
     }
+    if isinstance(lane.world.data, State):
+        info = lane.world.info
+        metrics |= {f"help/{name}": info[name] for name in ("asked", "enforced", "budget")}
+        metrics["help/over"] = lane.world.done
     closed = lane.tally.replace(total_reward=total, window_reward=jnp.zeros_like(total))
     return lane.replace(tally=closed), metrics

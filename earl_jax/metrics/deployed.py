@@ -5,7 +5,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.autonomy import Lane, Loop
+from earl_jax.algos.life import Lane, Loop
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 from earl_jax.policy import Policy
@@ -14,10 +14,13 @@ EVALUATION = 2
 """Folded into a lane's key, so that evaluating neither shifts nor repeats the randomness of the life."""
 
 
-def episode(env: Env, policy: Callable, key: jax.Array, horizon: int) -> dict[str, jax.Array]:
+def episode(
+    env: Env, policy: Callable, key: jax.Array, horizon: int, begin: Callable | None = None
+) -> dict[str, jax.Array]:
     """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`.
 
-    Where the simulation breaks the episode is over: what comes after earns nothing.
+    It starts from `begin(key) -> State`, or s0 ~ rho without one. Where the simulation breaks the episode is over: what comes
+    after earns nothing.
     """
 
     def step(carry, _):
@@ -27,19 +30,21 @@ def episode(env: Env, policy: Callable, key: jax.Array, horizon: int) -> dict[st
         success |= alive & env.success(state.obs)
         return (state, alive, success, total + jnp.where(alive, state.reward, 0.0)), None
 
-    start = (env.reset(key), jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
+    start = ((begin or env.reset)(key), jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
     (_, _, success, total), _ = jax.lax.scan(step, start, length=horizon)
     return {"success": success.astype(jnp.float32), "return": total}
 
 
-def deployed(env: Env, policy: Callable, key: jax.Array, horizon: int, episodes: int) -> dict[str, jax.Array]:
+def deployed(
+    env: Env, policy: Callable, key: jax.Array, horizon: int, episodes: int, begin: Callable | None = None
+) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Success counts at any step, as the released evaluations do (their values are exact multiples of 0.1), although the
-    paper's text speaks of returns.
+    Starts are s0 ~ rho, or drawn by `begin(key) -> State`. Success counts at any step, as the released evaluations do (their
+    values are exact multiples of 0.1), although the paper's text speaks of returns.
     """
     keys = jax.random.split(key, episodes)
-    results = jax.vmap(lambda part: episode(env, policy, part, horizon))(keys)
+    results = jax.vmap(lambda part: episode(env, policy, part, horizon, begin))(keys)
     return {f"deployed/{name}": values.mean() for name, values in results.items()}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import SAC, Method, autonomy, make_algo
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.physics import c
 from earl_jax.protocol import Protocol

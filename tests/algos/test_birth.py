@@ -7,7 +7,7 @@ import pytest
 
 from earl_jax import assets
 from earl_jax.algos import birth, replay
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from tests.conftest import ALGOS, newborn, tiny_method

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import autonomy
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos.autonomy import Loop
+from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.metrics.continuing import continuing_lane
 from earl_jax.metrics.deployed import episode

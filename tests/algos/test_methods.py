@@ -24,7 +24,7 @@ def commanded(method, goals, phase, extra=()):
 def rows_of(env, goals, states, next_states, row, goal):
     size = len(states)
     no = jnp.zeros(size, bool)
-    marks = Marks(jnp.full(size, goal), no, no, no)
+    marks = Marks(jnp.full(size, goal), no, no, no, no)
     return Rows(
         jnp.asarray(row), jnp.asarray(states), jnp.zeros((size, 3)), jnp.asarray(next_states), jnp.zeros(size), marks
     )

@@ -15,7 +15,7 @@ def transition(step, lanes=2):
     """A transition whose every field tells its step and lane."""
     number = jnp.arange(lanes) + 10.0 * step
     flags = jnp.zeros(lanes, bool)
-    marks = Marks(jnp.full(lanes, step), flags.at[0].set(step % 2 == 0), flags, flags)
+    marks = Marks(jnp.full(lanes, step), flags.at[0].set(step % 2 == 0), flags, flags, flags)
     return Transition(number[:, None], number[:, None] + 1000, number, marks)
 
 
@@ -28,7 +28,7 @@ def filled(controllers, valid, sparse=False):
 
 def test_marks_survive_packing():
     goals = jnp.array([0, 1, 65535])
-    bits = [jnp.array([a, b, a != b]) for a, b in ((True, False), (False, False), (True, True))]
+    bits = [jnp.array([a, b, a != b]) for a, b in ((True, False), (False, False), (True, True), (False, True))]
     back = replay.unpack(replay.pack(Marks(goals, *bits)))
     np.testing.assert_array_equal(back.goal, goals)
     for got, want in zip(back[1:], bits, strict=True):

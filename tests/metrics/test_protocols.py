@@ -2,13 +2,11 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from earl_jax.envs import make
 from earl_jax.metrics.continuing import continuing_lane
 from earl_jax.metrics.deployed import deployed, deployed_lane, episode
-from earl_jax.protocol import Protocol
 from tests.conftest import advance, newborn, tiny_method
 
 
@@ -70,9 +68,3 @@ def test_the_task_is_rewarded_whichever_controller_acts(env, loop):
     assert float(after.lanes.tally.window_reward[0]) == 1.0
     assert int(after.lanes.tally.reached[0]) == 0
     assert int(after.lanes.phase[0]) == 1
-
-
-def test_a_protocol_refuses_nonsense():
-    with pytest.raises(ValueError, match="eval_every must be at least 1, not 0"):
-        Protocol(10, 10, eval_every=0)
-    np.testing.assert_array_equal(Protocol(5, 5).intervention_due(np.arange(1, 11)), [0, 0, 0, 0, 1] * 2)
