@@ -1,52 +1,13 @@
-"""The command line: `earl-jax list | train | resume | sweep | evaluate | plot | table | demos | import-demos | quickstart`."""
+"""The command line: `earl-jax` list, train, resume, sweep, reproduce, evaluate, plot, table, demos, import-demos, quickstart."""
 
-import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
 
-Positional = tyro.conf.Positional
-JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
-Physics = Annotated[
-    str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
-]
-Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
-Devices = Annotated[
-    int | None, tyro.conf.arg(help="Devices that share the lanes: one, or those of all hosts where there are several.")
-]
-Hosts = Annotated[
-    str | None,
-    tyro.conf.arg(
-        help="Run as one of several hosts: auto on a cluster that jax knows, else ADDRESS:PORT,HOSTS,NUMBER."
-    ),
-]
-Slurm = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs for sbatch: time (minutes), partition, ...")]
-
-
-def _say(result: dict[str, Any], as_json: bool, text: str) -> None:
-    print(json.dumps(result) if as_json else text)
-
-
-def _value(text: str) -> Any:
-    """Return a JSON value where `text` is one, else the text itself, so that names need no quotes."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
-
-
-def _options(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value `pairs` as a dictionary."""
-    options = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        if not equals:
-            raise ValueError(f"--set takes name=value, not {pair!r}")
-        options[name] = _value(text)
-    return options
+from earl_jax.arguments import JSON, Devices, Hosts, Physics, Positional, Set, Slurm, options_of, say, say_line
 
 
 def list_(json: JSON = False) -> None:
@@ -54,7 +15,7 @@ def list_(json: JSON = False) -> None:
     from earl_jax import algos, envs
 
     names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
-    _say(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
+    say(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
 
 
 def train(
@@ -66,6 +27,7 @@ def train(
     eval_every: int = 10_000,
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
+    setting: Literal["deployment", "continuing"] = "deployment",
     physics: Physics = None,
     devices: Devices = None,
     hosts: Hosts = None,
@@ -83,15 +45,16 @@ def train(
         eval_every: steps between evaluations.
         eval_episodes: greedy episodes of each deployed evaluation.
         checkpoint_every: steps between checkpoints.
+        setting: what the life is for; docs/formalism.md has the options of both, for --set.
     """
     from earl_jax import algos, envs, training
     from earl_jax.devices import join_hosts
 
     join_hosts(hosts)
-    env_options, options = training.split_options(env, _options(set))
-    task = envs.with_physics(envs.make(env, **env_options), physics)
+    task, chosen, options = training.split_options(env, {"setting": setting, **options_of(set)})
+    task = envs.with_physics(task, physics)
     result = training.train(
-        task, algos.method_for(task, algo, **options), seeds=seeds, steps=steps, out=out,
+        task, algos.method_for(task, algo, **options), setting=chosen, seeds=seeds, steps=steps, out=out,
         eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
         devices=devices,
     )  # fmt: skip
@@ -141,18 +104,43 @@ def sweep(
 
     if dry_run:
         plan = launching.planned(grid, out, max_lanes)
-        _say(plan, json, launching.described(plan))
+        say(plan, json, launching.described(plan))
         return
     lines: list[str] = []
-    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, devices, lines.append if json else _print)
+    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, devices, lines.append if json else say_line)
     if json:
-        _say({"out": str(out), "failed": failed, "lines": lines}, json, "")
+        say({"out": str(out), "failed": failed, "lines": lines}, json, "")
     if failed:
         raise SystemExit(1)
 
 
-def _print(line: str) -> None:
-    print(line, flush=True)
+def reproduce(
+    name: Positional[Literal["table1", "table2", "curves", "figure2", "figure4", "figure5"]],
+    scale: Literal["smoke", "short", "full"] = "smoke",
+    out: Path | None = None,
+    tasks: tuple[str, ...] = (),
+    seeds: int | None = None,
+    steps: int | None = None,
+    max_lanes: int | None = None,
+    devices: Devices = None,
+    set: Set = (),
+) -> None:
+    """Train and draw a table or figure of the paper beside the published one; the same command goes on after a kill.
+
+    Args:
+        name: the table or figure.
+        scale: smoke, one task for some hundred steps; short, a tenth of the published steps; full, all of them.
+        out: one folder for the runs and results of all of them; runs/reproduce-SCALE by default.
+        tasks: only these tasks.
+        seeds: another number of seeds than the scale's (2, 3, 5).
+        steps: another length than the scale's.
+        max_lanes: lanes of the largest program.
+    """
+    from earl_jax import reproduce as paper
+
+    options = options_of(set)
+    for path in paper.reproduce(name, scale, out, tasks, seeds, steps, options, max_lanes, devices, say_line):
+        print(path)
 
 
 def _report_run(result: Any, out: Path, as_json: bool) -> None:
@@ -162,11 +150,16 @@ def _report_run(result: Any, out: Path, as_json: bool) -> None:
     final = summarise(result.metrics[metric][:, -1])
     answer = {"out": str(out), "steps": int(result.steps[-1]), metric: final._asdict()}
     text = f"{out}: {metric} {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
-    _say(answer, as_json, text)
+    say(answer, as_json, text)
 
 
 def evaluate(
-    folder: Positional[Path], episodes: int = 100, seed: int = 0, physics: Physics = None, json: JSON = False
+    folder: Positional[Path],
+    episodes: int = 100,
+    seed: int = 0,
+    starts: Literal["initial", "uniform"] = "initial",
+    physics: Physics = None,
+    json: JSON = False,
 ) -> None:
     """Evaluate the newest policies of a run on fresh greedy episodes.
 
@@ -174,14 +167,15 @@ def evaluate(
         folder: a run folder with a checkpoint.
         episodes: episodes for each seed's policy.
         seed: of starts and goals.
+        starts: where episodes begin: where the task's do, or anywhere in the workspace.
     """
     from earl_jax.evaluation import evaluate as measure
 
-    results = measure(folder, episodes, seed, physics)
+    results = measure(folder, episodes, seed, physics, starts)
     lines = [
         f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()
     ]
-    _say({name: values.tolist() for name, values in results.items()}, json, "\n".join(lines))
+    say({name: values.tolist() for name, values in results.items()}, json, "\n".join(lines))
 
 
 def plot(folders: Positional[tuple[Path, ...]], out: Path = Path("curves.png")) -> None:
@@ -209,7 +203,7 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     rows = tabulate(folders, last)
     if out:
         write(rows, out)
-    _say({"rows": rows}, json, markdown(rows))
+    say({"rows": rows}, json, markdown(rows))
 
 
 def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) -> None:
@@ -264,6 +258,7 @@ COMMANDS = {
     "train": train,
     "resume": resume,
     "sweep": sweep,
+    "reproduce": reproduce,
     "evaluate": evaluate,
     "plot": plot,
     "table": table,

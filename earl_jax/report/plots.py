@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.statistics import bootstrap, iqm
+from earl_jax.report.canvas import canvas, save
 from earl_jax.report.runs import Curves, labels, read_all
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
@@ -27,8 +28,8 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     if out.suffix not in SUFFIXES:
         raise ValueError(f"{out}: pictures are written as {', '.join(SUFFIXES)}")
     runs = read_all(folders)
-    figure, axes = _canvas()
-    for panel, axis in zip(PANELS, axes, strict=True):
+    figure, axes = canvas(1, 2, (10, 4.2))
+    for panel, axis in zip(PANELS, axes[0], strict=True):
         for number, (curves, name) in enumerate(zip(runs, labels(runs), strict=True)):
             _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}", name)
         metric = _metric(panel, runs[0])
@@ -36,20 +37,9 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
         axis.xaxis.set_major_formatter("{x:,.0f}")
         axis.locator_params(axis="x", nbins=6)
         axis.grid(alpha=0.3)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(", ".join(sorted({curves.experiment.env for curves in runs})))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, dpi=150)
-    return out
-
-
-def _canvas() -> tuple[Any, Any]:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ValueError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    return figure, figure.subplots(1, 2)
+    return save(figure, out)
 
 
 def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:

@@ -6,7 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.envs import make
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.protocol import Deployment
+from earl_jax.report.canvas import COLOURS, TITLES, ordered
 
 
 class Curves(NamedTuple):
@@ -41,7 +44,7 @@ def read_all(folders: Sequence[Path]) -> list[Curves]:
     for path in folders:
         curves = read(path)
         one = curves.experiment
-        groups.setdefault(repr((one.env, one.env_options, one.algo, one.options)), []).append(curves)
+        groups.setdefault(repr((one.env, one.env_options, one.setting, one.algo, one.options)), []).append(curves)
     return [_pool(group) for group in groups.values()]
 
 
@@ -64,12 +67,52 @@ def labels(runs: Sequence[Curves]) -> list[str]:
     names = []
     for curves in runs:
         peers = [other.experiment.options for other in runs if other.experiment.algo == curves.experiment.algo]
-        keys = sorted({key for options in peers for key in options})
-        own = curves.experiment.options
-        differing = [key for key in keys if any(options.get(key) != own.get(key) for options in peers)]
-        told = ", ".join(f"{key}={own.get(key, 'default')}" for key in differing)
-        names.append(f"{curves.experiment.algo} ({told})" if told else curves.experiment.algo)
+        names.append(label(curves.experiment.algo, curves.experiment.options, peers))
     return names
+
+
+def label(algo: str, own: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
+    """Return the name of a method, with those of its `own` options in which its `peers` differ."""
+    keys = sorted({key for options in peers for key in options})
+    differing = [key for key in keys if any(options.get(key) != own.get(key) for options in peers)]
+    told = ", ".join(f"{key}={own.get(key, 'default')}" for key in differing)
+    return f"{algo} ({told})" if told else algo
+
+
+class Cell(NamedTuple):
+    """The runs of one method on one task: `label` is its name, with the options that tell it from others there."""
+
+    env: str
+    algo: str
+    label: str
+    curves: Curves
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of task, setting and method that differ from the defaults."""
+        one = self.curves.experiment
+        setting = {} if one.setting == {"name": Deployment.name} else {**one.setting, "setting": one.setting["name"]}
+        setting.pop("name", None)
+        return {**one.env_options, **setting, **one.options}
+
+    @property
+    def comparable(self) -> bool:
+        """Whether reward, sparse or dense, and setting are those of the paper's tables."""
+        one = self.curves.experiment
+        return one.build_env().sparse == make(self.env).sparse and one.build_setting() == Deployment()
+
+
+def cells(folders: Sequence[Path]) -> list[Cell]:
+    """Return the curves of `folders` as `read_all` pools them, by task and method in the paper's order."""
+    bare = [Cell(one.experiment.env, one.experiment.algo, "", one) for one in read_all(folders)]
+    found = []
+    for env in ordered((cell.env for cell in bare), TITLES):
+        for algo in ordered((cell.algo for cell in bare if cell.env == env), COLOURS):
+            peers = [cell for cell in bare if (cell.env, cell.algo) == (env, algo)]
+            options = [cell.options for cell in peers]
+            names = [label(algo, own, options) if own else algo for own in options]
+            found += [cell._replace(label=name) for cell, name in zip(peers, names, strict=True)]
+    return found
 
 
 def described(options: dict[str, Any]) -> str:

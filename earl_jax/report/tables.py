@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax import assets
 from earl_jax.metrics.statistics import summarise
 from earl_jax.report.runs import Curves, described, labels, read_all
+from earl_jax.report.verdicts import published
 
 WINDOW = 10
 """Evaluations in the trailing mean that a crossing is read from."""
@@ -78,32 +78,36 @@ def steps_per_reward(curves: Curves) -> float | None:
 
 
 def _published(table: str, env: str, algo: str) -> str | None:
-    for row in assets.published(table):
-        if row["env"] == env and row["algo"] == algo:
-            return f"{row['mean']} ({row['stderr']})"
-    return None
+    cell = published(table, env, algo)
+    return f"{cell[0]} ({cell[1]})" if cell else None
+
+
+def grid(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
+    """Return a markdown table."""
+    rows = ["| " + " | ".join(map(str, line)) + " |" for line in (header, *lines)]
+    return "\n".join([rows[0], "|" + " --- |" * len(header), *rows[1:]])
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Return `rows` as a table for people: mean (standard error) [95 % interval of the IQM], published beside."""
     header = ["env", "algo", "seeds", "steps", "deployed", "IQM [95 %]", "published", "continuing", "published"]
     header += ["to 0.5", "to 0.9", "steps/reward"]
-    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    lines = []
     for row in rows:
-        cells = [
+        lines.append([
             row["env"], row["algo"], row["seeds"], f"{row['steps']:,}",
             f"{row['deployed']:.3f} ({row['deployed_stderr']:.3f})",
             f"{row['deployed_iqm']:.3f} [{row['deployed_low']:.3f}, {row['deployed_high']:.3f}]",
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
-            row["published_continuing"] or "-", *(_steps(row[f"steps_to_{level}"]) for level in LEVELS),
+            row["published_continuing"] or "-", *(millions(row[f"steps_to_{level}"]) for level in LEVELS),
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
-        ]  # fmt: skip
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        ])  # fmt: skip
     notes = [f"{row['algo']}: {row['options']}" for row in rows]
-    return "\n".join([*lines, "", *notes])
+    return "\n".join([grid(header, lines), "", *notes])
 
 
-def _steps(step: int | None) -> str:
+def millions(step: int | None) -> str:
+    """Return steps for people, `-` where there are none."""
     return "-" if step is None else f"{step / 1e6:.2f}M"
 
 
