@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import run
+from benchmarks import redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
@@ -138,3 +138,11 @@ def test_the_result_of_another_command_is_not_overwritten(tmp_path, monkeypatch)
         run.target("cpu2")
     (tmp_path / "h200.json").write_text('{"command": "python -m benchmarks.run --suite quick"}')
     assert run.target("h200") == tmp_path / "h200.json"
+
+
+def test_kept_runs_say_what_the_kept_tables_and_figures_say(tmp_path):
+    """The numbers of docs/results.md, made again from every metrics.csv and config.json."""
+    tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
+    assert len(tables) == 4
+    for path in tables:
+        assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path

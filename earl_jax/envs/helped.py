@@ -175,8 +175,7 @@ class Helped(Env):
         costs = {"asked": self.help_cost, "enforced": self.enforced_cost}
         paid = sum(counts[kind] * cost for kind, cost in costs.items())
         left = jnp.maximum(self.budget - paid, 0.0)
-        charged = (asked & (self.help_cost > 0)) | (enforced & (self.enforced_cost > 0))
-        return {**counts, "budget": jnp.where(charged & (left <= ROUNDING * self.budget), 0.0, left)}
+        return {**counts, "budget": jnp.where(left <= ROUNDING * self.budget, 0.0, left)}
 
     def _vector(self, inner: State, info: dict[str, jax.Array]) -> jax.Array:
         """Return the augmented state vector [s + 1]."""

@@ -129,7 +129,14 @@ def _cell(row: dict[str, Any]) -> str:
     if row["published_mean"] == "-":
         return f"{_ours(row, 'mean', 'stderr')} / - / -"
     theirs = row["published_mean"] + ("" if row["published_stderr"] == "-" else f" ({row['published_stderr']})")
-    return f"{_ours(row, 'mean', 'stderr')} / {theirs} / {row['verdict']}"
+    return f"{_ours(row, 'mean', 'stderr')} / {theirs} / {row['verdict']}{_age(row)}"
+
+
+def _age(row: dict[str, Any]) -> str:
+    """Return at which share of the published steps a verdict was reached, nothing where it was at all of them."""
+    if row["verdict"] == "-" or not row["published_steps_low"] or row["steps"] >= row["published_steps_low"]:
+        return ""
+    return f" at {100 * row['steps'] / row['published_steps_low']:.2g} % of the steps"
 
 
 def _grid(rows: Sequence[dict[str, Any]], text: Callable[[dict[str, Any]], str]) -> str:

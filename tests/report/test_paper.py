@@ -102,8 +102,8 @@ def test_table_1_judges_every_cell_by_its_last_evaluation(tmp_path):
     assert rows[KITCHEN, "r3l"]["mean"] == ""
     assert [row["env"] for row in table(csv_file)] == sorted((env for env, _ in rows), key=list(TITLES).index)
     text = text_file.read_text()
-    assert "| naive | 0.800 (0.071) / 0.32 (0.17) / above | - / 0.00 (0.00) / - |" in text
-    assert "| -2700.00 (141.42) / -2705.21 (167.10) / within |" in text
+    assert "| naive | 0.800 (0.071) / 0.32 (0.17) / above at 0.0008 % of the steps | - / 0.00 (0.00) / - |" in text
+    assert "| -2700.00 (141.42) / -2705.21 (167.10) / within at 0.0004 % of the steps |" in text
     assert "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published" in text
     assert "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)" in text
     assert verdicts.RULE in text
