@@ -10,6 +10,7 @@ import pytest
 
 from earl_jax.algos import autonomy, birth
 from earl_jax.algos.life import Loop
+from earl_jax.algos.replay import unpack
 from earl_jax.envs import Helped, make
 from earl_jax.experiment import Experiment
 from earl_jax.protocol import Continuing, Deployment, Protocol, Rules, setting_of, settled
@@ -119,3 +120,18 @@ def test_a_map_counts_every_step(loop):
     assert all(visits[lane, x, y] > 0 for lane, (x, y) in enumerate(last))
     cheetah = Loop(make("cheetah_run", physics="c"), loop.protocol)
     assert newborn(cheetah, tiny_method("naive"), [0, 1]).lanes.visits is None
+
+
+def test_the_step_into_the_end_is_worth_the_end_for_ever(loop):
+    world = Deployment(budget=1.0, help_above=-1.0, absorbed_reward=-2.0).world(
+        make("tabletop_organization", reward_type="dense")
+    )
+    method = tiny_method("naive", discount=[0.9, 0.5])
+    lives = newborn(Loop(world, loop.protocol), method, [0, 1])
+    first = int(lives.replay.row)
+    lives = advance(Loop(world, loop.protocol), method, lives, 3, explore=True)
+    np.testing.assert_allclose(lives.replay.reward[first], [-20.0, -4.0], rtol=1e-5)
+    assert np.asarray(unpack(lives.replay.marks[first]).absorbed).all()
+    listed = np.asarray(lives.replay.counts[:, 0] - lives.replay.demos[0])
+    assert listed.tolist() == [1, 1]
+    assert np.asarray(lives.lanes.tally.window_reward).tolist() == [-6.0, -6.0]

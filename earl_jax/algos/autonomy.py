@@ -88,7 +88,8 @@ def arrive(
 
     before, after = lane.world.done > 0, world.done > 0
     marks = Marks(lane.commands.goal, end.reached, end.timeout, end.reset, after)
-    reward = jnp.where(end.fault, 0.0, world.reward)
+    for_ever = jnp.where(after, 1.0 / (1.0 - method.sac.discount), 1.0)
+    reward = jnp.where(end.fault, 0.0, world.reward * for_ever)
     transition = Transition(action, onward.obs[: env.state_size], reward, marks)
     bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
     phase_step = jnp.where(end.over, 0, lane.phase_step + 1)

@@ -3,12 +3,21 @@
 Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", section 4.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
 RESAMPLES = 2000
+
+
+class Estimate(NamedTuple):
+    """A number with its 95 % interval, which is nan to nan where there are too few seeds to tell."""
+
+    value: float
+    low: float
+    high: float
 
 
 class Summary(NamedTuple):
@@ -52,3 +61,27 @@ def summarise(scores: np.ndarray) -> Summary:
         raise ValueError(f"expected finite scores of at least one seed, got {scores}")
     low, high = bootstrap(scores)
     return Summary(float(scores.mean()), float(stderr(scores)), float(iqm(scores)), low, high, len(scores))
+
+
+def mean_of(scores: np.ndarray) -> Estimate:
+    """Return the mean of `scores [seeds]` with its bootstrap interval."""
+    value = float(np.mean(scores))
+    return Estimate(value, *bootstrap(scores, np.mean)) if len(scores) > 1 else Estimate(value, math.nan, math.nan)
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> Estimate:
+    """Return mean(`one`) - mean(`other`) of independent seeds, [seeds] each, with its bootstrap interval."""
+    value = float(np.mean(one) - np.mean(other))
+    if min(len(one), len(other)) < 2:
+        return Estimate(value, math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    means = [
+        np.asarray(part)[rng.integers(len(part), size=(RESAMPLES, len(part)))].mean(axis=1) for part in (one, other)
+    ]
+    return Estimate(value, *middle(means[0] - means[1]))
+
+
+def middle(resampled: np.ndarray) -> tuple[float, float]:
+    """Return the ends of the middle 95 % of `resampled [R]`."""
+    low, high = np.quantile(resampled, [0.025, 0.975])
+    return float(low), float(high)

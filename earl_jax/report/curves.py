@@ -8,11 +8,11 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.metrics.judgement import deployed_area
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import mean_of, stderr
 from earl_jax.report.canvas import STYLES, canvas, colours, save, step_axis, title
 from earl_jax.report.runs import Cell, cells, described
 from earl_jax.report.tables import LEVELS, crossing, grid, millions, trailing, write
-from earl_jax.report.verdicts import FEW, FEW_SEEDS, mean_of, published
+from earl_jax.report.verdicts import FEW, FEW_SEEDS, published
 
 TEXT = (
     "Deployed performance from s0 (mean of the trailing 10 evaluations) and reward a step over the lifetime; a line is the "

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.metrics.statistics import Estimate, difference, mean_of
 from earl_jax.report.canvas import TITLES, canvas, ordered, save, title
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.tables import WINDOW, grid, write
-from earl_jax.report.verdicts import FEW, FEW_SEEDS, Estimate, bracketed, difference, mean_of, told
+from earl_jax.report.verdicts import FEW, FEW_SEEDS, bracketed, told
 
 HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
 ARMS = {True: "without the biased update", False: "with the biased update"}

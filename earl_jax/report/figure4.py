@@ -3,21 +3,19 @@
 Source: Sharma et al. 2022, figure 4.
 """
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import difference, stderr
+from earl_jax.metrics.visitation import MEASURES, measure
 from earl_jax.report.canvas import COLOURS, TITLES, canvas, ordered, save, title
 from earl_jax.report.tables import grid, write
-from earl_jax.report.verdicts import FEW, FEW_SEEDS, bracketed, difference, told
+from earl_jax.report.verdicts import FEW, FEW_SEEDS, bracketed, told
 
 UNITS = {"tabletop_organization": "table units"}
-CROWDED = 0.01
-MEASURES = ("covered", "entropy", "concentration")
 TEXT = (
     "Visits of a square grid of bins during training, mean over seeds (standard error). Covered: share of bins visited. "
     "Entropy: of the shares of visits, relative to that of equal visits everywhere. Concentration: share of visits in the "
@@ -73,18 +71,6 @@ def _checked(maps: Sequence[Map]) -> list[Map]:
         raise ValueError(f"a task and method have one map each, got {names}")
     envs, algos = ordered((env for env, _ in names), TITLES), ordered((algo for _, algo in names), COLOURS)
     return sorted(maps, key=lambda one: (envs.index(one.env), algos.index(one.algo)))
-
-
-def measure(visits: np.ndarray) -> dict[str, float]:
-    """Return `covered`, `entropy` and `concentration` of `visits [B, B]`, all 0 to 1, and all 0 without a visit."""
-    flat = np.sort(np.ravel(visits).astype(float))[::-1]
-    if not flat.sum():
-        return dict.fromkeys(MEASURES, 0.0)
-    shares = flat / flat.sum()
-    kept = shares[shares > 0]
-    entropy = -(kept * np.log(kept)).sum() / math.log(flat.size) if flat.size > 1 else 0.0
-    crowded = shares[: math.ceil(CROWDED * flat.size)].sum()
-    return dict(zip(MEASURES, (len(kept) / flat.size, float(entropy), float(crowded)), strict=True))
 
 
 def _rows(one: Map) -> list[dict[str, Any]]:

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.metrics.robustness import relative_drop
+from earl_jax.metrics.statistics import Estimate, mean_of
 from earl_jax.report.canvas import COLOURS, canvas, colours, ordered, save
 from earl_jax.report.tables import grid, write
-from earl_jax.report.verdicts import FEW, FEW_SEEDS, Estimate, bracketed, mean_of, relative_drop
+from earl_jax.report.verdicts import FEW, FEW_SEEDS, bracketed
 
 COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 TEXT = (

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import mean_of, stderr
 from earl_jax.report.canvas import COLOURS, TITLES, canvas, colours, ordered, save, title
 from earl_jax.report.runs import Cell, cells, described
 from earl_jax.report.tables import WINDOW, grid, write
-from earl_jax.report.verdicts import FEW, FEW_SEEDS, RULE, interval, mean_of, published, verdict
+from earl_jax.report.verdicts import FEW, FEW_SEEDS, RULE, interval, published, verdict
 
 HEADS = {
     1: "Table 1: what the final policy achieves when it is deployed",

@@ -1,13 +1,10 @@
-"""Where a measured number lies beside a published one, and the estimates that are compared."""
+"""Where a measured number lies beside a published one."""
 
 import math
 from decimal import Decimal
-from typing import NamedTuple
-
-import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.statistics import RESAMPLES, bootstrap
+from earl_jax.metrics.statistics import Estimate
 
 NORMAL = 1.96
 FEW = 5
@@ -17,14 +14,6 @@ RULE = (
     "within, above or below that interval; `-` where nothing is published or nothing was run."
 )
 FEW_SEEDS = "Intervals over fewer than five seeds are narrower than their name says."
-
-
-class Estimate(NamedTuple):
-    """A number with its 95 % interval, which is nan to nan where there are too few seeds to tell."""
-
-    value: float
-    low: float
-    high: float
 
 
 def published(table: str, env: str, algo: str) -> tuple[str, str] | None:
@@ -56,40 +45,6 @@ def verdict(value: float | None, interval: tuple[float, float] | None) -> str:
     return "below" if value < interval[0] else "above" if value > interval[1] else "within"
 
 
-def mean_of(scores: np.ndarray) -> Estimate:
-    """Return the mean of `scores [seeds]` with its bootstrap interval."""
-    value = float(np.mean(scores))
-    return Estimate(value, *bootstrap(scores, np.mean)) if len(scores) > 1 else Estimate(value, math.nan, math.nan)
-
-
-def difference(one: np.ndarray, other: np.ndarray) -> Estimate:
-    """Return mean(`one`) - mean(`other`) of independent seeds, [seeds] each, with its bootstrap interval."""
-    value = float(np.mean(one) - np.mean(other))
-    if min(len(one), len(other)) < 2:
-        return Estimate(value, math.nan, math.nan)
-    rng = np.random.default_rng(0)
-    means = [
-        np.asarray(part)[rng.integers(len(part), size=(RESAMPLES, len(part)))].mean(axis=1) for part in (one, other)
-    ]
-    return Estimate(value, *_middle(means[0] - means[1]))
-
-
-def relative_drop(before: np.ndarray, after: np.ndarray) -> Estimate:
-    """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
-
-    Seeds are resampled in pairs; resamples without any success before say nothing and are left out. Nothing before: nan.
-    """
-    before, after = np.asarray(before, float), np.asarray(after, float)
-    if not before.mean() > 0:
-        return Estimate(math.nan, math.nan, math.nan)
-    value = float(1 - after.mean() / before.mean())
-    if len(before) < 2:
-        return Estimate(value, math.nan, math.nan)
-    picks = np.random.default_rng(0).integers(len(before), size=(RESAMPLES, len(before)))
-    kept = picks[before[picks].mean(axis=1) > 0]
-    return Estimate(value, *_middle(1 - after[kept].mean(axis=1) / before[kept].mean(axis=1)))
-
-
 def told(estimate: Estimate, above: str, below: str, neither: str) -> str:
     """Return `above` or `below` where the whole interval lies on that side of 0, else `neither`."""
     return above if estimate.low > 0 else below if estimate.high < 0 else neither
@@ -99,8 +54,3 @@ def bracketed(estimate: Estimate, digits: int, factor: float = 1.0) -> str:
     """Return an estimate for people, `value [low, high]`, each times `factor`; `-` stands for what cannot be told."""
     value, low, high = (f"{factor * number:.{digits}f}" if math.isfinite(number) else "-" for number in estimate)
     return f"{value} [{low}, {high}]" if low != "-" else value
-
-
-def _middle(resampled: np.ndarray) -> tuple[float, float]:
-    low, high = np.quantile(resampled, [0.025, 0.975])
-    return float(low), float(high)

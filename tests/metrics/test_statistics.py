@@ -40,3 +40,12 @@ def test_bootstrap_is_stratified_and_reproducible():
 def test_what_cannot_be_summarised_is_refused(bad):
     with pytest.raises(ValueError, match="finite scores"):
         statistics.summarise(np.array(bad))
+
+
+def test_differences_have_the_interval_of_what_can_be_drawn():
+    assert statistics.difference(np.array([5.0, 6.0]), np.array([1.0, 2.0])) == (4, 3, 5)
+    none = statistics.difference(np.ones(3), np.arange(3))
+    assert none.low < 0 < none.high
+    lone = statistics.difference(np.ones(1), np.zeros(5))
+    assert lone.value == 1
+    assert np.isnan([lone.low, lone.high]).all()

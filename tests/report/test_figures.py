@@ -1,13 +1,11 @@
 """Figures 2, 4 and 5 on small numbers whose answers are known."""
 
-import math
-
 import numpy as np
 import pytest
 
 from earl_jax.report.canvas import COLOURS
 from earl_jax.report.figure2 import verdict, write_figure2
-from earl_jax.report.figure4 import Map, measure, write_figure4
+from earl_jax.report.figure4 import Map, write_figure4
 from earl_jax.report.figure5 import figure_rows, write_figure5
 from tests.report.test_paper import drawn, table, write_run
 
@@ -68,16 +66,6 @@ def test_figure_2_takes_naive_alone_and_one_run_a_point(tmp_path):
     twice = [write_run(tmp_path / f"b{scale}", "fish_swim", "naive", [1.0], reward_scale=scale) for scale in (1.0, 2.0)]
     with pytest.raises(ValueError, match=r"H_T 100,000, with the biased update, differ in other options"):
         write_figure2(twice, tmp_path / "out")
-
-
-def test_a_map_is_measured_from_even_to_a_single_place():
-    even, single, two = np.full((20, 20), 3), np.zeros((20, 20), int), np.zeros((20, 20), int)
-    single[4, 5] = 7
-    two[0, :2] = 5
-    assert list(measure(even).values()) == pytest.approx([1, 1, 0.01])
-    assert list(measure(single).values()) == pytest.approx([1 / 400, 0, 1])
-    assert list(measure(two).values()) == pytest.approx([2 / 400, math.log(2) / math.log(400), 1])
-    assert list(measure(0 * two).values()) == [0, 0, 0]
 
 
 def test_figure_4_compares_spreads_and_can_be_drawn_again(tmp_path):

@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.report import paper_tables, verdicts
 from earl_jax.report.canvas import COLOURS, TITLES, colours, ordered
 from earl_jax.report.curves import write_curves
@@ -56,19 +57,11 @@ def test_a_verdict_is_within_at_the_ends_and_nothing_without_numbers():
     assert verdicts.verdict(0.1, None) == verdicts.verdict(None, (0, 1)) == verdicts.verdict(math.nan, (0, 1)) == "-"
 
 
-def test_differences_and_drops_have_the_intervals_of_what_can_be_drawn():
-    apart = verdicts.difference(np.array([5.0, 6.0]), np.array([1.0, 2.0]))
-    assert apart == (4, 3, 5)
-    assert verdicts.told(apart, "more", "less", "nothing") == "more"
-    assert verdicts.told(verdicts.Estimate(-1, -2, -0.1), "more", "less", "nothing") == "less"
-    assert verdicts.told(verdicts.difference(np.ones(3), np.arange(3)), "more", "less", "nothing") == "nothing"
-    lone = verdicts.difference(np.ones(1), np.zeros(5))
-    assert lone.value == 1
-    assert verdicts.told(lone, "more", "less", "nothing") == "nothing"
-    paired = verdicts.relative_drop(np.array([1.0, 0.5]), np.array([0.5, 0.25]))
-    assert paired == pytest.approx((0.5, 0.5, 0.5))
-    assert verdicts.relative_drop(np.array([1.0, 0.0]), np.array([0.4, 0.0])) == pytest.approx((0.6, 0.6, 0.6))
-    assert math.isnan(verdicts.relative_drop(np.zeros(2), np.array([0.4, 0.0])).value)
+def test_what_is_told_needs_the_whole_interval_on_one_side():
+    assert verdicts.told(Estimate(4, 3, 5), "more", "less", "nothing") == "more"
+    assert verdicts.told(Estimate(-1, -2, -0.1), "more", "less", "nothing") == "less"
+    assert verdicts.told(Estimate(0, -1, 1), "more", "less", "nothing") == "nothing"
+    assert verdicts.told(Estimate(1, math.nan, math.nan), "more", "less", "nothing") == "nothing"
 
 
 def test_table_1_judges_every_cell_by_its_last_evaluation(tmp_path):
