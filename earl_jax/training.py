@@ -19,7 +19,7 @@ from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.metrics.judgement import Judgement, judged
 from earl_jax.policy import Policy
 from earl_jax.program import Run, chunk_of, fitting, judge, keys_of, live, per_lane
-from earl_jax.protocol import Deployment, Setting, setting_of, settled
+from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, settled
 
 
 def lifetime(loop: Loop, method: Method, keys: jax.Array, steps: int) -> tuple[Lives, dict[str, jax.Array]]:
@@ -166,6 +166,10 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     name = rest.pop("setting", Deployment.name)
     known = {field.name for field in dataclasses.fields(setting_of(name))}
     asked = {option: rest.pop(option) for option in list(rest) if option in known}
+    for other, setting in SETTINGS.items():
+        strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
+        if strays:
+            raise ValueError(f"{strays.pop()} is an option of the setting {other!r}, and this is {name!r}")
     fields = {field.name for field in dataclasses.fields(make(env))}
     task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
     setting = setting_of(name, **asked)

@@ -14,6 +14,7 @@ from earl_jax.algos.replay import unpack
 from earl_jax.envs import Helped, make
 from earl_jax.experiment import Experiment
 from earl_jax.protocol import Continuing, Deployment, Protocol, Rules, setting_of, settled
+from earl_jax.training import split_options
 from tests.conftest import advance, assert_same, newborn, tiny_method
 
 
@@ -135,3 +136,15 @@ def test_the_step_into_the_end_is_worth_the_end_for_ever(loop):
     listed = np.asarray(lives.replay.counts[:, 0] - lives.replay.demos[0])
     assert listed.tolist() == [1, 1]
     assert np.asarray(lives.lanes.tally.window_reward).tolist() == [-6.0, -6.0]
+
+
+def test_options_find_task_setting_and_method():
+    options = {"setting": "continuing", "goal_change": 5, "budget": 3, "wide": True, "reward_scale": 1.0}
+    world, setting, rest = split_options("tabletop_organization", options)
+    assert setting == Continuing(goal_change=5, budget=3)
+    assert world == setting.world(make("tabletop_organization", wide=True))
+    assert rest == {"reward_scale": 1.0}
+    with pytest.raises(
+        ValueError, match="goal_change is an option of the setting 'continuing', and this is 'deployment'"
+    ):
+        split_options("tabletop_organization", {"goal_change": 5})

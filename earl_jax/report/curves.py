@@ -62,7 +62,7 @@ def _points(found: Sequence[Cell]) -> Iterator[dict[str, Any]]:
 
 def _published(table: str, cell: Cell) -> str | None:
     """Return a printed mean, None where there is none or the run's reward is of another kind than the paper's."""
-    printed = published(table, cell.env, cell.algo) if cell.comparable else None
+    printed = published(table, cell.env, cell.algo) if cell.curves.comparable else None
     return printed[0] if printed else None
 
 
@@ -77,7 +77,7 @@ def _markdown(found: Sequence[Cell]) -> str:
     header = ["env", "algo", "seeds", "steps"]
     header += [text for level in LEVELS for text in (f"to {level}", "published")]
     header += ["D(A)", "C(A)", "published", "J_D", "published"]
-    notes = [f"- {cell.env}, {cell.label}: {described(cell.options)}" for cell in found]
+    notes = [f"- {cell.env}, {cell.label}: {described(cell.curves.options)}" for cell in found]
     parts = ["# Learning curves", TEXT, grid(header, [_line(cell) for cell in found]), COLUMNS]
     if any(len(cell.curves.metrics["continuing/reward"]) < FEW for cell in found):
         parts.append(FEW_SEEDS)

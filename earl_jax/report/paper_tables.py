@@ -66,7 +66,7 @@ def table_rows(number: int, found: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def _row(number: int, env: str, algo: str, cell: Cell | None) -> dict[str, Any]:
-    comparable = cell is None or cell.comparable
+    comparable = cell is None or cell.curves.comparable
     printed = (published(f"table{number}", env, algo) if comparable else None) or ("-", "-")
     bounds = interval(*printed)
     ours = _measured(number, cell)
@@ -74,7 +74,7 @@ def _row(number: int, env: str, algo: str, cell: Cell | None) -> dict[str, Any]:
         "env": env,
         "algo": algo,
         "label": cell.label if cell else algo,
-        "options": described(cell.options) if cell else None,
+        "options": described(cell.curves.options) if cell else None,
         **ours,
         "published_mean": printed[0],
         "published_stderr": printed[1],

@@ -24,6 +24,19 @@ class Curves(NamedTuple):
         """The metric that the task is judged by when it is deployed."""
         return self.experiment.deployed_metric
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of task, setting and method that differ from the defaults."""
+        one = self.experiment
+        name, changed = one.setting["name"], {key: value for key, value in one.setting.items() if key != "name"}
+        return {**one.env_options, **({} if name == Deployment.name else {"setting": name}), **changed, **one.options}
+
+    @property
+    def comparable(self) -> bool:
+        """Whether reward, sparse or dense, and setting are those of the paper's tables."""
+        one = self.experiment
+        return one.build_env().sparse == make(one.env).sparse and one.build_setting() == Deployment()
+
 
 def read(path: Path) -> Curves:
     """Return the curves of one run folder; one without an evaluation yet is a ValueError."""
@@ -64,11 +77,10 @@ def _pool(group: list[Curves]) -> Curves:
 
 def labels(runs: Sequence[Curves]) -> list[str]:
     """Return a name for each run: its method, with those options in which runs of that method here differ."""
-    names = []
-    for curves in runs:
-        peers = [other.experiment.options for other in runs if other.experiment.algo == curves.experiment.algo]
-        names.append(label(curves.experiment.algo, curves.experiment.options, peers))
-    return names
+    named = [(curves.experiment.env, curves.experiment.algo, curves.options) for curves in runs]
+    return [
+        label(algo, own, [options for *place, options in named if place == [env, algo]]) for env, algo, own in named
+    ]
 
 
 def label(algo: str, own: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
@@ -87,20 +99,6 @@ class Cell(NamedTuple):
     label: str
     curves: Curves
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """Options of task, setting and method that differ from the defaults."""
-        one = self.curves.experiment
-        setting = {} if one.setting == {"name": Deployment.name} else {**one.setting, "setting": one.setting["name"]}
-        setting.pop("name", None)
-        return {**one.env_options, **setting, **one.options}
-
-    @property
-    def comparable(self) -> bool:
-        """Whether reward, sparse or dense, and setting are those of the paper's tables."""
-        one = self.curves.experiment
-        return one.build_env().sparse == make(self.env).sparse and one.build_setting() == Deployment()
-
 
 def cells(folders: Sequence[Path]) -> list[Cell]:
     """Return the curves of `folders` as `read_all` pools them, by task and method in the paper's order."""
@@ -109,7 +107,7 @@ def cells(folders: Sequence[Path]) -> list[Cell]:
     for env in ordered((cell.env for cell in bare), TITLES):
         for algo in ordered((cell.algo for cell in bare if cell.env == env), COLOURS):
             peers = [cell for cell in bare if (cell.env, cell.algo) == (env, algo)]
-            options = [cell.options for cell in peers]
+            options = [cell.curves.options for cell in peers]
             names = [label(algo, own, options) if own else algo for own in options]
             found += [cell._replace(label=name) for cell, name in zip(peers, names, strict=True)]
     return found

@@ -41,7 +41,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     return {
         "env": experiment.env,
         "algo": name,
-        "options": described({**experiment.env_options, **experiment.options}),
+        "options": described(curves.options),
         "seeds": deployed.seeds,
         "steps": int(curves.steps[-1]),
         "deployed": deployed.mean,
@@ -49,10 +49,10 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "deployed_iqm": deployed.iqm,
         "deployed_low": deployed.low,
         "deployed_high": deployed.high,
-        "published_deployed": _published("table1", experiment.env, experiment.algo),
+        "published_deployed": _published("table1", curves),
         "continuing": continuing.mean,
         "continuing_stderr": continuing.stderr,
-        "published_continuing": _published("table2", experiment.env, experiment.algo),
+        "published_continuing": _published("table2", curves),
         **{f"steps_to_{level}": crossing(curves.steps, mean_curve, level) if rates else None for level in LEVELS},
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
@@ -77,8 +77,8 @@ def steps_per_reward(curves: Curves) -> float | None:
     return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
 
 
-def _published(table: str, env: str, algo: str) -> str | None:
-    cell = published(table, env, algo)
+def _published(table: str, curves: Curves) -> str | None:
+    cell = published(table, curves.experiment.env, curves.experiment.algo) if curves.comparable else None
     return f"{cell[0]} ({cell[1]})" if cell else None
 
 

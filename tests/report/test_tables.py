@@ -8,14 +8,17 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read, read_all
 
 
-def write_run(path, algo="naive", seeds=(0, 1), success=(0.0, 0.5, 1.0), recent=(0.0, 0.01, 0.02), **options):
+def write_run(
+    path, algo="naive", seeds=(0, 1), success=(0.0, 0.5, 1.0), recent=(0.0, 0.01, 0.02), setting=None, **options
+):
     env, method = make("tabletop_organization"), make_algo(algo, **options)
-    experiment = Experiment.of(env, method, seeds, 30, 10, 10, 30)
+    experiment = Experiment.of(env, method, seeds, 30, 10, 10, 30, setting)
     folder = RunFolder.create(path, experiment)
     lifetime = np.cumsum(recent) / np.arange(1, 4)
     for number, step in enumerate((10, 20, 30)):
@@ -38,6 +41,18 @@ def test_a_row_holds_what_the_curves_say(tmp_path):
     assert row["published_deployed"] == "0.32 (0.17)"
     assert row["steps_per_reward"] == pytest.approx(1 / 0.02)
     assert tables.tabulate([tmp_path / "a"], last=3)[0]["deployed"] == pytest.approx(0.55)
+
+
+def test_runs_of_another_setting_stand_apart_from_the_published(tmp_path):
+    write_run(tmp_path / "a")
+    other = write_run(tmp_path / "b", setting=Continuing(goal_change=7))
+    plain, continuing = tables.tabulate([tmp_path / "a", other])
+    assert (plain["algo"], plain["published_deployed"]) == (
+        "naive (goal_change=default, setting=default)",
+        "0.32 (0.17)",
+    )
+    assert (continuing["algo"], continuing["published_deployed"]) == ("naive (goal_change=7, setting=continuing)", None)
+    assert continuing["options"] == "goal_change=7, setting=continuing"
 
 
 def test_crossings_read_the_trailing_mean():
