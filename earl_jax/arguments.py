@@ -10,7 +10,9 @@ JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Physics = Annotated[
     str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
 ]
-Set = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task or the method.")]
+Set = Annotated[
+    tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task, the setting or the method.")
+]
 Devices = Annotated[
     int | None, tyro.conf.arg(help="Devices that share the lanes: one, or those of all hosts where there are several.")
 ]

@@ -16,7 +16,7 @@ from earl_jax import assets, envs, grid
 from earl_jax.evaluation import evaluate
 from earl_jax.experiment import RunFolder
 from earl_jax.report.curves import write_curves
-from earl_jax.report.figure2 import write_figure2
+from earl_jax.report.figure2 import HORIZONS, write_figure2
 from earl_jax.report.figure4 import Map, write_figure4
 from earl_jax.report.figure5 import write_figure5
 from earl_jax.report.paper_tables import write_table
@@ -25,8 +25,6 @@ from earl_jax.training import load_lanes
 
 TASKS = ("tabletop_organization", "sawyer_door", "sawyer_peg", "franka_kitchen", "dhand_lightbulb", "minitaur_pen")
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
-HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
-"""H_T of figure 2."""
 FIGURE2_STEPS = 1_000_000
 """Training steps of figure 2, which the paper does not print: five lives between resets at the longest horizon."""
 ROBUSTNESS_EPISODES = 100

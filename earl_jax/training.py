@@ -140,9 +140,8 @@ def train(
     Raises:
         ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
     """
-    task, setting = settled(
-        make(env) if isinstance(env, str) else env, setting_of(setting) if isinstance(setting, str) else setting
-    )
+    setting = setting_of(setting) if isinstance(setting, str) else setting
+    task, setting = settled(make(env) if isinstance(env, str) else env, setting)
     env = setting.world(task)
     method = method_for(env, algo, **options) if isinstance(algo, str) else _with_options(algo, options)
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)

@@ -17,6 +17,7 @@ from earl_jax.report.tables import WINDOW, grid, write
 from earl_jax.report.verdicts import FEW, FEW_SEEDS, bracketed, told
 
 HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
+"""H_T of the published figure."""
 ARMS = {True: "without the biased update", False: "with the biased update"}
 """By `timeout_bootstrap`."""
 LOOK = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}

@@ -210,7 +210,7 @@ def _draw(number: int, rows: Sequence[dict[str, Any]]) -> Any:
         part = [row for row in rows if row["env"] == env]
         for place, row in enumerate(part):
             _draw_cell(axis, place, row, palette[row["algo"]])
-        names = [textwrap.shorten(row["label"], 40, placeholder=" ...") for row in part]
+        names = [textwrap.shorten(row["label"], 40, placeholder=" …") for row in part]
         slant = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in part) else {}
         axis.set_xticks(range(len(part)), names, fontsize="small", **slant)
         axis.set(title=title(env), xlim=(-0.6, len(part) - 0.4))
