@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -121,9 +122,7 @@ def test_training_into_another_run_leaves_it_alone(finished):
 
 
 def test_a_damaged_checkpoint_is_one_line_and_nothing_is_overwritten(finished, tmp_path):
-    folder = tmp_path / "damaged"
-    code, _, _ = run(*train(folder))
-    assert code == 0
+    folder = shutil.copytree(finished[0], tmp_path / "damaged")
     victim = max((folder / "checkpoints").rglob("*"), key=lambda path: path.stat().st_size if path.is_file() else 0)
     victim.write_bytes(victim.read_bytes()[:-7])
     before = snapshot(folder)

@@ -23,6 +23,7 @@ import earl_jax
 from earl_jax import devices, program
 from earl_jax.algos.life import Loop
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16, 16], batch_size=16, random_steps=20)
 """
 EQUAL = """
@@ -79,7 +80,7 @@ def free_port():
 
 def on_two_hosts(*arguments):
     address = f"localhost:{free_port()}"
-    env = {**os.environ, "EARL_JAX_CACHE": str(CACHE)}
+    env = {**os.environ, "EARL_JAX_CACHE": str(CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
     hosts = [
         subprocess.Popen(
             [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}"],

@@ -59,9 +59,9 @@ def test_this_machine_says_what_it_has_free():
 
 def test_a_run_tells_its_size_before_it_starts(capsys):
     earl_jax.train(
-        "tabletop_organization", "naive", seeds=2, steps=40, eval_every=40, progress=True, hidden_sizes=[16, 16],
-        batch_size=16, random_steps=20,
+        "tabletop_organization", "naive", seeds=2, steps=120, eval_every=40, eval_episodes=2, progress=True,
+        hidden_sizes=[16, 16], batch_size=16, random_steps=20,
     )  # fmt: skip
     said = " ".join(capsys.readouterr().err.split())
     assert "2 lanes take" in said
-    assert said.index("of replay") < said.index("step 40/40")
+    assert said.index("of replay") < said.index("step 120/120")

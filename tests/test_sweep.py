@@ -180,7 +180,7 @@ echo "Submitted batch job 7"
 
 
 def test_a_slurm_array_has_a_task_for_each_pack(grid, cluster):
-    grid.write_text(GRID.replace("steps = 800", "steps = 40"))
+    grid.write_text(GRID.replace("steps = 800", "steps = 120"))
     out, lines = cluster / "out", []
     arguments = {"launcher": "slurm", "max_lanes": 2, "slurm": ("time=30", "partition=fast"), "say": lines.append}
     assert sweep.sweep(grid, out, **arguments) == 0

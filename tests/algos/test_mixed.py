@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax.algos.method import TASK, Method
 from earl_jax.algos.mixed import Mixed, form, together
-from tests.conftest import advance, assert_same, newborn, tiny_method
+from tests.conftest import SHIPPED, advance, assert_same, newborn, tiny_method
 
 
 class Strange(Method):
@@ -49,7 +49,8 @@ def test_each_lane_lives_as_if_its_method_were_alone(env, loop):
 
     def lived(method, seeds):
         begun = newborn(loop, method, seeds, steps=60)
-        return advance(loop, method, advance(loop, method, begun, 20, explore=True), 40)
+        explored = advance(loop, method, begun, 20, explore=True, compiler=SHIPPED)
+        return advance(loop, method, explored, 40, compiler=SHIPPED)
 
     whole = lived(mixed, [0, 1] * 3)
     for number, method in list(enumerate(methods))[1:]:
