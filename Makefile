@@ -28,7 +28,7 @@ check: $(TOOLS)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 test: check
-	$(BIN)/pytest -n 2 --dist loadfile --durations=10
+	$(BIN)/pytest -n 3 --dist loadfile --durations=10
 
 # Exact versions for every supported Python, without an index address.
 lock: $(STAMP)

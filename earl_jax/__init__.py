@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
-    from earl_jax.envs import Env, State, list_envs, make, register_env
+    from earl_jax.envs import Env, Helped, State, list_envs, make, register_env
     from earl_jax.evaluation import evaluate
+    from earl_jax.protocol import Continuing, Deployment
     from earl_jax.training import Result, lifetime, select_seed, train
 
 _HOME = {
+    "Continuing": "protocol",
+    "Deployment": "protocol",
     "Env": "envs",
+    "Helped": "envs",
     "Method": "algos",
     "Result": "training",
     "State": "envs",
@@ -31,7 +35,10 @@ _HOME = {
     "train": "training",
 }
 __all__ = [
+    "Continuing",
+    "Deployment",
     "Env",
+    "Helped",
     "Method",
     "Result",
     "State",
