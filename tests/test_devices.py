@@ -97,11 +97,8 @@ def on_two_hosts(*arguments):
 
 
 def test_two_hosts_write_one_run_and_go_on_with_it(tmp_path):
-    options = {
-        "hidden_sizes": [16, 16],
-        "batch_size": 16,
-        "random_steps": 40,
-    }  # explored first, learnt after the resume
+    # Explored first, learnt after the resume: each program compiles once.
+    options = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 40}
     pairs = [f"{name}={json.dumps(value)}" for name, value in options.items()]
     lengths = ["--seeds", "4", "--steps", "40", "--eval-every", "40", "--checkpoint-every", "40"]
     out = ["--out", str(tmp_path / "two"), "--set", *pairs]
