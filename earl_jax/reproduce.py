@@ -71,7 +71,7 @@ class Block:
 
 
 @dataclasses.dataclass(frozen=True)
-class Experiment:
+class Exhibit:
     """One table or figure: the tasks it can show, the runs that each takes, and the report that is made of their folders."""
 
     tasks: tuple[str, ...]
@@ -120,14 +120,14 @@ def _robustness(folders: Sequence[Path], out: Path) -> list[Path]:
 
 
 EXPERIMENTS = {
-    "table1": Experiment(TASKS, _paper_block(METHODS), lambda folders, out: write_table(1, folders, out)),
-    "table2": Experiment(TASKS, _paper_block(METHODS), lambda folders, out: write_table(2, folders, out)),
-    "curves": Experiment(TASKS, _paper_block(METHODS), write_curves),
-    "figure2": Experiment(("cheetah_run", "fish_swim"), _horizons, write_figure2),
-    "figure4": Experiment(
+    "table1": Exhibit(TASKS, _paper_block(METHODS), lambda folders, out: write_table(1, folders, out)),
+    "table2": Exhibit(TASKS, _paper_block(METHODS), lambda folders, out: write_table(2, folders, out)),
+    "curves": Exhibit(TASKS, _paper_block(METHODS), write_curves),
+    "figure2": Exhibit(("cheetah_run", "fish_swim"), _horizons, write_figure2),
+    "figure4": Exhibit(
         ("tabletop_organization", "sawyer_peg", "minitaur_pen"), _paper_block(("fbrl", "oracle")), _maps
     ),
-    "figure5": Experiment(("tabletop_organization",), _paper_block(("fbrl", "vaprl", "oracle")), _robustness),
+    "figure5": Exhibit(("tabletop_organization",), _paper_block(("fbrl", "vaprl", "oracle")), _robustness),
 }
 
 
