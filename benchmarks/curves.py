@@ -51,8 +51,7 @@ def split(curves: Curves, *options: str) -> dict[tuple[float, ...], Curves]:
 
 def crossings(env: str, algo: str) -> dict[str, str]:
     """Return the published last-10 success and crossings of a method on a task, empty where there are none."""
-    rows = [row for row in assets.published("crossings") if (row["env"], row["algo"]) == (env, algo)]
-    return rows[0] if rows else {}
+    return assets.published_row("crossings", env=env, algo=algo)
 
 
 def summary(curves: Curves, **identity: Any) -> dict[str, Any]:

@@ -115,10 +115,8 @@ def _figure(runs: dict[str, list[tuple[dict[str, float], Curves]]]) -> Figure:
         ]
         for number, line in enumerate(several):
             _draw(axis, *line, colour=f"C{number % 10}", style=("-", "--")[number // 10 % 2])
-        published = [
-            row["mean"] for row in assets.published("table1") if (row["env"], row["algo"]) == (TASKS[task], "oracle")
-        ]
-        axis.axhline(float(published[0]), color="0.5", linewidth=0.8, label="published oracle, end")
+        published = assets.published_row("table1", env=TASKS[task], algo="oracle")
+        axis.axhline(float(published["mean"]), color="0.5", linewidth=0.8, label="published oracle, end")
         axis.set(title=f"{TASKS[task]}: deployed return (trailing 10)", xlabel="environment steps of a seed")
         axis.grid(alpha=0.3)
         axis.locator_params(axis="x", nbins=5)

@@ -98,3 +98,8 @@ def published(table: str) -> list[dict[str, str]]:
     """Return a table of the paper (`table1`, `table2`, `crossings`, ...) as rows of column to text."""
     with _file("published", table, ".csv").open(newline="") as handle:
         return list(csv.DictReader(handle))
+
+
+def published_row(table: str, **where: str) -> dict[str, str]:
+    """Return the first row of a table of the paper that holds `where`, column by column; an empty one where none does."""
+    return next((row for row in published(table) if where.items() <= row.items()), {})

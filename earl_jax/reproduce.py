@@ -82,7 +82,7 @@ class Exhibit:
 def _paper_block(algos: tuple[str, ...]) -> Callable[[str], Block]:
     def block(env: str) -> Block:
         able = envs.make(env).has_demos
-        steps = next(int(row["low"]) for row in assets.published("steps") if row["env"] == env)
+        steps = int(assets.published_row("steps", env=env)["low"])
         return Block(env, tuple(algo for algo in algos if able or algo != "vaprl"), steps)
 
     return block

@@ -72,3 +72,6 @@ def test_the_published_tables():
     assert first["tabletop_organization", "vaprl"]["mean"] == "0.98"
     assert first["minitaur_pen", "oracle"]["stderr"] == "3.40"
     assert len(assets.published("table2")) == 21
+    assert assets.published_row("table1", env="sawyer_door", algo="r3l")["mean"] == "0.54"
+    assert assets.published_row("steps", env="sawyer_door")["low"] == "4000000"
+    assert assets.published_row("table1", env="sawyer_door", algo="nobody") == {}

@@ -68,7 +68,7 @@ def _published(table: str, cell: Cell) -> str | None:
 
 def _crossings(cell: Cell) -> dict[float, int]:
     """Return the published step of each level that the published mean curve reached."""
-    row = next((row for row in assets.published("crossings") if (row["env"], row["algo"]) == (cell.env, cell.algo)), {})
+    row = assets.published_row("crossings", env=cell.env, algo=cell.algo)
     same = cell.curves.deployed_metric == "deployed/success"
     return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if same and row.get(f"steps_to_{level}")}
 

@@ -67,7 +67,8 @@ def _row(rows: Sequence[Mapping[str, Any]], algo: str) -> dict[str, Any]:
 
 
 def _published(algo: str) -> float | None:
-    return next((float(row["drop_percent"]) / 100 for row in assets.published("figure5") if row["algo"] == algo), None)
+    row = assets.published_row("figure5", algo=algo)
+    return float(row["drop_percent"]) / 100 if row else None
 
 
 def verdict(drop: Estimate, published: float | None) -> str:

@@ -102,17 +102,12 @@ def _measured(number: int, cell: Cell | None) -> dict[str, Any]:
 
 
 def _published_steps(env: str) -> dict[str, int]:
-    for row in assets.published("steps"):
-        if row["env"] == env:
-            return {"low": int(row["low"]), "high": int(row["high"])}
-    return {}
+    row = assets.published_row("steps", env=env)
+    return {end: int(row[end]) for end in ("low", "high") if row}
 
 
 def _published_last10(env: str, algo: str) -> str | None:
-    for row in assets.published("crossings"):
-        if (row["env"], row["algo"]) == (env, algo):
-            return row["last10"] or None
-    return None
+    return assets.published_row("crossings", env=env, algo=algo).get("last10") or None
 
 
 def _digits(row: dict[str, Any]) -> int:

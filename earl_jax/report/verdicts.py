@@ -18,10 +18,8 @@ FEW_SEEDS = "Intervals over fewer than five seeds are narrower than their name s
 
 def published(table: str, env: str, algo: str) -> tuple[str, str] | None:
     """Return the printed mean and standard error of a cell of `table1` or `table2`, or None where the paper has none."""
-    for row in assets.published(table):
-        if row["env"] == env and row["algo"] == algo:
-            return row["mean"], row["stderr"]
-    return None
+    row = assets.published_row(table, env=env, algo=algo)
+    return (row["mean"], row["stderr"]) if row else None
 
 
 def interval(mean: str, stderr: str) -> tuple[float, float] | None:
