@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from earl_jax.experiment import provenance
+from earl_jax.provenance import provenance
 
 
 def tell(report: dict[str, Any], path: Path | None, command: str) -> None:

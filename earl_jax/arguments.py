@@ -1,7 +1,7 @@
 """What the commands of the command line have in common: their arguments, and how they answer."""
 
 import json
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -21,6 +21,10 @@ Hosts = Annotated[
     tyro.conf.arg(
         help="Run as one of several hosts: auto on a cluster that jax knows, else ADDRESS:PORT,HOSTS,NUMBER."
     ),
+]
+Logs = Annotated[
+    tuple[Literal["tensorboard", "wandb"], ...],
+    tyro.conf.arg(help="Where metrics go besides metrics.csv; a resumed run goes on with it."),
 ]
 Slurm = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs for sbatch: time (minutes), partition, ...")]
 

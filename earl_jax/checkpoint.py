@@ -1,12 +1,14 @@
 """Checkpoints: the whole state of a run, written beside the last one and put in its place only when whole.
 
 A checkpoint is a folder named by its step: orbax trees for the lanes and for the filled part of the replay, and a manifest
-with a checksum of every file. Arrays only; nothing is ever unpickled.
+with a checksum of every file and of itself. Arrays only; nothing is ever unpickled. The two newest are kept, so that one
+that a disk has damaged costs the steps since the one before it and nothing else.
 """
 
 import hashlib
 import json
 import shutil
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,16 +20,25 @@ import numpy as np
 from earl_jax.algos.life import Lane, Lives
 from earl_jax.algos.replay import Replay
 from earl_jax.devices import first_host, gathered
+from earl_jax.files import DamagedWarning, inside
 
 MANIFEST = "manifest.json"
+KEPT = 2
 PIECE = 1 << 28
 """Bytes of the replay that leave a device at a time."""
 
 
+class DamagedError(ValueError):
+    """A checkpoint is not what was written."""
+
+
 def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
-    """Write lanes `span` of `lives` to `folder/<step>`, return that path; older checkpoints go once the new one is whole.
+    """Write lanes `span` of `lives` to `folder/<step>` and return that path; of older checkpoints the newest one stays.
 
     Where lanes live on several hosts all of them must call, and the first one writes.
+
+    Raises:
+        OSError: it could not be written; what was there before is untouched.
     """
     step = int(gathered(lives.step))
     part, done = folder / f"part-{step}", folder / f"{step:09d}"
@@ -35,19 +46,22 @@ def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
     replay = _filled(lives.replay, span)
     if not first_host():
         return done
-    for stale in folder.glob("part-*"):
-        shutil.rmtree(stale)
-    part.mkdir(parents=True)
-    _write(part / "lanes", lanes)
-    _write(part / "replay", replay)
-    manifest = {"step": step, "lanes": _described(lanes), "files": _checksums(part)}
-    (part / MANIFEST).write_text(json.dumps(manifest))
-    older = _found(folder)
+    try:
+        for stale in folder.glob("part-*"):
+            shutil.rmtree(stale)
+        part.mkdir(parents=True)
+        _write(part / "lanes", lanes)
+        _write(part / "replay", replay)
+        (part / MANIFEST).write_text(_manifest({"step": step, "lanes": _described(lanes), "files": _checksums(part)}))
+    except Exception as error:  # orbax has its own ways to say that a disk is full
+        shutil.rmtree(part, ignore_errors=True)
+        cause = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
+        raise OSError(f"checkpoint {done} can't be written: {cause}; those before it are untouched") from error
+    older = [path for path in _found(folder) if path != done]
     shutil.rmtree(done, ignore_errors=True)
     part.rename(done)
-    for path in older:
-        if path != done:
-            shutil.rmtree(path)
+    for path in older[: 1 - KEPT]:
+        shutil.rmtree(path)
     return done
 
 
@@ -58,12 +72,10 @@ def newest(folder: Path) -> int:
 
 
 def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None:
-    """Return the newest checkpoint in `folder` in the form of `like` (shapes suffice), or None where there is none.
+    """Return the newest whole checkpoint in `folder` in the form of `like` (shapes suffice), or None where there is none.
 
-    With `with_replay=False` only the lanes are read and the replay is left as in `like`.
-
-    Raises:
-        ValueError: a file of the checkpoint is missing, changed or of another experiment; the message names it.
+    With `with_replay=False` only the lanes are read and the replay is left as in `like`. Warnings and errors as
+    `restore_together`.
     """
     return restore_together([folder], [like.replay.counts.shape[0]], like, with_replay)
 
@@ -71,30 +83,52 @@ def restore(folder: Path, like: Lives, with_replay: bool = True) -> Lives | None
 def restore_together(
     folders: Sequence[Path], sizes: Sequence[int], like: Lives, with_replay: bool = True
 ) -> Lives | None:
-    """Return the newest checkpoints of `folders`, of `sizes` lanes, side by side in the form of `like`; None without any.
+    """Return the newest whole checkpoints of `folders`, of `sizes` lanes, side by side in the form of `like`; None without any.
+
+    One that is damaged is passed over for the one before it, with a `DamagedWarning`.
 
     Raises:
-        ValueError: as `restore`, or the checkpoints are not of one step.
+        ValueError: none is whole, or they are not of one step or of another experiment; the message names the file.
     """
     steps = {newest(folder) for folder in folders}
     if len(steps) > 1:
         raise ValueError(f"checkpoints of steps {sorted(steps)} can't go on in one program")
     if steps == {0}:
         return None
-    paths = [_found(folder)[-1] for folder in folders]
-    lanes = [_lanes(path, size, like) for path, size in zip(paths, sizes, strict=True)]
-    replay = (
-        _spread([_read(path / "replay", None) for path in paths], sizes, like.replay) if with_replay else like.replay
-    )
+    causes = []
+    for paths in _side_by_side(folders):
+        try:
+            manifests = [_verified(path) for path in paths]
+        except DamagedError as error:
+            causes.append(str(error))
+            continue
+        lives = _joined(paths, manifests, sizes, like, with_replay)
+        if causes:
+            warnings.warn(f"{'; '.join(causes)}; going on from {paths[0].name}", DamagedWarning, stacklevel=2)
+        return lives
+    raise ValueError(f"{'; '.join(causes)}; no older one is whole")
+
+
+def _side_by_side(folders: Sequence[Path]) -> list[list[Path]]:
+    """Return the checkpoints of all `folders` at each step that all of them have, newest first."""
+    found = [{path.name: path for path in _found(folder)} for folder in folders]
+    common = set.intersection(*map(set, found))
+    return [[paths[name] for paths in found] for name in sorted(common, reverse=True)]
+
+
+def _joined(
+    paths: Sequence[Path], manifests: Sequence[dict], sizes: Sequence[int], like: Lives, with_replay: bool
+) -> Lives:
+    lanes = [_lanes(*each, like) for each in zip(paths, manifests, sizes, strict=True)]
+    replay = like.replay
+    if with_replay:
+        replay = _spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
-    return Lives(joined, replay, jnp.asarray(steps.pop(), jnp.int32))
+    return Lives(joined, replay, jnp.asarray(int(paths[0].name), jnp.int32))
 
 
-def _lanes(path: Path, size: int, like: Lives) -> Lane:
-    """Return the `size` lanes of the checkpoint at `path`, every file of which is as it was written."""
-    manifest = _verified(path)
-    if manifest["step"] != int(path.name):
-        raise ValueError(f"checkpoint {path} is damaged: {MANIFEST} speaks of step {manifest['step']}")
+def _lanes(path: Path, manifest: dict[str, Any], size: int, like: Lives) -> Lane:
+    """Return the `size` lanes of the checkpoint at `path`."""
     form = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
     wanted = _plain(form)
     if manifest["lanes"] != _described(wanted):
@@ -103,7 +137,9 @@ def _lanes(path: Path, size: int, like: Lives) -> Lane:
 
 
 def _found(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("*") if path.name.isdigit()) if folder.is_dir() else []
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.glob("*") if path.name.isdigit() and not path.is_symlink())
 
 
 def _checksums(folder: Path) -> dict[str, str]:
@@ -116,19 +152,35 @@ def _checksum(path: Path) -> str:
         return hashlib.file_digest(handle, "blake2b").hexdigest()
 
 
+def _manifest(body: dict[str, Any]) -> str:
+    """Return `body` as text, with a checksum of it."""
+    return json.dumps({**body, "checksum": _sum_of(body)})
+
+
+def _sum_of(body: dict[str, Any]) -> str:
+    return hashlib.blake2b(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
 def _verified(path: Path) -> dict[str, Any]:
     """Return the manifest of a checkpoint whose every file is as it was written."""
     try:
         manifest = json.loads((path / MANIFEST).read_text())
-        files = dict(manifest["files"]) if int(manifest["step"]) and manifest["lanes"] else {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
+        if manifest.pop("checksum") != _sum_of(manifest):
+            raise ValueError("it is not what was written")
+        files = dict(manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
+    if manifest["step"] != int(path.name):
+        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} speaks of step {manifest['step']}")
     for name, expected in files.items():
-        file = path / name
+        try:
+            file = inside(path, name)
+        except ValueError as error:
+            raise DamagedError(f"checkpoint {path} is damaged: {error}") from error
         if not file.is_file():
-            raise ValueError(f"checkpoint {path} is damaged: {name} is missing")
+            raise DamagedError(f"checkpoint {path} is damaged: {name} is missing")
         if _checksum(file) != expected:
-            raise ValueError(f"checkpoint {path} is damaged: {name} is not what was written")
+            raise DamagedError(f"checkpoint {path} is damaged: {name} is not what was written")
     return manifest
 
 

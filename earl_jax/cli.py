@@ -2,11 +2,15 @@
 
 import os
 import sys
+import warnings
+from typing import Any
 
 import tyro
 
 from earl_jax.commands import demonstrations, looking, running
+from earl_jax.files import DamagedWarning
 
+PLAIN = warnings.formatwarning
 COMMANDS = {
     "list": looking.list_,
     "train": running.train,
@@ -22,11 +26,16 @@ COMMANDS = {
 }
 
 
+def _formatted(message: Warning | str, category: type[Warning], *where: Any) -> str:
+    return f"earl-jax: {message}\n" if issubclass(category, DamagedWarning) else PLAIN(message, category, *where)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run one command; what the user got wrong is one line on stderr and exit code 2.
 
     A GPU is taken nearly whole, not three quarters of it as jax would: replays are what fills it.
     """
+    warnings.formatwarning = _formatted
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=arguments, description=__doc__)

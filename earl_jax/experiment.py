@@ -1,24 +1,28 @@
 """An experiment as data, and the folder it lives in: config.json, metrics.csv, checkpoints."""
 
+import contextlib
 import csv
 import dataclasses
 import json
+import numbers
 import os
-import platform
-import subprocess
-from collections.abc import Sequence
-from importlib import metadata
+import uuid
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from earl_jax.algos import Method, make_algo
+from earl_jax.devices import first_host
 from earl_jax.envs import Env, make
+from earl_jax.files import LOCK, PART, inside, locked, write_atomically
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, settled
+from earl_jax.provenance import provenance
 
-PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco", "mujoco-mjx", "numpy")
+CONFIG, METRICS, CHECKPOINTS = "config.json", "metrics.csv", "checkpoints"
+LEFTOVERS = (LOCK, CONFIG + PART)
+"""What a kill in the moment of making a folder leaves there."""
 Row = dict[str, float]
 
 
@@ -39,6 +43,15 @@ class Experiment:
     """The name of the setting, and those of its options that differ from the defaults."""
 
     def __post_init__(self):
+        kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
+        for field, kind in kinds.items():
+            if not isinstance(getattr(self, field), kind):
+                raise ValueError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
+        if "name" not in self.setting:
+            raise ValueError(f"setting has no name: {self.setting}")
+        whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
+        if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
+            raise ValueError(f"seeds, steps and what is counted in them are whole numbers, not {whole}")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise ValueError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
@@ -132,76 +145,87 @@ def method_options(method: Method) -> dict[str, Any]:
     return options
 
 
-def provenance() -> dict[str, Any]:
-    """Return what else a repetition would want to know: versions, platform, commit."""
-    versions = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = None
-    return {
-        "versions": versions,
-        "python": platform.python_version(),
-        "backend": jax.default_backend(),
-        "device": jax.devices()[0].device_kind,
-        "commit": _commit(),
-    }
-
-
-def _commit() -> str | None:
-    """Return the commit of the checkout this package runs from, or None from a wheel."""
-    here = Path(__file__).resolve().parent
-    command = ["git", "-C", str(here), "log", "-1", "--format=%H", "--", str(here)]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=10).stdout.strip() or None
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-
-
 @dataclasses.dataclass(frozen=True)
 class RunFolder:
     """A folder that belongs to one experiment."""
 
     path: Path
     experiment: Experiment
+    logs: tuple[str, ...] = ()
+    """Where else its metrics go, names of `logs.LOGS`."""
 
     @property
     def metrics(self) -> Path:
         """The table: a row per seed and evaluation."""
-        return self.path / "metrics.csv"
+        return self.path / METRICS
 
     @property
     def checkpoints(self) -> Path:
         """The folder of checkpoints, named by step."""
-        return self.path / "checkpoints"
+        return self.path / CHECKPOINTS
+
+    @property
+    def config(self) -> Path:
+        """The experiment, and what else a repetition would want to know."""
+        return self.path / CONFIG
+
+    @property
+    def id(self) -> str:
+        """A name that no other run has, the same after the folder has moved."""
+        return json.loads(self.config.read_text())["id"]
 
     @classmethod
-    def create(cls, path: Path, experiment: Experiment) -> "RunFolder":
+    def create(cls, path: Path, experiment: Experiment, logs: Sequence[str] = ()) -> "RunFolder":
         """Return a new run folder with its config.json; a folder that holds anything is refused and left alone."""
-        if (path / "config.json").is_file():
+        if (path / CONFIG).is_file():
             raise ValueError(f"{path} holds another run; choose another folder, or go on with: earl-jax resume {path}")
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and (not path.is_dir() or any(entry.name not in LEFTOVERS for entry in path.iterdir())):
             raise ValueError(f"{path} exists and is not an empty folder; choose another")
+        told = {
+            "id": uuid.uuid4().hex,
+            "engine": experiment.build_env().engine,
+            "logs": list(logs),
+            "provenance": provenance(),
+        }
         path.mkdir(parents=True, exist_ok=True)
-        config = {**dataclasses.asdict(experiment), "engine": experiment.build_env().engine, "provenance": provenance()}
-        write_atomically(path / "config.json", json.dumps(config, indent=2) + "\n")
-        return cls(path, experiment)
+        folder = cls(path, experiment, tuple(logs))
+        with folder.claimed():
+            if folder.config.is_file():
+                raise ValueError(f"{path} holds another run that another process has just begun; choose another folder")
+            write_atomically(folder.config, json.dumps({**dataclasses.asdict(experiment), **told}, indent=2) + "\n")
+        return folder
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
-        """Return the run folder at `path`; a missing or unreadable config is a ValueError that says what is wrong."""
-        file = path / "config.json"
+        """Return the run folder at `path`.
+
+        Raises:
+            ValueError: its config is missing, unreadable or of no experiment, or something in it leads out of the folder.
+        """
+        file = path / CONFIG
         if not file.is_file():
-            raise ValueError(f"{path} is no run folder: it has no config.json")
+            raise ValueError(f"{path} is no run folder: it has no {CONFIG}")
+        for name in (CONFIG, METRICS, CHECKPOINTS):
+            inside(path, name)
         try:
             config = json.loads(file.read_text())
-            fields = {
-                field.name: config[field.name] for field in dataclasses.fields(Experiment) if field.name in config
-            }
-            return cls(path, Experiment(**{**fields, "seeds": tuple(fields["seeds"])}))
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
-            raise ValueError(f"{file} is damaged: {error!r}") from error
+            known = [field.name for field in dataclasses.fields(Experiment) if field.name in config]
+            experiment = Experiment(**{**{name: config[name] for name in known}, "seeds": tuple(config["seeds"])})
+            return cls(path, experiment, tuple(map(str, config.get("logs", ()))))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            told = str(error) if type(error) is ValueError else repr(error)
+            raise ValueError(f"{file} is damaged: {told}") from error
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Give this folder to this process alone: of several hosts the first one stands for all.
+
+        Raises:
+            ValueError: another process is writing here.
+            OSError: nothing can be written here.
+        """
+        with locked(self.path) if first_host() else contextlib.nullcontext():
+            yield
 
     def extended(self, steps: int) -> "RunFolder":
         """Return the same folder with its experiment made `steps` long; one that has lived longer is refused."""
@@ -209,49 +233,58 @@ class RunFolder:
         if steps < lived:
             raise ValueError(f"{self.path} has lived {lived} steps already, more than {steps}")
         longer = dataclasses.replace(self.experiment, steps=steps)
-        config = json.loads((self.path / "config.json").read_text())
-        if jax.process_index() == 0:
-            write_atomically(self.path / "config.json", json.dumps({**config, "steps": steps}, indent=2) + "\n")
-        return RunFolder(self.path, longer)
+        if first_host():
+            with self.claimed():
+                config = json.loads(self.config.read_text())
+                write_atomically(self.config, json.dumps({**config, "steps": steps}, indent=2) + "\n")
+        return dataclasses.replace(self, experiment=longer)
 
     def append(self, rows: list[Row]) -> None:
         """Add rows to metrics.csv and see them on the disk."""
-        new = not self.metrics.exists() or not self.metrics.stat().st_size
-        with self.metrics.open("a", newline="") as handle:
-            writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
-            if new:
-                writer.writeheader()
-            writer.writerows(rows)
-            handle.flush()
-            os.fsync(handle.fileno())
+        try:
+            new = not self.metrics.exists() or not self.metrics.stat().st_size
+            with self.metrics.open("a", newline="") as handle:
+                writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
+                if new:
+                    writer.writeheader()
+                writer.writerows(rows)
+                handle.flush()
+                os.fsync(handle.fileno())
+        except OSError as error:
+            cause, then = error.strerror or error, f"earl-jax resume {self.path} goes on from the last checkpoint"
+            raise OSError(f"{self.metrics} can't be written: {cause}; {then}") from error
 
     def _lines(self) -> list[str]:
         """Return the whole lines of metrics.csv, header first; one that a kill cut short is left out."""
-        text = self.metrics.read_bytes().decode() if self.metrics.exists() else ""
+        text = self.metrics.read_bytes().decode(errors="replace") if self.metrics.exists() else ""
         return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
     def rows(self) -> list[Row]:
-        """Return the whole rows of metrics.csv."""
-        return [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(self._lines())]
+        """Return the whole rows of metrics.csv; one that is not of numbers is a ValueError that names its line."""
+        found = []
+        for number, row in enumerate(csv.DictReader(self._lines()), 2):
+            try:
+                found.append(_row(row))
+            except (ValueError, AttributeError):
+                raise ValueError(f"{self.metrics} is damaged: line {number} is not a row of numbers") from None
+        return found
 
     def rows_until(self, step: int) -> list[Row]:
         """Drop rows later than `step`, which a resumed run writes again, and return the rest."""
-        lines = self._lines()
-        kept = [line for line in lines[1:] if int(line.split(",", 1)[0]) <= step]
-        if self.metrics.exists():
-            write_atomically(self.metrics, "".join(lines[:1] + kept) if kept else "")
-        return self.rows()
+        rows, lines = self.rows(), self._lines()
+        kept = [line for line, row in zip(lines[1:], rows, strict=True) if row["step"] <= step]
+        text = "".join(lines[:1] + kept) if kept else ""
+        if self.metrics.exists() and self.metrics.read_bytes() != text.encode():
+            write_atomically(self.metrics, text)
+        return rows[: len(kept)]
+
+
+def _row(texts: dict[str, str]) -> Row:
+    row = {name: _number(text) for name, text in texts.items()}
+    if not {"step", "seed"} <= set(row):
+        raise ValueError("no step or no seed")
+    return row
 
 
 def _number(text: str) -> float:
     return int(text) if text.lstrip("-").isdigit() else float(text)
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write `text` to `path` so that a kill leaves either the old file or the new one."""
-    part = path.with_name(path.name + ".part")
-    with part.open("w") as handle:
-        handle.write(text)
-        handle.flush()
-        os.fsync(handle.fileno())
-    part.replace(path)

@@ -7,7 +7,6 @@ of JSON on stdin, prints what becomes of each as lines of JSON, and ends when st
 import argparse
 import contextlib
 import dataclasses
-import fcntl
 import json
 import os
 import signal
@@ -25,6 +24,7 @@ from earl_jax.algos.mixed import form
 from earl_jax.checkpoint import newest
 from earl_jax.envs import Env
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.files import inside
 from earl_jax.program import Run, live, per_lane
 from earl_jax.training import split_options
 
@@ -131,23 +131,16 @@ def _opened(path: Path, experiment: Experiment) -> RunFolder:
         raise ValueError(
             f"{path} holds a run that differs ({told}); choose another --out, or make the grid say the same"
         )
-    return RunFolder(path, experiment)
+    return dataclasses.replace(folder, experiment=experiment)
 
 
 @contextlib.contextmanager
-def claimed(path: Path, experiment: Experiment) -> Iterator[RunFolder]:
+def claimed(path: Path, experiment: Experiment, logs: Sequence[str] = ()) -> Iterator[RunFolder]:
     """Give the folder at `path`, made where there is none, to this process alone until it ends."""
     if not (path / "config.json").is_file():
-        (path / "config.json.part").unlink(missing_ok=True)  # of a kill in the moment of making it
-        RunFolder.create(path, experiment)
+        RunFolder.create(path, experiment, logs)
     folder = _opened(path, experiment)
-    with (path / "config.json").open("r+") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{path} is being written by another process") from None
-        except OSError:  # a file system without locks
-            pass
+    with folder.claimed():
         yield folder
 
 
@@ -157,7 +150,12 @@ def experiment_of(fields: dict[str, Any]) -> Experiment:
 
 
 def work(
-    out: Path, experiments: dict[str, Experiment], say: Any, progress: bool = True, devices: int | None = None
+    out: Path,
+    experiments: dict[str, Experiment],
+    say: Any,
+    progress: bool = True,
+    devices: int | None = None,
+    logs: Sequence[str] = (),
 ) -> bool:
     """Return whether every cell of `experiments`, by name in the sweep at `out`, is finished in the end.
 
@@ -167,7 +165,7 @@ def work(
     with contextlib.ExitStack() as stack:
         for name, experiment in experiments.items():
             try:
-                folders[name] = stack.enter_context(claimed(out / name, experiment))
+                folders[name] = stack.enter_context(claimed(inside(out, name), experiment, logs))
                 env, method = experiment.build_env(), per_lane(experiment.build_method(), len(experiment.seeds))
                 entries.append(Entry(name, experiment, env, method, newest(folders[name].checkpoints)))
             except (ValueError, OSError) as error:
@@ -211,7 +209,8 @@ def _serve(stdin: IO[str]) -> int:
     def say(cell: str, state: str, **more: Any) -> None:
         print(json.dumps({"cell": cell, "state": state, **more}), flush=True)
 
-    return 0 if work(Path(task["out"]), experiments, say, devices=task.get("devices")) else 1
+    options = {"devices": task.get("devices"), "logs": task.get("logs", ())}
+    return 0 if work(Path(task["out"]), experiments, say, **options) else 1
 
 
 def _end_with(descriptor: int) -> None:

@@ -1,11 +1,12 @@
 """One jitted program and the runs that live in it: chunks of the loop, with evaluations, logs and checkpoints between."""
 
+import contextlib
 import dataclasses
 import functools
 import itertools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from earl_jax.checkpoint import restore_together, save
 from earl_jax.devices import LANES, LIVES, first_host, gathered, lane_mesh, mapped, placed
 from earl_jax.envs import Env
 from earl_jax.experiment import Experiment, Row, RunFolder
+from earl_jax.logs import Log, opened
 from earl_jax.metrics.continuing import continuing_lane
 from earl_jax.metrics.deployed import deployed_lane
 from earl_jax.progress import Progress
@@ -77,19 +79,33 @@ def chunk_of(method: Method, protocol: Protocol) -> int:
 
 @dataclasses.dataclass
 class Run:
-    """One experiment among those of a program: its `method` [n], the folder that keeps it, if any, and its rows so far."""
+    """One experiment among those of a program: its `method` [n], the folder that keeps it and who else listens, if any, and
+    its rows so far."""
 
     experiment: Experiment
     method: Method
     folder: RunFolder | None = None
+    listeners: Sequence[Log] = ()
     rows: list[Row] = dataclasses.field(default_factory=list)
 
+    @contextlib.contextmanager
+    def logged(self, step: int) -> Iterator[None]:
+        """Open the logs of this run, which has lived `step` steps; what was logged later will be logged again."""
+        self.rows = self.folder.rows_until(step) if self.folder and first_host() else []
+        lives_on = step < self.experiment.steps and first_host()
+        self._logs = opened(self.folder, self.listeners, step) if lives_on else []
+        try:
+            yield
+        finally:
+            for log in self._logs:
+                log.close()
+
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
-        """Return the rows of `metrics [n]` at `step`, written to the folder."""
+        """Return the rows of `metrics [n]` at `step`, which every log is told of."""
         fresh = self.experiment.rows(step, metrics)
         self.rows += fresh
-        if self.folder and first_host():
-            self.folder.append(fresh)
+        for log in self._logs:
+            log.log(step, metrics)
         return fresh
 
 
@@ -107,9 +123,10 @@ def live(env: Env, runs: Sequence[Run], progress: bool = False, devices: int | N
     method, chunk, warm = placed(method, mesh), chunk_of(method, loop.protocol), method.sac.random_steps
     lives = _start(loop, method, runs, mesh)
     step = int(gathered(lives.step))
-    for run in runs:
-        run.rows = run.folder.rows_until(step) if run.folder and first_host() else []
-    with Progress(whole, step, show=progress and first_host()) as bar:
+    with contextlib.ExitStack() as stack:
+        for run in runs:
+            stack.enter_context(run.logged(step))
+        bar = stack.enter_context(Progress(whole, step, show=progress and first_host()))
         bar.say(str(needed))
         while step < whole.steps:
             began = time.perf_counter()

@@ -42,7 +42,7 @@ class Progress:
 
     def advance(self, steps: int, seconds: float) -> None:
         """Count `steps` of every lane that took `seconds`; the speed shown is of all lanes together."""
-        now = steps * len(self._experiment.seeds) / seconds
+        now = steps * len(self._experiment.seeds) / max(seconds, 1e-9)  # a clock may stand still
         self._speed = now if not self._speed else SMOOTHING * self._speed + (1 - SMOOTHING) * now
         self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
 

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ def sweep(
     slurm: tuple[str, ...] = (),
     devices: int | None = None,
     say: Say = print,
+    logs: Sequence[str] = (),
 ) -> int:
     """Return how many cells of a grid failed, after running those that are not finished (local) or submitting them (slurm).
 
@@ -37,6 +38,7 @@ def sweep(
         slurm: name=value pairs for sbatch, `time` (minutes) among them.
         devices: how many devices share the lanes of a pack.
         say: told a line for each cell, and a summary.
+        logs: where the metrics of new runs go besides metrics.csv: `tensorboard`, `wandb`.
 
     Raises:
         ValueError: the grid, the folder or an option is wrong; nothing has been started then.
@@ -52,7 +54,7 @@ def sweep(
     for name in plan["cells"]:
         if name not in waiting:
             say(f"done       {name}  (before)")
-    return LAUNCHERS[launcher]({**plan, "devices": devices}, say, executor)
+    return LAUNCHERS[launcher]({**plan, "devices": devices, "logs": list(logs)}, say, executor)
 
 
 def planned(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
@@ -143,6 +145,7 @@ def tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
         {
             "out": plan["out"],
             "devices": plan.get("devices"),
+            "logs": plan.get("logs", []),
             "cells": {name: plan["cells"][name]["experiment"] for name in pack["cells"]},
         }
         for pack in plan["packs"]

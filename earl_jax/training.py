@@ -1,5 +1,6 @@
 """Seeds in, curves out: training by name, from a run folder, or as one pure function."""
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Iterable, Sequence
@@ -16,6 +17,7 @@ from earl_jax.checkpoint import restore
 from earl_jax.devices import first_host
 from earl_jax.envs import Env, make
 from earl_jax.experiment import Experiment, RunFolder
+from earl_jax.logs import Log, check
 from earl_jax.metrics.judgement import Judgement, judged
 from earl_jax.policy import Policy
 from earl_jax.program import Run, chunk_of, fitting, judge, keys_of, live, per_lane
@@ -117,6 +119,7 @@ def train(
     eval_episodes: int = 10,
     out: str | Path | None = None,
     checkpoint_every: int = 100_000,
+    logs: Sequence[str | Log] = (),
     progress: bool = False,
     devices: int | None = None,
     **options: Any,
@@ -133,6 +136,7 @@ def train(
         eval_episodes: greedy episodes of each deployed evaluation.
         out: a folder for config, metrics and checkpoints; without it nothing is written.
         checkpoint_every: steps between checkpoints, where `out` is given.
+        logs: where metrics go besides metrics.csv: `tensorboard` or `wandb` (kept in `out`), or an object with `log` and `close`.
         progress: show a bar, or on a plain stream a line per evaluation.
         devices: how many devices share the lanes; one, or those of all hosts where jax runs on several.
         options: hyper-parameters by name; a list gives each lane its own value.
@@ -147,12 +151,21 @@ def train(
     which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(int(seed) for seed in seeds)
     experiment = Experiment.of(env, method, which, steps, eval_every, eval_episodes, checkpoint_every, setting)
     fitting(env, method, experiment, devices)  # before there is a folder
-    folder = _folder(Path(out), experiment) if out is not None else None
-    return execute(experiment, folder, env=env, method=method, progress=progress, devices=devices)
+    folder = _folder(out, experiment, logs)
+    listeners = [log for log in logs if not isinstance(log, str)]
+    return execute(experiment, folder, env=env, method=method, listeners=listeners, progress=progress, devices=devices)
 
 
-def _folder(path: Path, experiment: Experiment) -> RunFolder:
-    return RunFolder.create(path, experiment) if first_host() else RunFolder(path, experiment)
+def _folder(out: str | Path | None, experiment: Experiment, logs: Sequence[str | Log]) -> RunFolder | None:
+    """Return the new folder of a run, if it is to have one; logs that can't be are found out before."""
+    check(logs)
+    names = tuple(log for log in logs if isinstance(log, str))
+    if out is None:
+        if names:
+            raise ValueError(f"the log {names[0]} writes into a run folder: name one with out=")
+        return None
+    path = Path(out)
+    return RunFolder.create(path, experiment, names) if first_host() else RunFolder(path, experiment, names)
 
 
 def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
@@ -187,13 +200,15 @@ def execute(
     *,
     env: Env | None = None,
     method: Method | None = None,
+    listeners: Sequence[Log] = (),
     progress: bool = False,
     devices: int | None = None,
 ) -> Result:
-    """Return the result of `experiment`, carried on from the newest checkpoint in `folder` where there is one."""
+    """Return the result of `experiment`, carried on from the newest whole checkpoint in `folder` where there is one."""
     env, method = env or experiment.build_env(), method or experiment.build_method()
-    run = Run(experiment, per_lane(method, len(experiment.seeds)), folder)
-    lives = live(env, [run], progress, devices)
+    run = Run(experiment, per_lane(method, len(experiment.seeds)), folder, listeners)
+    with folder.claimed() if folder else contextlib.nullcontext():
+        lives = live(env, [run], progress, devices)
     return Result(experiment, env, run.method, experiment.seeds, *experiment.curves(run.rows), lives)
 
 

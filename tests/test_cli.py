@@ -50,6 +50,11 @@ def finished(tmp_path_factory):
     return folder, json.loads(out)
 
 
+def cut_short(checkpoint):
+    victim = max(checkpoint.rglob("*"), key=lambda path: path.stat().st_size if path.is_file() else 0)
+    victim.write_bytes(victim.read_bytes()[:-7])
+
+
 def snapshot(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
@@ -123,8 +128,8 @@ def test_training_into_another_run_leaves_it_alone(finished):
 
 def test_a_damaged_checkpoint_is_one_line_and_nothing_is_overwritten(finished, tmp_path):
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
-    victim = max((folder / "checkpoints").rglob("*"), key=lambda path: path.stat().st_size if path.is_file() else 0)
-    victim.write_bytes(victim.read_bytes()[:-7])
+    for path in (folder / "checkpoints").iterdir():
+        cut_short(path)
     before = snapshot(folder)
     for command in (["resume", folder], ["evaluate", folder]):
         code, _, err = run(*command)
@@ -132,6 +137,17 @@ def test_a_damaged_checkpoint_is_one_line_and_nothing_is_overwritten(finished, t
         assert len(err.strip().splitlines()) == 1
         assert "is damaged" in err
         assert snapshot(folder) == before
+
+
+def test_where_the_newest_checkpoint_is_damaged_the_one_before_it_is_taken(finished, tmp_path):
+    folder = shutil.copytree(finished[0], tmp_path / "damaged")
+    cut_short(folder / "checkpoints/000000400")
+    code, _, err = run("resume", folder)
+    assert code == 0, err
+    assert err.splitlines()[0].startswith("earl-jax: checkpoint")
+    assert "000000400 is damaged" in err
+    assert "going on from 000000360" in err
+    assert (folder / "metrics.csv").read_bytes() == (finished[0] / "metrics.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

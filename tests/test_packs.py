@@ -1,6 +1,5 @@
 """Packs: cells that share a program, kept apart, each as if it had run alone."""
 
-import fcntl
 import json
 import sys
 
@@ -184,11 +183,10 @@ def test_one_folder_has_one_worker(tmp_path, grid):
     plan = packs.plan(grid, tmp_path)
     plan["cells"] = {NAMES[0]: plan["cells"][NAMES[0]]}
     folder = RunFolder.create(tmp_path / NAMES[0], packs.experiment_of(plan["cells"][NAMES[0]]["experiment"]))
-    with (folder.path / "config.json").open("r+") as handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+    with folder.claimed():
         well, told = worked(plan, tmp_path)
     assert not well
-    assert "is being written by another process" in told[0][2]["why"]
+    assert "is in use by another process" in told[0][2]["why"]
     assert not folder.metrics.exists()
 
 

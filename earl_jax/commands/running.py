@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from earl_jax.arguments import JSON, Devices, Hosts, Physics, Positional, Set, Slurm, options_of, say, say_line
+from earl_jax.arguments import JSON, Devices, Hosts, Logs, Physics, Positional, Set, Slurm, options_of, say, say_line
 
 
 def train(
@@ -19,6 +19,7 @@ def train(
     physics: Physics = None,
     devices: Devices = None,
     hosts: Hosts = None,
+    log: Logs = (),
     set: Set = (),
     json: JSON = False,
 ) -> None:
@@ -43,7 +44,7 @@ def train(
     task = envs.with_physics(task, physics)
     result = training.train(
         task, algos.method_for(task, algo, **options), setting=chosen, seeds=seeds, steps=steps, out=out,
-        eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, progress=True,
+        eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every, logs=log, progress=True,
         devices=devices,
     )  # fmt: skip
     _report_run(result, out, json)
@@ -76,6 +77,7 @@ def sweep(
     max_lanes: int | None = None,
     slurm: Slurm = (),
     devices: Devices = None,
+    log: Logs = (),
     dry_run: bool = False,
     json: JSON = False,
 ) -> None:
@@ -95,7 +97,7 @@ def sweep(
         say(plan, json, launching.described(plan))
         return
     lines: list[str] = []
-    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, devices, lines.append if json else say_line)
+    failed = launching.sweep(grid, out, launcher, max_lanes, slurm, devices, lines.append if json else say_line, log)
     if json:
         say({"out": str(out), "failed": failed, "lines": lines}, json, "")
     if failed:

@@ -1,0 +1,55 @@
+"""Files outlive kills, full disks and other processes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from earl_jax.files import inside, locked, write_atomically
+
+HOLD = (
+    "import sys, time; from pathlib import Path; from earl_jax.files import locked\n"
+    "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+)
+
+
+def test_a_folder_has_one_owner_and_a_killed_one_gives_it_back(tmp_path):
+    owner = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert owner.stdout.readline() == "held\n"
+    with pytest.raises(ValueError, match=f"{tmp_path} is in use by another process"), locked(tmp_path):
+        pass
+    owner.kill()
+    owner.communicate()
+    with locked(tmp_path):
+        assert (tmp_path / ".lock").exists()
+
+
+def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):
+    (tmp_path / "mine").write_text("all of it")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/.lock").symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match="can't be written to"), locked(tmp_path / "run"):
+        pass
+    assert (tmp_path / "mine").read_text() == "all of it"
+
+
+def test_what_cannot_be_written_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "config.json"
+    write_atomically(path, "old")
+    monkeypatch.setattr(os, "fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match=r"config\.json can't be written: No space left on device"):
+        write_atomically(path, "new")
+    assert [file.name for file in tmp_path.iterdir()] == ["config.json"]
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("name", ["..", "../other", "/etc/passwd", "a/../../b", "link/file"])
+def test_nothing_leads_out_of_a_folder(tmp_path, name):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    with pytest.raises(ValueError, match="leads out of"):
+        inside(folder, name)
+    assert inside(folder, "a/../b") == Path(folder / "a/../b")
