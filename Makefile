@@ -1,13 +1,17 @@
 # Two commands on a fresh machine: make quickstart, make test.
+comma := ,
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock
 STAMP := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
+MORE := $(VENV)/.more
+QUICK := plot,render,report,tensorboard,test
+ALL := $(QUICK),notebook,peers,wandb
 OUT ?= runs/quickstart-$(shell date +%Y%m%d-%H%M%S)
 
-.PHONY: quickstart test check demos lock clean
+.PHONY: quickstart test test-slow check demos lock clean
 
 $(STAMP): pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
@@ -15,7 +19,11 @@ $(STAMP): pyproject.toml requirements.lock
 	touch $@
 
 $(TOOLS): $(STAMP)
-	$(PIP) -e '.[plot,test]'
+	$(PIP) -e '.[$(QUICK)]'
+	touch $@
+
+$(MORE): $(TOOLS)
+	$(PIP) -e '.[$(ALL)]'
 	touch $@
 
 quickstart: $(STAMP)
@@ -28,12 +36,18 @@ check: $(TOOLS)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 test: check
-	$(BIN)/pytest -n 3 --dist loadfile --durations=10
+	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --durations=10
 
-# Exact versions for every supported Python, without an index address.
+# What takes long or needs much: PyTorch's learners, notebooks, a browser, a clean environment, kills. Runs after make test.
+test-slow: $(MORE)
+	$(BIN)/pytest -m slow -n 2 --dist loadfile --durations=10
+
+# Exact versions for every supported Python, without an index address; PyTorch's own CUDA is left out, since jax has another.
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 --extra plot --extra test --no-emit-index-url --no-header --no-annotate --upgrade -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 $(addprefix --extra ,$(subst $(comma), ,$(ALL))) \
+		--no-emit-index-url --no-header --no-annotate --upgrade -o requirements.lock
+	sed -i -E '/^(cuda|nvidia|triton)/d' requirements.lock
 
 demos: $(STAMP)
 	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz

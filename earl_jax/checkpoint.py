@@ -5,11 +5,13 @@ with a checksum of every file and of itself. Arrays only; nothing is ever unpick
 that a disk has damaged costs the steps since the one before it and nothing else.
 """
 
+import contextlib
 import hashlib
 import json
+import logging
 import shutil
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos.life import Lane, Lives
-from earl_jax.algos.replay import Replay
 from earl_jax.devices import first_host, gathered
 from earl_jax.files import DamagedWarning, inside
+from earl_jax.snapshot import filled, plain, spread, typed
 
 MANIFEST = "manifest.json"
 KEPT = 2
-PIECE = 1 << 28
-"""Bytes of the replay that leave a device at a time."""
 
 
 class DamagedError(ValueError):
@@ -42,8 +42,8 @@ def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
     """
     step = int(gathered(lives.step))
     part, done = folder / f"part-{step}", folder / f"{step:09d}"
-    lanes = gathered(_plain(jax.tree.map(lambda leaf: leaf[span], lives.lanes)))
-    replay = _filled(lives.replay, span)
+    lanes = gathered(plain(jax.tree.map(lambda leaf: leaf[span], lives.lanes)))
+    replay = filled(lives.replay, span)
     if not first_host():
         return done
     try:
@@ -98,7 +98,7 @@ def restore_together(
     causes = []
     for paths in _side_by_side(folders):
         try:
-            manifests = [_verified(path) for path in paths]
+            manifests = [verified(path) for path in paths]
         except DamagedError as error:
             causes.append(str(error))
             continue
@@ -122,7 +122,7 @@ def _joined(
     lanes = [_lanes(*each, like) for each in zip(paths, manifests, sizes, strict=True)]
     replay = like.replay
     if with_replay:
-        replay = _spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
+        replay = spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
     return Lives(joined, replay, jnp.asarray(int(paths[0].name), jnp.int32))
 
@@ -130,10 +130,10 @@ def _joined(
 def _lanes(path: Path, manifest: dict[str, Any], size: int, like: Lives) -> Lane:
     """Return the `size` lanes of the checkpoint at `path`."""
     form = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
-    wanted = _plain(form)
+    wanted = plain(form)
     if manifest["lanes"] != _described(wanted):
         raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
-    return _typed(_read(path / "lanes", wanted), form)
+    return typed(_read(path / "lanes", wanted), form)
 
 
 def _found(folder: Path) -> list[Path]:
@@ -161,7 +161,7 @@ def _sum_of(body: dict[str, Any]) -> str:
     return hashlib.blake2b(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _verified(path: Path) -> dict[str, Any]:
+def verified(path: Path) -> dict[str, Any]:
     """Return the manifest of a checkpoint whose every file is as it was written."""
     try:
         manifest = json.loads((path / MANIFEST).read_text())
@@ -188,98 +188,37 @@ def _described(leaves: dict[str, Any]) -> dict[str, str]:
     return {name: f"{leaf.dtype}{list(leaf.shape)}" for name, leaf in leaves.items()}
 
 
-def _checkpointer() -> Any:
-    """Return orbax's checkpointer for arrays on this host alone: the first host writes, every host reads for itself."""
+@contextlib.contextmanager
+def _checkpointer() -> Iterator[Any]:
+    """Give orbax's checkpointer for arrays on this host alone: the first host writes, every host reads for itself.
+
+    The one that blocks: that in the background gives up when the clock jumps. What it can't do is told by us, in one line.
+    """
     import orbax.checkpoint as ocp
 
     me = jax.process_index()
     several = {"primary_host": me, "active_processes": {me}, "barrier_sync_key_prefix": f"host{me}"}
     options = ocp.options.MultiprocessingOptions(**(several if jax.process_count() > 1 else {}))
-    return ocp.StandardCheckpointer(multiprocessing_options=options)
+    handler = ocp.StandardCheckpointHandler(multiprocessing_options=options)
+    told = logging.getLogger("absl")
+    level = told.level
+    told.setLevel(logging.CRITICAL)
+    try:
+        with ocp.Checkpointer(handler, multiprocessing_options=options) as checkpointer:
+            yield checkpointer
+    finally:
+        told.setLevel(level)
 
 
 def _write(path: Path, tree: Any) -> None:
+    import orbax.checkpoint as ocp
+
     with _checkpointer() as checkpointer:
-        checkpointer.save(path.resolve(), jax.tree.map(np.asarray, tree))
+        checkpointer.save(path.resolve(), args=ocp.args.StandardSave(jax.tree.map(np.asarray, tree)))
 
 
 def _read(path: Path, like: Any) -> Any:
+    import orbax.checkpoint as ocp
+
     with _checkpointer() as checkpointer:
-        return checkpointer.restore(path.resolve(), like)
-
-
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _plain(tree: Any) -> Any:
-    """Return `tree` as numbered arrays or shapes, keys as their words, without empty leaves, which orbax refuses."""
-
-    def plain(leaf):
-        if not _is_key(leaf):
-            return leaf
-        is_shape = isinstance(leaf, jax.ShapeDtypeStruct)
-        return jax.eval_shape(jax.random.key_data, leaf) if is_shape else jax.random.key_data(leaf)
-
-    return {f"{number:03d}": plain(leaf) for number, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
-
-
-def _typed(leaves: dict[str, Any], like: Any) -> Any:
-    wanted, structure = jax.tree.flatten(like)
-
-    def typed(number, want):
-        if not want.size:
-            return jnp.zeros(want.shape, want.dtype)
-        leaf = leaves[f"{number:03d}"]
-        return jax.random.wrap_key_data(leaf) if _is_key(want) else jnp.asarray(leaf)
-
-    return jax.tree.unflatten(structure, [typed(*pair) for pair in enumerate(wanted)])
-
-
-def _filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
-    """Return the written part of lanes `span` of the replay; index rows of both controllers, counted from their ends."""
-    row, capacity, counts = int(gathered(replay.row)), replay.capacity, gathered(replay.counts)[span]
-    mine, other = (int(count) for count in counts.max(axis=0))
-    rows = {
-        "state": _rows(replay.state, 0, row + 1, span),
-        "action": _rows(replay.action, 0, row, span),
-        "marks": _rows(replay.marks, 0, row, span),
-        "reward": _rows(replay.reward, 0, row, span),
-        "mine": _rows(replay.index, 0, mine, span),
-        "other": _rows(replay.index, capacity - other, capacity, span),
-        "counts": counts,
-        "demos": gathered(replay.demos),
-        "row": np.asarray(row, np.int32),
-    }
-    return {name: array for name, array in rows.items() if array.size}
-
-
-def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
-    """Return rows `start` to `stop` of lanes `span` on the host, by pieces: a slice of it all would double a full device."""
-    stop = min(stop, len(array))
-    step = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
-    pieces = [gathered(array[first : min(first + step, stop), span]) for first in range(start, stop, step)]
-    return np.concatenate(pieces) if pieces else gathered(array[:0, span])
-
-
-def _spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
-    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had.
-
-    It stays on the host: which device gets what part of it is for others to say.
-    """
-    names = ("state", "action", "marks", "reward", "index", "counts")
-    buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
-    places = {"mine": buffers["index"], "other": buffers["index"][::-1]}
-    start = 0
-    for saved, size in zip(parts, sizes, strict=True):
-        span = slice(start, start := start + size)
-        buffers["counts"][span] = saved["counts"]
-        for name in names[:4]:
-            if name in saved:
-                buffers[name][: len(saved[name]), span] = saved[name]
-        for name, place in places.items():
-            if name in saved:
-                rows = saved[name] if name == "mine" else saved[name][::-1]
-                place[: len(rows), span] = rows
-    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
-    return Replay(**arrays)
+        return checkpointer.restore(path.resolve(), args=ocp.args.StandardRestore(like))

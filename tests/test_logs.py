@@ -1,6 +1,7 @@
 """Everyone who listens to a run hears the same."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -73,7 +74,9 @@ def test_wandb_offline_hears_the_same_and_a_resumed_run_keeps_its_name(tmp_path,
     told(RunFolder.open(folder.path), 40, 80)
     files = sorted((folder.path / "wandb").glob(f"offline-run-*/run-{folder.id}.wandb"))
     assert len(files) == 2
-    rows = [row for file in files for row in read_history(file)]
+    deadline = time.monotonic() + 20
+    while len(rows := [row for file in files for row in read_history(file)]) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)  # its own process writes
     assert [(row["_step"], row["deployed/success"]) for row in rows] == [(40, 0.5), (80, 0.375)]
     assert rows[1]["deployed/success/seed_5"] == 0.5
 
