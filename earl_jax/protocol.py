@@ -12,6 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env
 from earl_jax.envs.helped import Helped
+from earl_jax.options import check
 
 HELP = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
 """The fields that a `Setting` and a `Helped` world have in common."""
@@ -145,14 +146,11 @@ def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
     """Return the setting `name` with its `options`.
 
     Raises:
-        ValueError: the name or an option is unknown; the message lists the choices.
+        ValueError: the name or an option is unknown or of another kind; the message lists the choices.
     """
-    if name not in SETTINGS:
+    if not isinstance(name, str) or name not in SETTINGS:
         raise ValueError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
-    known = [field.name for field in dataclasses.fields(SETTINGS[name])]
-    for option in options:
-        if option not in known:
-            raise ValueError(f"setting {name!r} has no option {option!r}; choose from {', '.join(known)}")
+    check(f"setting {name!r}", SETTINGS[name], options)
     return SETTINGS[name](**options)
 
 

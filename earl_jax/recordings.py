@@ -106,19 +106,18 @@ def _checked(arrays: Any) -> Recording:
     parts = [np.asarray(arrays[name]) for name in Recording._fields]
     if any(part.dtype.kind not in "fiub" for part in parts):
         raise ValueError("its arrays are not all numbers")
-    rows = len(parts[0])
+    rows = len(parts[0]) if parts[0].ndim else 0
     shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
     flat = all(part.size == rows for part in (parts[2], parts[4]))
     matrices = all(part.ndim == 2 and len(part) == rows for part in (parts[0], parts[1], parts[3]))
     if not rows or not flat or not matrices or parts[0].shape != parts[3].shape or parts[0].shape[1] % 2:
         raise ValueError(f"its arrays don't fit together: {shapes}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is found
+        parts = [*(part.astype(np.float32) for part in parts[:4]), parts[4].astype(bool)]
     if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
         raise ValueError("it has values that are not finite, or stops in the middle of an episode")
     observations, actions, rewards, after, ends = parts
-    return Recording(
-        observations.astype(np.float32), actions.astype(np.float32), rewards.reshape(-1).astype(np.float32),
-        after.astype(np.float32), ends.reshape(-1).astype(bool),
-    )  # fmt: skip
+    return Recording(observations, actions, rewards.reshape(-1), after, ends.reshape(-1))
 
 
 def import_demos(files: dict[str, Path]) -> dict[str, Demos]:

@@ -19,7 +19,7 @@ JSON = st.recursive(
     max_leaves=5,
 )
 KEYS = ["env", "env_options", "algo", "options", "seeds", "steps", "eval_every", "setting", "logs", "provenance"]
-FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def metrics(value):
@@ -61,6 +61,26 @@ def test_a_changed_config_is_an_experiment_or_one_clear_error(folder, key, value
     told = cause(lambda: built(RunFolder.open(folder.path).experiment))
     folder.config.write_text(whole)
     assert len(told.splitlines()) <= 1
+
+
+OPTIONS = [
+    ("options", name) for name in ("discount", "hidden_sizes", "batch_size", "random_steps", "precision", "layer_norm")
+]
+OPTIONS += [("env_options", name) for name in ("reward_type", "train_horizon", "wide")]
+OPTIONS += [("setting", name) for name in ("name", "intervention_chance", "budget", "goal_change")]
+
+
+@FUZZ
+@given(place=st.sampled_from(OPTIONS), value=JSON)
+def test_an_option_of_any_kind_is_taken_or_is_one_clear_error(folder, place, value):
+    key, name = place
+    whole = folder.config.read_text()
+    config = json.loads(whole)
+    config[key] = {**config[key], name: value}
+    folder.config.write_text(json.dumps(config))
+    told = cause(lambda: built(RunFolder.open(folder.path).experiment))
+    folder.config.write_text(whole)
+    assert not told or any(word in told for word in (name, "setting", "hyper-parameter"))
 
 
 @FUZZ

@@ -1,13 +1,19 @@
 """Foreign files: recordings of the original come in, nothing else does, and nothing in them runs."""
 
+import ast
 import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from earl_jax import assets, recordings
 from earl_jax.cli import main
+
+FUZZ = settings(max_examples=100, deadline=None)
 
 
 def arrays(episodes=2, length=5, size=14):
@@ -85,6 +91,67 @@ def test_anything_else_is_one_clear_error(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"other.pkl: not a pickle of numpy arrays"):
         recordings.read(path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return pickled(tmp_path_factory.mktemp("recordings") / "whole.pkl", arrays())
+
+
+@FUZZ
+@given(where=st.floats(0, 1, exclude_max=True), text=st.binary(min_size=1, max_size=8), cut=st.booleans())
+def test_a_pickle_changed_anywhere_is_a_recording_or_one_clear_error(whole, where, text, cut):
+    data = whole.read_bytes()
+    place = int(where * len(data))
+    victim = whole.with_name("victim.pkl")
+    victim.write_bytes(data[:place] if cut else data[:place] + text + data[place + len(text) :])
+    try:
+        found = recordings.read(victim)
+    except ValueError as error:
+        told = str(error)
+    else:
+        assert len({len(field) for field in found}) == 1
+        told = str(victim)
+    assert str(victim) in told
+
+
+@FUZZ
+@given(data=st.data())
+def test_arrays_of_any_shape_are_a_recording_or_one_clear_error(tmp_path_factory, data):
+    shapes = st.lists(st.integers(0, 4), max_size=3).map(tuple)
+    kinds = st.sampled_from([np.float32, np.float64, np.int64, np.bool_, np.complex64, "U3", "datetime64[s]"])
+    content = {name: np.zeros(data.draw(shapes), data.draw(kinds)) for name in recordings.Recording._fields}
+    path = tmp_path_factory.getbasetemp() / "any.npz"
+    np.savez(path, **content)
+    with pytest.raises(ValueError, match=r"any\.npz: "):  # zeros end no episode
+        recordings.read(path)
+
+
+LOADERS = {"load", "loads", "Unpickler", "memmap", "fromfile"}
+
+
+def test_nothing_else_in_the_package_unpickles():
+    """Every reader of files that could run code is the restricted one, or is told not to."""
+    found = []
+    for path in Path(recordings.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            loads = called.split(".")[0] in (
+                "pickle",
+                "cloudpickle",
+                "dill",
+                "joblib",
+                "torch",
+                "np",
+                "numpy",
+                "marshal",
+            )
+            safe = any(
+                key.arg == "allow_pickle" and ast.unparse(key.value) == "False" for key in getattr(node, "keywords", [])
+            )
+            if loads and called.split(".")[-1] in LOADERS and not safe:
+                found.append(f"{path.name}: {called}")
+    assert found == []
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,22 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SMOKE = """
+set -eu
+earl-jax list --json
+earl-jax train tabletop_organization --algo fbrl --seeds 2 --steps 200 --eval-every 100 --eval-episodes 2 --out run \
+  --log tensorboard --set 'hidden_sizes=[16,16]' batch_size=16 random_steps=20
+earl-jax resume run --steps 400
+earl-jax evaluate run --episodes 2 --json
+earl-jax table run --out table.md
+earl-jax plot run --out curves.png
+earl-jax demos tabletop_organization --out demos.npz
+earl-jax render run --out run/video.mp4 --steps 20
+earl-jax render sawyer_door --out door.png --steps 20
+earl-jax report run --out report.html
+python -c "import gymnasium; env = gymnasium.make('earl_jax/SawyerDoor-v0'); print(env.reset(seed=0)[0].shape)"
+"""
+"""What a user would try first, in a folder of their own."""
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +56,24 @@ def test_it_works_outside_the_checkout(wheel, tmp_path):
     assert found.returncode == 0, found.stderr
     assert str(tmp_path / "site" / "earl_jax" / "assets") in found.stdout
     assert "1241" in found.stdout
+
+
+@pytest.mark.slow
+def test_a_clean_environment_outside_the_checkout_has_all_of_it(wheel, tmp_path):
+    venv, work = tmp_path / "venv", tmp_path / "work"
+    subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
+    pip = [str(venv / "bin/python"), "-m", "pip", "install", "--quiet", "-c", str(ROOT / "requirements.lock")]
+    subprocess.run([*pip, f"{wheel}[plot,render,report,tensorboard]"], check=True)
+    work.mkdir()
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "XLA", "VIRTUAL"))
+    }
+    environment |= {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "JAX_PLATFORMS": "cpu"}
+    environment |= {"EARL_JAX_CACHE": str(tmp_path / "programs")}
+    found = subprocess.run(["bash", "-c", SMOKE], cwd=work, env=environment, capture_output=True, text=True)
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "(14,)" in found.stdout
+    pictures = ["curves.png", "door.png", "run/video.mp4"]
+    made = ["run/metrics.csv", "run/tensorboard", "table.md", "demos.npz", "report.html", *pictures]
+    assert [name for name in made if not (work / name).exists()] == []
+    assert "data:video/mp4" in (work / "report.html").read_text()

@@ -8,6 +8,7 @@ import numpy as np
 from earl_jax.algos.method import Method
 from earl_jax.algos.sac import SAC
 from earl_jax.envs import Env
+from earl_jax.options import check
 from earl_jax.registry import Registry
 
 __all__ = ["SAC", "Method", "list_algos", "make_algo", "method_for", "register_algo"]
@@ -48,7 +49,9 @@ def make_algo(name: str, **options) -> Method:
     if unknown:
         raise ValueError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
     options = {option: _leaf(option, value) for option, value in options.items()}
-    sac = SAC(**{option: value for option, value in options.items() if option in shared})
+    learner = {option: value for option, value in options.items() if option in shared}
+    check(f"algo {name!r}", SAC, learner)
+    sac = SAC(**learner)
     return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})
 
 
@@ -65,4 +68,9 @@ def _leaf(option: str, value: Any) -> Any:
     """Return a list, which JSON and the command line give, as what the field holds: layer sizes, or a value a lane."""
     if not isinstance(value, list | tuple):
         return value
-    return tuple(int(size) for size in value) if option == "hidden_sizes" else np.asarray(value, np.float32)
+    if option == "hidden_sizes":
+        return tuple(value)
+    try:
+        return np.asarray(value, np.float32)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{option} must be a number for each lane, not {value!r}") from error

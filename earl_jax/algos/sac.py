@@ -53,6 +53,8 @@ class SAC(struct.PyTreeNode):
 
     def __post_init__(self):
         networks.check_precision(self.precision)
+        if self.batch_size < 1:
+            raise ValueError(f"batch_size must be at least 1, not {self.batch_size}")
 
 
 class Batch(NamedTuple):
