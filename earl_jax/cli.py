@@ -7,7 +7,7 @@ from typing import Any
 
 import tyro
 
-from earl_jax.commands import demonstrations, looking, running
+from earl_jax.commands import demonstrations, looking, render, report, running
 from earl_jax.files import DamagedWarning
 
 PLAIN = warnings.formatwarning
@@ -20,6 +20,8 @@ COMMANDS = {
     "evaluate": looking.evaluate,
     "plot": looking.plot,
     "table": looking.table,
+    "render": render.render,
+    "report": report.report,
     "demos": demonstrations.demos,
     "import-demos": demonstrations.import_demos,
     "quickstart": running.quickstart,

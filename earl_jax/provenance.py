@@ -1,5 +1,6 @@
 """What else a repetition would want to know of a run than its experiment: versions, machine, commit."""
 
+import datetime
 import platform
 import subprocess
 from importlib import metadata
@@ -12,7 +13,7 @@ PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "b
 
 
 def provenance() -> dict[str, Any]:
-    """Return what else a repetition would want to know: versions, platform, commit."""
+    """Return what else a repetition would want to know: when it was (UTC), versions, platform, commit."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -20,6 +21,7 @@ def provenance() -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             versions[package] = None
     return {
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "versions": versions,
         "python": platform.python_version(),
         "backend": jax.default_backend(),

@@ -124,14 +124,17 @@ def _cell(row: dict[str, Any]) -> str:
     if row["published_mean"] == "-":
         return f"{_ours(row, 'mean', 'stderr')} / - / -"
     theirs = row["published_mean"] + ("" if row["published_stderr"] == "-" else f" ({row['published_stderr']})")
-    return f"{_ours(row, 'mean', 'stderr')} / {theirs} / {row['verdict']}{_age(row)}"
+    age = age_of(row)
+    verdict = f"{row['verdict']} at {age} of the steps" if age else row["verdict"]
+    return f"{_ours(row, 'mean', 'stderr')} / {theirs} / {verdict}"
 
 
-def _age(row: dict[str, Any]) -> str:
+def age_of(row: dict[str, Any]) -> str:
     """Return at which share of the published steps a verdict was reached, nothing where it was at all of them."""
-    if row["verdict"] == "-" or not row["published_steps_low"] or row["steps"] >= row["published_steps_low"]:
+    least = row["published_steps_low"]
+    if row["verdict"] == "-" or not least or row["steps"] >= least:
         return ""
-    return f" at {100 * row['steps'] / row['published_steps_low']:.2g} % of the steps"
+    return f"{100 * row['steps'] / least:.2g} %"
 
 
 def _grid(rows: Sequence[dict[str, Any]], text: Callable[[dict[str, Any]], str]) -> str:

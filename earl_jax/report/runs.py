@@ -102,7 +102,12 @@ class Cell(NamedTuple):
 
 def cells(folders: Sequence[Path]) -> list[Cell]:
     """Return the curves of `folders` as `read_all` pools them, by task and method in the paper's order."""
-    bare = [Cell(one.experiment.env, one.experiment.algo, "", one) for one in read_all(folders)]
+    return cells_of(read_all(folders))
+
+
+def cells_of(runs: Sequence[Curves]) -> list[Cell]:
+    """Return `runs`, each with its name, by task and method in the paper's order."""
+    bare = [Cell(one.experiment.env, one.experiment.algo, "", one) for one in runs]
     found = []
     for env in ordered((cell.env for cell in bare), TITLES):
         for algo in ordered((cell.algo for cell in bare if cell.env == env), COLOURS):
