@@ -84,7 +84,7 @@ def test_settings_say_which_numbers_of_a_task_hold():
     assert Continuing().protocol(door) == Protocol(50_000, 300, goal_change=600)
     assert Continuing().protocol(dataclasses.replace(door, train_horizon=700)).train_horizon == 700
     assert Continuing(goal_change=30, intervention_chance=0.01).protocol(make("tabletop_organization")) == Protocol(
-        200_000, 200, intervention_chance=0.01, goal_change=30
+        50_000, 200, intervention_chance=0.01, goal_change=30
     )
     with pytest.raises(ValueError, match="unknown setting 'lifelong'; choose from deployment, continuing"):
         setting_of("lifelong")
@@ -96,7 +96,7 @@ def test_a_budget_makes_a_world_with_help_and_back(env):
     world = Deployment(budget=5.0, help_cost=2.0, help_above=0.5).world(env)
     assert world == Helped(env, budget=5.0, help_cost=2.0, help_above=0.5)
     assert settled(world, Continuing()) == (env, Continuing(budget=5.0, help_cost=2.0, help_above=0.5))
-    assert Continuing().protocol(world) == Protocol(200_000, 200, goal_change=400)
+    assert Continuing().protocol(world) == Protocol(50_000, 200, goal_change=400)
     assert Deployment().world(env) is env
 
 

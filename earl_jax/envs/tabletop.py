@@ -43,6 +43,7 @@ class TabletopOrganization(Env):
     name: ClassVar[str] = "tabletop_organization"
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
+    continuing_horizon: ClassVar[int | None] = 50_000
     area: ClassVar[np.ndarray] = np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32)
 
     @property
@@ -77,6 +78,12 @@ class TabletopOrganization(Env):
     def place(self, obs: jax.Array) -> jax.Array:
         """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""
         return obs[..., :2]
+
+    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self._state(Integration.at(vector[:4]), vector, {"goal": goal})
+
+    def shown_goal(self, state: State) -> Integration:
+        return state.data.replace(qpos=state.info["goal"][:4])
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
         """Return the first of 64 uniform draws [4] that keeps its distances (about half do: a miss has odds of 1e-17)."""

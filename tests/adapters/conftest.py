@@ -1,0 +1,17 @@
+"""What the tests of adapters share."""
+
+import pytest
+
+from earl_jax.envs import make
+from earl_jax.scenes import Scene
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Options of small pictures, where there is a way to draw them."""
+    size = {"width": 64, "height": 48}
+    try:
+        Scene(make("tabletop_organization"), (48, 64)).close()
+    except ValueError as error:
+        pytest.skip(str(error))
+    return {"render_mode": "rgb_array", **size}

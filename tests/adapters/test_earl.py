@@ -1,0 +1,176 @@
+"""A script in the style of the original benchmark runs with one import changed."""
+
+import numpy as np
+import pytest
+
+from earl_jax.adapters import earl as earl_benchmark
+from earl_jax.envs import make
+
+HOLD = np.array([0.0, 0.0, -1.0])
+RELEASED = {
+    "tabletop_manipulation": (12, 3, 200_000, 200, 400, True),
+    "sawyer_door": (14, 4, 200_000, 300, 600, True),
+    "sawyer_peg": (14, 4, 100_000, 200, 400, True),
+    "kitchen": (46, 9, 100_000, 400, 800, False),
+    "minitaur": (32, 8, 100_000, 1000, 2000, False),
+}
+"""Observation, action, H_T, H_E, goal change and demonstrations of the released configurations."""
+
+
+def short(**options):
+    return earl_benchmark.EARLEnvs("tabletop_manipulation", train_horizon=6, eval_horizon=4, **options)
+
+
+def test_a_script_of_the_original_runs():
+    np.random.seed(0)
+    loader = short(reward_type="sparse", reset_train_env_at_goal=False)
+    train_env, eval_env = loader.get_envs()
+    assert loader.get_initial_states().shape == (1, 6)
+    assert loader.get_goal_states().shape == (4, 6)
+    memory = [loader.get_demonstrations()[0]] if loader.has_demos() else []
+
+    obs, done = train_env.reset(), False
+    for _ in range(20):
+        action = train_env.action_space.sample()
+        if done:
+            obs = train_env.reset()
+        following, reward, done, info = train_env.step(action)
+        assert (type(reward), type(done), isinstance(info, dict)) == (float, bool, True)
+        rows = {
+            "observations": obs,
+            "actions": action,
+            "rewards": [reward],
+            "terminals": [done],
+            "next_observations": following,
+        }
+        memory.append({name: np.asarray(row, np.float32)[None] for name, row in rows.items()})
+        obs = following
+    assert train_env.num_interventions == 4
+    assert train_env.total_steps == 20
+    replay = {name: np.concatenate([part[name] for part in memory]) for name in memory[0]}
+    widths = {"observations": 12, "actions": 3, "rewards": 1, "terminals": 1, "next_observations": 12}
+    assert {name: rows.shape for name, rows in replay.items()} == {
+        name: (1261, width) for name, width in widths.items()
+    }
+
+    successes, lengths = [], []
+    for _ in range(2):
+        obs, done, steps, solved = eval_env.reset(), False, 0, False
+        while not done:
+            obs, reward, done, _ = eval_env.step(HOLD)
+            solved, steps = solved or eval_env.is_successful(obs), steps + 1
+        successes.append(solved)
+        lengths.append(steps)
+    assert (successes, lengths) == ([False, False], [4, 4])
+
+
+def test_nothing_resets_itself():
+    env, _ = short().get_envs()
+    start = env.reset()
+    dones = [env.step(np.array([1.0, 0.0, -1.0]))[2] for _ in range(8)]
+    assert dones == [False] * 5 + [True] * 3
+    assert env.step(HOLD)[0][0] == pytest.approx(1.6)
+    assert env.num_interventions == 1
+    np.testing.assert_array_equal(env.reset()[:6], start[:6])
+    assert not env.step(HOLD)[2]
+
+
+def test_demonstrations_replay_with_their_rewards():
+    loader = earl_benchmark.EARLEnvs("tabletop_manipulation")
+    env, _ = loader.get_envs()
+    demos = loader.get_demonstrations()[0]
+    kinds = [rows.dtype.name for rows in demos.values()]
+    assert kinds == ["float32", "float32", "float32", "bool", "float32"]
+    env.reset()
+    np.testing.assert_array_equal(env.reset_goal(demos["observations"][0, 6:]), demos["observations"][0])
+    last = int(np.argmax(demos["terminals"]))
+    for number in range(last + 1):
+        obs, reward, _, info = env.step(demos["actions"][number])
+        np.testing.assert_allclose(obs, demos["next_observations"][number], atol=1e-5)
+        assert reward == demos["rewards"][number, 0] == env.compute_reward(obs) == info["success"]
+    assert env.is_successful()
+    assert isinstance(env.is_successful(), bool)
+    assert env.is_successful(demos["next_observations"]).sum() == demos["rewards"].sum()
+    np.testing.assert_array_equal(env.compute_reward(demos["next_observations"]), demos["rewards"][:, 0])
+
+
+def test_lifelong_learning_changes_goals_on_the_clock():
+    np.random.seed(3)
+    env = short(setup_as_lifelong_learning=True, goal_change_frequency=3).get_envs()
+    goals = [env.reset()[6:]]
+    for _ in range(60):
+        obs, *_ = env.step(HOLD)
+        np.testing.assert_array_equal(env.goal, obs[6:])
+        goals.append(obs[6:])
+    changes = 1 + np.flatnonzero((np.diff(goals, axis=0) != 0).any(axis=1))
+    assert len(changes) > 5
+    assert (changes % 3 == 0).all()
+    env.reset_goal(env.step(HOLD)[0][:6])
+    env.step(HOLD)
+    assert env.lifelong_return == 1.0
+
+
+def test_numpys_seed_says_what_comes():
+    def starts(seed):
+        np.random.seed(seed)
+        env, other = earl_benchmark.EARLEnvs("tabletop_manipulation", wide_init_distr=True).get_envs()
+        return [env.reset(), env.reset(), other.reset()]
+
+    np.testing.assert_array_equal(starts(0), starts(0))
+    assert len(np.unique(np.array(starts(0) + starts(1))[:, :4], axis=0)) == 6
+    env, _ = short().get_envs()
+    assert env.seed(5) == [5]
+    goals = [env.reset()[6:] for _ in range(8)]
+    env.seed(5)
+    np.testing.assert_array_equal(goals, [env.reset()[6:] for _ in range(8)])
+
+
+@pytest.mark.parametrize("name", RELEASED)
+def test_the_released_configurations(name):
+    obs, action, train_horizon, eval_horizon, change, demos = RELEASED[name]
+    loader = earl_benchmark.EARLEnvs(name)
+    train_env, eval_env = loader.get_envs()
+    assert (train_env.observation_space.shape, train_env.action_space.shape) == ((obs,), (action,))
+    horizons = [env._env.world.protocol.eval_horizon for env in (train_env, eval_env)]
+    assert horizons == [train_horizon, eval_horizon]
+    assert loader.get_train_env(lifelong=True)._goal_change == change
+    assert loader.has_demos() == demos
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RELEASED)
+def test_every_task_steps(name):
+    env, _ = earl_benchmark.EARLEnvs(name).get_envs()
+    before = env.reset()
+    obs, reward, done, _ = env.step(np.ones(env.action_space.shape))
+    assert np.isfinite(obs).all()
+    assert not np.array_equal(obs, before)
+    assert not done
+    assert reward == pytest.approx(env.compute_reward(obs), abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_door_can_start_at_its_goal():
+    train_env, eval_env = earl_benchmark.EARLEnvs("sawyer_door", reset_train_env_at_goal=True).get_envs()
+    closed = make("sawyer_door").goal_states[0]
+    assert np.linalg.norm(train_env.reset()[4:7] - closed[4:]) < 0.1
+    assert np.linalg.norm(eval_env.reset()[4:7] - closed[4:]) > 0.2
+
+
+def test_what_cannot_be_had_is_told():
+    with pytest.raises(ValueError, match="unknown env 'tabletop'"):
+        earl_benchmark.EARLEnvs("tabletop")
+    with pytest.raises(ValueError, match="no option 'horizon'"):
+        earl_benchmark.EARLEnvs("sawyer_door", horizon=3)
+    with pytest.raises(ValueError, match="kitchen_task 'open_microwave'"):
+        earl_benchmark.EARLEnvs("kitchen", kitchen_task="open_microwave")
+    with pytest.raises(ValueError, match="no start at its goal"):
+        earl_benchmark.EARLEnvs("tabletop_manipulation", reset_train_env_at_goal=True)
+    with pytest.raises(ValueError, match="no demos for 'minitaur_pen'"):
+        earl_benchmark.EARLEnvs("minitaur").get_demonstrations()
+    with pytest.raises(ValueError, match="mode 'human'"):
+        short().get_envs()[0].render("human")
+    assert (
+        make("sawyer_peg", reward_type="dense")
+        == earl_benchmark.EARLEnvs("sawyer_peg", "dense", wide_init_distr=True)._task
+    )
