@@ -28,7 +28,7 @@ SHIPPED = {"xla_cpu_use_fusion_emitters": True} if "fusion_emitters" in os.envir
 """For a test of equal bits in two programs: the code generator that users have."""
 LONGEST = [
     "test_reproduce.py", "test_physics.py", "test_sweep.py", "test_training.py", "test_autonomy.py", "test_devices.py",
-    "test_cli.py", "test_dense_tasks.py", "test_packs.py", "test_sac.py",
+    "test_cli.py", "test_dense_tasks.py", "test_packs.py", "test_sac.py", "test_gymnasium.py", "test_checkpoint.py",
 ]  # fmt: skip
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 

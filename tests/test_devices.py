@@ -96,6 +96,7 @@ def on_two_hosts(*arguments):
     assert [host.returncode for host in hosts] == [0, 0], said
 
 
+@pytest.mark.slow
 def test_two_hosts_write_one_run_and_go_on_with_it(tmp_path):
     # Explored first, learnt after the resume: each program compiles once.
     options = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 40}

@@ -75,6 +75,7 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
     assert found.returncode == 0, found.stderr
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_goes_on_and_loses_nothing(grid, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     code, out, err = run("sweep", grid, "--out", whole)

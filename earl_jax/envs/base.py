@@ -80,6 +80,27 @@ class Env(abc.ABC):
         """What moves this world: a physics engine's name, or `kinematic` for plain arithmetic."""
         return "kinematic"
 
+    @property
+    def model(self) -> str:
+        """The MJCF that pictures show, its name in assets or its path."""
+        return self.name
+
+    def shown(self, state: State) -> Any:
+        """Return the `Integration` of `model` that a picture of `state` shows."""
+        return state.data
+
+    def shown_goal(self, state: State) -> Any:
+        """Return the `Integration` that `shown` would be with the goal of `state` reached, None where nothing marks a goal."""
+        del state
+
+    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
+        """Return a start at which `vector [s]` is observed and `goal [g]` commanded, for demonstrations to be replayed from.
+
+        Raises:
+            ValueError: this task starts from `reset` only.
+        """
+        raise ValueError(f"{self.name} cannot replay demonstrations: it starts from reset only")
+
     def for_lanes(self, lanes: int) -> "Env":
         """Return this task with what only the number of lanes can tell decided: for a physics engine `auto`, which one."""
         del lanes

@@ -150,6 +150,9 @@ class DHandLightbulb(PhysicalEnv):
         info = {"goal": jnp.asarray(TARGET), "pressed": jnp.zeros((), bool)}
         return self._state(data, observed(data.qpos, jnp.asarray(START_HAND, jnp.float32)), info)
 
+    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self.with_goal(self.placed(vector[FINGERS + ARM : FINGERS + ARM + 2]), goal)
+
     def _command(self, state: State, action: jax.Array) -> tuple[Integration, jax.Array]:
         data, wrist = state.data, action[FINGERS:]
         lower = jnp.where(state.info["pressed"], 0.0, -1.0)
@@ -166,6 +169,11 @@ class DHandLightbulb(PhysicalEnv):
         vector, links = observed(data.qpos, sensors[:3]), sensors[3:].reshape(-1, 3)
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (parts(vector)[1][2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
+
+    def shown_goal(self, state: State) -> Integration:
+        joints = state.data.qpos[: ARM + FINGERS]
+        upright = jnp.array([1.0, 0.0, 0.0, 0.0])
+        return state.data.replace(qpos=jnp.concatenate([joints, state.info["goal"], upright]))
 
     def success(self, obs: jax.Array) -> jax.Array:
         _, bulb, _, goal = parts(obs)

@@ -88,6 +88,9 @@ class FishSwim(PhysicalEnv):
     ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         return data, _observed(data), {}
 
+    def shown_goal(self, state: State) -> Integration:
+        return state.data.replace(mocap_pos=state.info["goal"][None])
+
     def place(self, obs: jax.Array) -> jax.Array:
         """Return the mouth's x, y [..., 2] in `obs [..., 36]`, metres."""
         return obs[..., 21:23]

@@ -157,6 +157,10 @@ class FrankaKitchen(PhysicalEnv):
         vector, changed = self._observe(data, state.info["noise"])
         return data, vector, {**changed, "sites": sensors[: 3 * len(rewards.SITES)].reshape(-1, 3)}
 
+    def shown_goal(self, state: State) -> Integration:
+        robot, objects = state.data.qpos[: rewards.ROBOT], state.info["goal"][rewards.FIRST[rewards.ROBOT :]]
+        return state.data.replace(qpos=jnp.concatenate([robot, objects]))
+
     def success(self, obs: jax.Array) -> jax.Array:
         objects = obs[..., rewards.ROBOT : 23] - obs[..., 23 + rewards.ROBOT :]
         return jnp.linalg.norm(objects, axis=-1) <= RADIUS

@@ -92,6 +92,16 @@ class Helped(Env):
     def engine(self) -> str:
         return self.task.engine
 
+    @property
+    def model(self) -> str:
+        return self.task.model
+
+    def shown(self, state: State) -> Any:
+        return self.task.shown(state.data)
+
+    def shown_goal(self, state: State) -> Any:
+        return self.task.shown_goal(state.data)
+
     def for_lanes(self, lanes: int) -> "Helped":
         return dataclasses.replace(self, task=self.task.for_lanes(lanes))
 

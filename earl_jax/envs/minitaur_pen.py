@@ -139,6 +139,10 @@ class MinitaurPen(PhysicalEnv):
     ) -> tuple[Integration, jax.Array, dict[str, jax.Array]]:
         return data, observed(data), {}
 
+    def shown_goal(self, state: State) -> Integration:
+        upright = jnp.asarray(STANDING[0][2:], jnp.float32)
+        return state.data.replace(qpos=jnp.concatenate([state.info["goal"], upright]))
+
     def success(self, obs: jax.Array) -> jax.Array:
         return jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], axis=-1) < RADIUS
 

@@ -94,6 +94,18 @@ class Sawyer(PhysicalEnv):
     def pose(self) -> Pose:
         """How the arm stands after a reset."""
 
+    @abc.abstractmethod
+    def joints_at(self, where: jax.Array) -> jax.Array:
+        """Return the object's joints [j] with which it is seen at `where [3]`."""
+
+    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
+        where = vector[-3:]
+        return self.placed(self.joints_at(where), where, goal)
+
+    def shown_goal(self, state: State) -> Integration:
+        object_joints = self.joints_at(state.info["goal"][-3:])
+        return state.data.replace(qpos=jnp.concatenate([state.data.qpos[:ARM], object_joints]))
+
     def placed(self, joints: jax.Array, where: jax.Array, goal: jax.Array, **info: jax.Array) -> State:
         """Return the state with the arm in its reset pose and the object's `joints [j]` such that it is seen at `where [3]`."""
         pose, rest = self.pose, jnp.zeros_like(joints)

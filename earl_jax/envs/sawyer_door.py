@@ -93,6 +93,11 @@ class SawyerDoor(Sawyer):
         angle = -noise if self.reset_at_goal else OPEN + noise
         return self.placed(angle[None], handle_at(angle), goal)
 
+    def joints_at(self, where: jax.Array) -> jax.Array:
+        """Return the door's angle [1] with its handle at `where [3]`."""
+        x, y = where[:2] - HINGE
+        return (jnp.arctan2(y, x) - np.arctan2(HANDLE[1], HANDLE[0]))[None]
+
     def place(self, obs: jax.Array) -> jax.Array:
         """Return the hand's x, y [..., 2] in `obs [..., o]`, metres."""
         return obs[..., :2]

@@ -108,8 +108,18 @@ class SawyerPeg(Sawyer):
         place_key, goal_key = jax.random.split(key)
         goals = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)
         peg = self._peg_start(place_key)
-        goal = goals[jax.random.randint(goal_key, (), 0, len(goals))]
+        return self._laid(peg, goals[jax.random.randint(goal_key, (), 0, len(goals))])
+
+    def _laid(self, peg: jax.Array, goal: jax.Array) -> State:
+        """Return the start with the middle of the peg at `peg [3]`."""
         return self.placed(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()))
+
+    def joints_at(self, where: jax.Array) -> jax.Array:
+        """Return the peg's middle [3] with its head at `where [3]`."""
+        return where - HEAD
+
+    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self._laid(self.joints_at(vector[-3:]), goal)
 
     def _peg_start(self, key: jax.Array) -> jax.Array:
         which, where, spread, coin = jax.random.split(key, 4)
