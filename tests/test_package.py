@@ -6,6 +6,7 @@ import sys
 import pytest
 
 import earl_jax
+from earl_jax.envs.tabletop import TabletopOrganization
 
 HEAVY = ("brax", "gymnasium", "matplotlib", "mujoco", "orbax", "flax", "jax")
 
@@ -33,13 +34,19 @@ def test_every_public_name_is_there_and_documented():
         _ = earl_jax.nonsense
 
 
+class Theirs(TabletopOrganization):
+    """A task of another package."""
+
+    name = "theirs"
+
+
 def test_an_env_of_another_package_is_found(monkeypatch):
     from importlib import metadata
 
     from earl_jax.envs import list_envs, make
 
     before = list_envs()
-    point = metadata.EntryPoint("theirs", "earl_jax.envs.tabletop:TabletopOrganization", "earl_jax.envs")
+    point = metadata.EntryPoint("theirs", "tests.test_package:Theirs", "earl_jax.envs")
     real = metadata.entry_points
     monkeypatch.setattr(
         metadata, "entry_points", lambda **kind: [point] if kind == {"group": "earl_jax.envs"} else real(**kind)

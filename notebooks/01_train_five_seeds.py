@@ -1,0 +1,195 @@
+# ---
+# jupyter:
+#   jupytext:
+#     cell_markers: '"""'
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+"""
+# Five seeds in one program
+
+A gripper carries a mug to one of four coasters, and nobody ever puts the mug back. Five agents live through that,
+each in its own world, all in one jitted program on this machine. About five minutes on two CPU cores.
+
+To open this page: `pip install 'earl-jax[notebook]'`. VS Code runs the file as it is; for Jupyter, `jupytext --to
+ipynb 01_train_five_seeds.py`.
+"""
+
+# %%
+import os
+import tempfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from IPython.display import Image
+
+import earl_jax
+from earl_jax.algos.life import Loop
+from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
+from earl_jax.metrics.statistics import summarise
+from earl_jax.protocol import Protocol
+from earl_jax.quickstart import PRESET
+from earl_jax.report.plots import plot_runs
+
+# %matplotlib inline
+
+# %% tags=["parameters"]
+TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # how the tests run this page
+SEEDS = 5
+STEPS, EVERY = (200, 100) if TINY else (150_000, 10_000)
+OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
+RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # name a folder of your own to keep the runs
+
+# %% [markdown]
+"""
+## The world
+
+The state is where gripper and mug are and whether the mug is held; the observation adds the goal, a state too. The
+reward is 1 where gripper and mug are where the goal has them, else 0. An action moves the gripper by up to 0.2 an
+axis and closes it. The world never resets itself: `train_horizon` steps pass between two interventions.
+"""
+
+# %%
+env = earl_jax.make("tabletop_organization")
+print(f"obs {env.obs_size}, action {env.action_size}, {len(env.goal_states)} goals, H_T {env.train_horizon:,}")
+state = env.reset(jax.random.key(0))
+state = env.step(state, jnp.array([1.0, 0.0, -1.0]))
+print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")
+
+# %% [markdown]
+"""
+## Train
+
+Forward-backward RL: one controller carries the mug to its goal, another brings everything back, and they take turns
+for ever. `PRESET` is what the quickstart trains with: smaller networks than the paper's and three tricks that make
+minutes enough (`earl_jax/quickstart.py` names them). Leave it out, and this is the paper's agent.
+
+The seeds are lanes of one program. They share its code and nothing else: a lane's life depends on its seed alone.
+"""
+
+# %%
+result = earl_jax.train(
+    "tabletop_organization",
+    "fbrl",
+    seeds=SEEDS,
+    steps=STEPS,
+    eval_every=EVERY,
+    eval_episodes=20,
+    out=RUNS / "fbrl",
+    progress=True,
+    **OPTIONS,
+)
+
+# %% [markdown]
+"""
+Left, the policy set down at a fresh start every 10,000 steps, without learning: the deployed setting. Right, what the
+agent earned while it lived: the continuing one. The line is the mean over seeds, the band the 95 % bootstrap interval
+of the interquartile mean.
+"""
+
+# %%
+Image(plot_runs([RUNS / "fbrl"], RUNS / "curves.png"), width=900)
+
+# %% [markdown]
+"""
+## Read the numbers
+
+A single evaluation of a young policy swings, so look at the mean of the last few. Seeds differ more than one would
+like: that is why there are five, and why an interval stands beside every mean.
+"""
+
+# %%
+last = result.metrics["deployed/success"][:, -3:].mean(axis=1)
+rewards = result.metrics["continuing/reward"][:, -1]
+for seed, success, reward in zip(result.seeds, last, rewards, strict=True):
+    print(f"seed {seed}: success {success:.2f}, reward a step {reward:.4f}")
+final = summarise(last)
+print(
+    f"mean {final.mean:.2f}, standard error {final.stderr:.2f}, IQM {final.iqm:.2f} [{final.low:.2f}, {final.high:.2f}]"
+)
+print(f"interventions: {result.metrics['interventions'][:, -1].astype(int).tolist()}")
+
+# %% [markdown]
+"""
+## Where have they been?
+
+Every lane keeps a map of the places where its gripper was. In a reset-free life the map is a diary: the walls, where
+young policies end up, then the ways between mug, coasters and home.
+"""
+
+# %%
+figure, axes = plt.subplots(1, SEEDS, figsize=(2.3 * SEEDS, 2.6), sharey=True, layout="constrained")
+for seed, axis in zip(range(SEEDS), axes, strict=True):
+    visits = np.asarray(earl_jax.select_seed(result.lives, seed).visits)
+    axis.imshow(np.log1p(visits.T), origin="lower", extent=(-LIMIT, LIMIT, -LIMIT, LIMIT), cmap="magma")
+    axis.plot(*COASTERS.T, "o", color="white", markersize=4)
+    axis.set(title=f"seed {seed}", xlabel="x")
+axes[0].set_ylabel("y")
+plt.show()
+
+# %% [markdown]
+"""
+## Watch a policy
+
+`result.policy(seed)` is the greedy task policy, a pure function of an observation. Four episodes of the best seed,
+one a goal: the gripper's way in blue, the mug's in orange, the coaster it is for as a circle.
+"""
+
+# %%
+best = int(last.argmax())
+policy = result.policy(best)
+
+
+@jax.jit
+def episode(goal):
+    """Return the observations [H_E, 12] of one greedy episode."""
+    start = env.with_goal(env.reset(jax.random.key(0)), goal)
+
+    def step(state, _):
+        state = env.step(state, policy(state.obs))
+        return state, state.obs
+
+    return jax.lax.scan(step, start, length=env.eval_horizon)[1]
+
+
+figure, axes = plt.subplots(1, 4, figsize=(11, 3), sharey=True, layout="constrained")
+for goal, axis in zip(env.goal_states, axes, strict=True):
+    obs = np.asarray(episode(jnp.asarray(goal)))
+    until = int(np.argmax(env.success(jnp.asarray(obs)))) or len(obs)
+    axis.plot(*obs[:until, :2].T, color="C0", linewidth=1.2)
+    axis.plot(*obs[:until, 2:4].T, color="C1", linewidth=2.5)
+    axis.plot(*HOME[2:], "s", color="C1")
+    axis.plot(*goal[2:4], "o", markersize=14, fillstyle="none", color="black")
+    axis.set(xlim=(-LIMIT, LIMIT), ylim=(-LIMIT, LIMIT), aspect="equal", title=f"{until} steps")
+plt.show()
+
+# %% [markdown]
+"""
+## The same as one pure function
+
+`train` calls a jitted program in chunks, so that it can log and save. Where you want a life inside a program of your
+own, it is a pure function of its keys, and `jit` takes it whole. Here five short ones.
+"""
+
+# %%
+loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=100, eval_episodes=2))
+method = earl_jax.make_algo("fbrl", **{**OPTIONS, "random_steps": 100})
+keys = jax.random.split(jax.random.key(0), SEEDS)
+lives, metrics = jax.jit(lambda keys: earl_jax.lifetime(loop, method, keys, 200))(keys)
+print({name: values.shape for name, values in metrics.items()})
+
+# %% [markdown]
+"""
+Next: [compare two methods](02_compare_two_methods.py), [write one](03_write_a_method.py), [run fifty seeds on a
+GPU](04_run_on_a_gpu.py).
+"""

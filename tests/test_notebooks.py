@@ -1,0 +1,52 @@
+"""The notebooks, executed as such: converted to ipynb, every cell in a kernel, at tiny horizons."""
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import CACHE
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
+each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+PICTURES = {
+    "01_train_five_seeds": 3, "02_compare_two_methods": 3, "03_write_a_method": 1, "04_run_on_a_gpu": 3,
+}  # fmt: skip
+
+
+def test_all_four_are_there():
+    assert [path.stem for path in NOTEBOOKS] == list(PICTURES)
+
+
+@each
+def test_it_says_how_to_open_it_and_what_to_change(path):
+    jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
+    cells = jupytext.read(path).cells
+    assert cells[0].cell_type == "markdown"
+    assert re.search(r"pip install 'earl-jax\[(cuda,)?notebook\]'", cells[0].source)
+    assert path.name in cells[0].source
+    (parameters,) = [cell for cell in cells if "parameters" in cell.metadata.get("tags", [])]
+    assert "EARL_JAX_NOTEBOOK" in parameters.source
+    assert "tempfile.mkdtemp" in parameters.source
+
+
+@pytest.mark.slow
+@each
+def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
+    jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
+    nbclient = pytest.importorskip("nbclient", reason="notebooks are executed by nbclient")
+    monkeypatch.setenv("EARL_JAX_NOTEBOOK", "tiny")
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+    for name in ("temporary", "here"):
+        (tmp_path / name).mkdir()
+    notebook = jupytext.read(path)
+    resources = {"metadata": {"path": str(tmp_path / "here")}}
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources=resources).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    pictures = [output for output in outputs if "image/png" in output.get("data", {})]
+    assert len(pictures) == PICTURES[path.stem]
+    assert not os.listdir(tmp_path / "here"), "a notebook writes into its temporary folder only"
+    assert list((tmp_path / "temporary").glob("earl_jax-*/*/metrics.csv"))
