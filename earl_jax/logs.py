@@ -6,6 +6,7 @@ came after the checkpoint. Weights & Biases goes on with the same run, where the
 """
 
 import dataclasses
+import importlib
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -80,7 +81,7 @@ class WandbLog:
     def __init__(self, folder: RunFolder, since: int):
         del since  # a resumed run knows what it was told
         try:
-            import wandb
+            wandb: Any = importlib.import_module("wandb")
         except ImportError as error:
             raise ValueError("the log wandb needs wandb: pip install 'earl-jax[wandb]'") from error
         one = folder.experiment
