@@ -57,7 +57,7 @@ def _facts(lines: Sequence[Line], runs: Sequence[Run]) -> list[tuple[str, str]]:
     return [
         ("Runs", f"{len(runs)}, with {seeds} lives of {steps_said(lived)} steps in all"),
         ("Methods", ", ".join(dict.fromkeys(line.cell.algo for line in lines))),
-        ("When", f"{dated(runs)}, by the dates of the files; this page, {day(datetime.datetime.now(datetime.UTC))}"),
+        ("When", f"{dated(runs)}; this page, {day(datetime.datetime.now(datetime.UTC))}"),
         ("Hardware", values_of(runs, "device")),
         ("Versions", "; ".join(f"{name} {values_of(runs, key)}" for name, key in versions.items())),
         ("Commit", values_of(runs, "commit", 12)),
