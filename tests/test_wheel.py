@@ -22,7 +22,7 @@ earl-jax demos tabletop_organization --out demos.npz
 earl-jax render run --out run/video.mp4 --steps 20
 earl-jax render sawyer_door --out door.png --steps 20
 earl-jax report run --out report.html
-python -c "import gymnasium, earl_jax.adapters.gymnasium; env = gymnasium.make('earl_jax/SawyerDoor-v0'); print(env.reset(seed=0)[0].shape)"
+python -c "import gymnasium as g; print(g.make('earl_jax.adapters.gymnasium:earl_jax/SawyerDoor-v0').reset(seed=0)[0].shape)"
 """
 """What a user would try first, in a folder of their own."""
 
