@@ -26,6 +26,8 @@ from earl_jax.snapshot import filled, plain, spread, typed
 
 MANIFEST = "manifest.json"
 KEPT = 2
+SPARE = 1 << 20
+"""Bytes of a checkpoint besides its arrays, with room for the rows that follow."""
 
 
 class DamagedError(ValueError):
@@ -50,6 +52,7 @@ def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
         for stale in folder.glob("part-*"):
             shutil.rmtree(stale)
         part.mkdir(parents=True)
+        _require_room(part, [*lanes.values(), *replay.values()])
         _write(part / "lanes", lanes)
         _write(part / "replay", replay)
         (part / MANIFEST).write_text(_manifest({"step": step, "lanes": _described(lanes), "files": _checksums(part)}))
@@ -63,6 +66,13 @@ def save(folder: Path, lives: Lives, span: slice = slice(None)) -> Path:
     for path in older[: 1 - KEPT]:
         shutil.rmtree(path)
     return done
+
+
+def _require_room(folder: Path, arrays: Sequence[np.ndarray]) -> None:
+    """Refuse to begin what the disk has no room for: orbax's threads go on for a while after a write has failed."""
+    needed, free = sum(array.nbytes for array in arrays) + SPARE, shutil.disk_usage(folder).free
+    if free < needed:
+        raise OSError(f"it takes up to {needed / 1e6:,.1f} MB and {free / 1e6:,.1f} MB are free")
 
 
 def newest(folder: Path) -> int:
