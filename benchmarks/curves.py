@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.experiment import RunFolder
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves
 from earl_jax.report.tables import row_of, trailing, write
+from earl_jax.runs.folder import RunFolder
 from earl_jax.training import execute, train
 
 LEVELS = ("0.5", "0.9")
@@ -33,19 +33,19 @@ def advance(folder: Path, steps: int, *task_and_method: str, **options: Any) -> 
     """Train to `steps` in `folder`, going on where a killed run stopped."""
     if folder.exists():
         opened = RunFolder.open(folder).extended(steps)
-        execute(opened.experiment, opened, progress=True)
+        execute(opened.config, opened, progress=True)
     else:
         train(*task_and_method, steps=steps, out=folder, checkpoint_every=500_000, progress=True, **options)
 
 
 def split(curves: Curves, *options: str) -> dict[tuple[float, ...], Curves]:
     """Return the curves of each combination of values of `options`, in which the lanes of one run differ."""
-    lanes, parts = list(zip(*(curves.experiment.options[option] for option in options), strict=True)), {}
+    lanes, parts = list(zip(*(curves.config.options[option] for option in options), strict=True)), {}
     for values in dict.fromkeys(lanes):
         chosen = [number for number, lane in enumerate(lanes) if lane == values]
-        shared = {**curves.experiment.options, **dict(zip(options, values, strict=True))}
+        shared = {**curves.config.options, **dict(zip(options, values, strict=True))}
         metrics = {name: part[chosen] for name, part in curves.metrics.items()}
-        parts[values] = Curves(dataclasses.replace(curves.experiment, options=shared), curves.steps, metrics)
+        parts[values] = Curves(dataclasses.replace(curves.config, options=shared), curves.steps, metrics)
     return parts
 
 
@@ -56,7 +56,7 @@ def crossings(env: str, algo: str) -> dict[str, str]:
 
 def summary(curves: Curves, **identity: Any) -> dict[str, Any]:
     """Return a row of the table under the columns of `identity`: ours, and the published figures beside them."""
-    env, algo = curves.experiment.env, curves.experiment.algo
+    env, algo = curves.config.env, curves.config.algo
     found, published = row_of(curves, last=10, name=algo), crossings(env, algo)
     wanted = ("seeds", "steps", "deployed", "deployed_stderr", "deployed_iqm", "deployed_low", "deployed_high")
     reached = {}
@@ -133,7 +133,7 @@ def draw(axis: Any, curves: Curves, colour: str, label: str, style: str = "-") -
     low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
     axis.plot(curves.steps, smooth.mean(axis=0), style, color=colour, label=label)
     axis.fill_between(curves.steps, low, high, color=colour, alpha=0.15, linewidth=0)
-    published = crossings(curves.experiment.env, curves.experiment.algo)
+    published = crossings(curves.config.env, curves.config.algo)
     for level in LEVELS:
         if published.get(f"steps_to_{level}"):
             axis.plot(float(published[f"steps_to_{level}"]), float(level), "x", color=colour)

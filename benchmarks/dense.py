@@ -40,7 +40,7 @@ def run(name: str, steps: int, out: Path) -> None:
 
 def parts(curves: Curves) -> list[tuple[dict[str, float], Curves]]:
     """Return the curves of each setting of a run with the options that tell it from the others."""
-    lists = [option for option in SHOWN if isinstance(curves.experiment.options.get(option), list)]
+    lists = [option for option in SHOWN if isinstance(curves.config.options.get(option), list)]
     if not lists:
         return [({}, curves)]
     return [(dict(zip(lists, values, strict=True)), part) for values, part in split(curves, *lists).items()]
@@ -50,8 +50,8 @@ def summary(name: str, setting: dict[str, float], curves: Curves) -> dict[str, A
     """Return a row of the table: where the return began, where it ended, its best, and the published end."""
     found, returns = row_of(curves, 10, name), curves.metrics["deployed/return"]
     return {
-        "run": name, **{option: curves.experiment.options.get(option, setting.get(option)) for option in SHOWN},
-        "layer_norm": bool(curves.experiment.options.get("layer_norm")),
+        "run": name, **{option: curves.config.options.get(option, setting.get(option)) for option in SHOWN},
+        "layer_norm": bool(curves.config.options.get("layer_norm")),
         "seeds": found["seeds"], "steps": found["steps"],
         "first_return": float(returns[:, 0].mean()),
         "last5_return": float(returns[:, -5:].mean()),
@@ -65,10 +65,10 @@ def summary(name: str, setting: dict[str, float], curves: Curves) -> dict[str, A
 
 
 def _cells(row: dict[str, Any]) -> dict[str, str]:
-    shown = {title: "default" if row[option] is None else f"{row[option]:g}" for option, title in SHOWN.items()}
+    render_state = {title: "default" if row[option] is None else f"{row[option]:g}" for option, title in SHOWN.items()}
     return {
         "run": row["run"],
-        **shown,
+        **render_state,
         "seeds": str(row["seeds"]),
         "steps": f"{row['steps'] / 1e6:.2f}M",
         "first return": f"{row['first_return']:.0f}",

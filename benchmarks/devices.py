@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.output import save
-from earl_jax import program
 from earl_jax.algos import make_algo
-from earl_jax.algos.life import Loop
-from earl_jax.devices import lane_mesh, placed
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
+from earl_jax.training import runner as program
+from earl_jax.training.devices import lane_mesh, placed
+from earl_jax.training.state import Problem
 
 
 def measure(
@@ -28,14 +28,14 @@ def measure(
     """Return the rate of `lanes` lanes on each of `count` devices, the median of `repeats` calls."""
     every = lanes * count
     env, mesh = make(name).for_lanes(lanes), lane_mesh(count, every)
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
     method = placed(program.per_lane(make_algo(algo, **options), every), mesh)
     keys = placed(jax.vmap(jax.random.key)(jnp.arange(every)), mesh)
-    lives = program._begin(loop, method, keys, steps * (repeats + 2) + 20_000, mesh)
+    lives = program._begin(problem, method, keys, steps * (repeats + 2) + 20_000, mesh)
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
-        lives = program._advance(loop, method, lives, steps, False, mesh)
+        lives = program._advance(problem, method, lives, steps, False, mesh)
         lives.step.block_until_ready()
         times.append(time.perf_counter() - began)
     pace = steps / statistics.median(times[1:])

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.output import tell
-from earl_jax import memory, program
 from earl_jax.algos import make_algo
-from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
+from earl_jax.training import memory
+from earl_jax.training import runner as program
+from earl_jax.training.state import Problem
 
 
 def main() -> None:
@@ -30,21 +31,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/fit/run"))
     arguments = parser.parse_args()
     env, lanes, steps = make(arguments.env), arguments.lanes, arguments.steps
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
     method = program.per_lane(make_algo(arguments.algo), lanes)
-    needed = memory.need(loop, method, lanes, steps)
+    needed = memory.need(problem, method, lanes, steps)
     memory.require(needed)
-    lives = program._begin(loop, method, jax.vmap(jax.random.key)(jnp.arange(lanes)), steps, None)
-    lives = program._advance(loop, method, lives, 100, True, None)
-    lives = program._advance(loop, method, lives, 20, False, None)
-    first = float(lives.lanes.tally.diagnostics["critic_loss"].mean())
+    lives = program._begin(problem, method, jax.vmap(jax.random.key)(jnp.arange(lanes)), steps, None)
+    lives = program._advance(problem, method, lives, 100, True, None)
+    lives = program._advance(problem, method, lives, 20, False, None)
+    first = float(lives.lanes.counters.diagnostics["critic_loss"].mean())
     late = lives.replay.replace(row=jnp.asarray(steps - 20, jnp.int32))
-    lives = program._advance(loop, method, lives.replace(replay=late), 20, False, None)
+    lives = program._advance(problem, method, lives.replace(replay=late), 20, False, None)
     stats = jax.devices()[0].memory_stats() or {}
     report = {
         "env": arguments.env, "lanes": lanes, "steps": steps, "computed_gb": needed.total / 1e9, "computed": str(needed),
         "peak_gb": stats.get("peak_bytes_in_use", 0) / 1e9, "limit_gb": stats.get("bytes_limit", 0) / 1e9,
-        "first_loss": first, "last_loss": float(lives.lanes.tally.diagnostics["critic_loss"].mean()),
+        "first_loss": first, "last_loss": float(lives.lanes.counters.diagnostics["critic_loss"].mean()),
         "last_row_written": bool((lives.replay.action[-1] != 0).any()), "row": int(lives.replay.row),
     }  # fmt: skip
     command = f"python -m benchmarks.fit --env {arguments.env} --lanes {lanes} --steps {steps}"

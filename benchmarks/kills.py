@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.output import tell
-from earl_jax import checkpoint
+from earl_jax.runs import checkpoint
 
 RUN = [
     "--seeds", "2", "--steps", "800", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40",
     "--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=40",
 ]  # fmt: skip
-CLI = [sys.executable, "-m", "earl_jax.cli"]
+CLI = [sys.executable, "-m", "earl_jax.cli.main"]
 FIELDS = ["run", "command", "seconds", "rows", "newest", "writing"]
 
 

@@ -21,16 +21,9 @@ import numpy as np
 
 from benchmarks.output import save
 from earl_jax import physics
-from earl_jax.envs import State, kitchen_reward, make
-from earl_jax.envs.franka_kitchen import (
-    ARM_QPOS,
-    ARM_QVEL,
-    MIDDLE,
-    MOCAP_HIGH,
-    MOCAP_LOW,
-    REACH,
-    FrankaKitchen,
-)
+from earl_jax.envs import State, make
+from earl_jax.envs.kitchen import reward as kitchen_reward
+from earl_jax.envs.kitchen.franka_kitchen import ARM_QPOS, ARM_QVEL, MIDDLE, MOCAP_HIGH, MOCAP_LOW, REACH, FrankaKitchen
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "kitchen"

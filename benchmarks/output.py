@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from earl_jax.provenance import provenance
+from earl_jax.runs.provenance import provenance
 
 
 def tell(report: dict[str, Any], path: Path | None, command: str) -> None:

@@ -12,21 +12,23 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.output import tell
-from earl_jax.algos import autonomy, birth, make_algo
-from earl_jax.algos.life import Loop
+from earl_jax.algos import make_algo
 from earl_jax.algos.mixed import together
 from earl_jax.envs import make
-from earl_jax.program import per_lane
 from earl_jax.protocol import Protocol
+from earl_jax.training import init as birth
+from earl_jax.training import loop as autonomy
+from earl_jax.training.runner import per_lane
+from earl_jax.training.state import Problem
 
 
-def prepared(loop: Loop, algos: list[str], lanes: int, steps: int, options: dict) -> dict:
+def prepared(problem: Problem, algos: list[str], lanes: int, steps: int, options: dict) -> dict:
     """Return a compiled program of `lanes` lanes of each of `algos`, and the lives that it takes."""
     method = together([per_lane(make_algo(algo, **options), lanes) for algo in algos])
     keys = jax.vmap(jax.random.key)(jnp.tile(jnp.arange(lanes), len(algos)))
-    capacity = birth.capacity_for(loop, method, 100_000)
-    lives = jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
-    advance = jax.jit(lambda m, state: autonomy.run(loop, m, state, steps), donate_argnums=1)
+    capacity = birth.capacity_for(problem, method, 100_000)
+    lives = jax.jit(lambda m, k: birth.begin(problem, m, k, capacity))(method, keys)
+    advance = jax.jit(lambda m, state: autonomy.run(problem, m, state, steps), donate_argnums=1)
     began = time.perf_counter()
     program = advance.lower(method, lives).compile()
     return {"method": method, "lives": lives, "program": program, "compile_s": round(time.perf_counter() - began, 2)}
@@ -35,11 +37,11 @@ def prepared(loop: Loop, algos: list[str], lanes: int, steps: int, options: dict
 def measure(env: str, packs: list[list[str]], lanes: int, steps: int, rounds: int, options: dict) -> list[dict]:
     """Return the median seconds of `steps` of each pack; what fails says so and leaves the others alone."""
     task, ready, rows = make(env), {}, []
-    loop = Loop(task, Protocol(task.train_horizon, task.eval_horizon))
+    problem = Problem(task, Protocol(task.train_horizon, task.eval_horizon))
     for algos in packs:
         name = "+".join(algos)
         try:
-            ready[name] = prepared(loop, algos, lanes, steps, options)
+            ready[name] = prepared(problem, algos, lanes, steps, options)
             print(name, "compiled in", ready[name]["compile_s"], "s", flush=True)
         except Exception as error:
             print(name, "failed:", error, flush=True)

@@ -55,9 +55,9 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(6, 4))
     for name, (steps, success) in curves.items():
         mean, error = success.mean(axis=0), success.std(axis=0, ddof=1) / np.sqrt(len(success))
-        shown = steps <= 700_000
-        axes.plot(steps[shown], mean[shown], label=name)
-        axes.fill_between(steps[shown], (mean - error)[shown], (mean + error)[shown], alpha=0.2)
+        render_state = steps <= 700_000
+        axes.plot(steps[render_state], mean[render_state], label=name)
+        axes.fill_between(steps[render_state], (mean - error)[render_state], (mean + error)[render_state], alpha=0.2)
         last = success[:, steps <= until][:, -LAST:].mean(axis=1)
         rows.append({
             "precision": name, "seeds": len(success), "at_step": int(until), f"success_last_{LAST}": round(float(last.mean()), 3),

@@ -23,10 +23,10 @@ import numpy as np
 
 from benchmarks.output import save
 from benchmarks.speed import world
-from earl_jax.algos import autonomy
-from earl_jax.algos.life import Lives, Loop
-from earl_jax.physics import c
+from earl_jax.physics.engines import c
 from earl_jax.report.tables import write
+from earl_jax.training import loop as autonomy
+from earl_jax.training.state import TrainState, Problem
 
 PARTS = ("update", "sample", "store", "act", "physics")
 """The named scopes of the loop."""
@@ -43,13 +43,13 @@ def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
     return 1e3 * statistics.median(times[1:]) / steps
 
 
-def on_host(loop: Loop, lives: Lives, repeats: int = 50) -> float:
+def on_host(problem: Problem, lives: TrainState, repeats: int = 50) -> float:
     """Return milliseconds of engine `c` for one control step of all lanes, without jax; 0 for other engines."""
-    env = loop.env
+    env = problem.env
     if env.engine != "c":
         return 0.0
     simulator, data = env.simulator, lives.lanes.world.data
-    command = jax.vmap(lambda w: env._command(w, jnp.zeros(env.action_size))[1])(lives.lanes.world)
+    command = jax.vmap(lambda w: env.control(w, jnp.zeros(env.action_size))[1])(lives.lanes.world)
     fields = [np.asarray(getattr(data, field)).reshape(len(command), -1) for field in c.ORDER + c.HELD]
     rows = np.concatenate([*fields, np.asarray(command)], axis=1)
     host = c.host_of(simulator, data.memory.shape[1])
@@ -109,11 +109,11 @@ def _guess(kernel: str) -> str:
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one task and number of lanes."""
-    loop, method, lives = world(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
+    problem, method, lives = world(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
     state = [lives]
 
     def runner(count: int, explore: bool) -> tuple[Callable[[], Any], Any]:
-        program = jax.jit(lambda m, s: autonomy.run(loop, m, s, count, explore), donate_argnums=1)
+        program = jax.jit(lambda m, s: autonomy.run(problem, m, s, count, explore), donate_argnums=1)
         compiled = program.lower(method, state[0]).compile()
 
         def call():
@@ -122,7 +122,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
 
         return call, compiled
 
-    host_ms = on_host(loop, lives)
+    host_ms = on_host(problem, lives)
     explore, _ = runner(steps, True)
     without = milliseconds(explore, steps, 2)
     began = time.perf_counter()
@@ -132,7 +132,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
     short, program = runner(TRACED, False)
     short()
     row = {
-        "env": name, "engine": loop.env.engine, "algo": algo, "lanes": lanes, **options, "step_ms": round(step_ms, 4),
+        "env": name, "engine": problem.env.engine, "algo": algo, "lanes": lanes, **options, "step_ms": round(step_ms, 4),
         "steps_per_s": round(1e3 / step_ms, 1), "lane_steps_per_s": round(lanes * 1e3 / step_ms),
         "without_learning_ms": round(without, 4), "host_ms": round(host_ms, 4), "compile_s": round(compile_s, 1),
         "temporary_mb": round(compiled.memory_analysis().temp_size_in_bytes / 1e6, 1),

@@ -8,10 +8,10 @@ Figures 4 and 5 were made where the checkpoints were; what they show is in figur
 import argparse
 from pathlib import Path
 
-from earl_jax.report.curves import write_curves
-from earl_jax.report.figure2 import write_figure2
-from earl_jax.report.paper_tables import write_table
-from earl_jax.reproduce import EXPERIMENTS
+from earl_jax.paper.curves import write_curves
+from earl_jax.paper.figure2 import write_figure2
+from earl_jax.paper.reproduce import EXPERIMENTS
+from earl_jax.paper.tables import write_table
 
 KEPT = Path(__file__).parent / "results" / "reproduce"
 

@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import physics
+from earl_jax.demos.importer import Recording, read
 from earl_jax.envs import State, make
-from earl_jax.envs.sawyer import ARM, OPENING, Sawyer
-from earl_jax.envs.sawyer_door import HANDLE, HINGE, SawyerDoor
-from earl_jax.envs.sawyer_peg import HEAD
-from earl_jax.recordings import Recording, read
+from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
+from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
+from earl_jax.envs.sawyer.peg import HEAD
 
 HOLD = 10
 ALREADY_THERE = 1e-5

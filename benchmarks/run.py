@@ -128,7 +128,7 @@ def keep(rows: list[dict[str, Any]], path: Path, chosen: argparse.Namespace) -> 
     write(flat, path.with_suffix(".csv"))
 
 
-def shown(row: dict[str, Any]) -> str:
+def render_state(row: dict[str, Any]) -> str:
     """Return one line about `row`."""
     where = f"{row['peer']:24} {row['task']:22} {row['device']:12} {row['processes']:3} x {row['lanes']:3} lanes"
     if row.get("reason"):
@@ -169,7 +169,7 @@ def main() -> None:
             continue
         python = sys.executable if job.ours else chosen.peer_python
         rows.append(measure(job, python, min(job.limit_s, until - time.monotonic())))
-        print(shown(rows[-1]), flush=True)
+        print(render_state(rows[-1]), flush=True)
         keep(rows, path, chosen)
     for ratio in ratios(rows):
         print(ratio["says"], flush=True)

@@ -37,7 +37,7 @@ def report(out: Path) -> None:
     folders = {name: out / name for name in NAMES if (out / name).exists()}
     runs = {name: read(folder) for name, folder in folders.items()}
     rows = [
-        summary(curves, run=name, layer_norm=bool(curves.experiment.options.get("layer_norm")))
+        summary(curves, run=name, layer_norm=bool(curves.config.options.get("layer_norm")))
         for name, curves in runs.items()
     ]
     for name, curves in runs.items():
@@ -62,10 +62,10 @@ def report(out: Path) -> None:
 def _figure(runs: dict[str, Curves]) -> Figure:
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     for axis, task in zip(figure.subplots(1, 2), ("door", "peg"), strict=True):
-        shown = {name: curves for name, curves in runs.items() if name.startswith(task)}
+        render_state = {name: curves for name, curves in runs.items() if name.startswith(task)}
         colours = {algo: f"C{number}" for number, algo in enumerate(("oracle", "fbrl", "vaprl"))}
-        for name, curves in shown.items():
-            algo = curves.experiment.algo
+        for name, curves in render_state.items():
+            algo = curves.config.algo
             norm = name.endswith("_ln")
             draw(axis, curves, colours[algo], algo + ", layer norm" * norm, "--" if norm else "-")
         axis.set(title=f"sawyer {task}: deployed success (trailing 10); x: published crossings", ylim=(0, 1.02))

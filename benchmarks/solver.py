@@ -16,7 +16,7 @@ from benchmarks.output import save
 from benchmarks.physics import one_core
 from benchmarks.replay_demos import replay
 from earl_jax import physics
-from earl_jax.envs.sawyer import Sawyer
+from earl_jax.envs.sawyer.base import Sawyer
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "physics"

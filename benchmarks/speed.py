@@ -13,28 +13,30 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.output import save
-from earl_jax.algos import Method, autonomy, birth, make_algo
-from earl_jax.algos.life import Lives, Loop
+from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
+from earl_jax.training import init as birth
+from earl_jax.training import loop as autonomy
 from earl_jax.training import per_lane
+from earl_jax.training.state import TrainState, Problem
 
 
-def world(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Loop, Method, Lives]:
+def world(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Problem, Method, TrainState]:
     """Return a loop, its method and fresh lives with room for `steps`."""
     env = make(name)
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
     method = per_lane(make_algo(algo, **options), lanes)
     keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
-    capacity = birth.capacity_for(loop, method, steps)
-    return loop, method, jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
+    capacity = birth.capacity_for(problem, method, steps)
+    return problem, method, jax.jit(lambda m, k: birth.begin(problem, m, k, capacity))(method, keys)
 
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     """Return compile seconds and the median steps a second of `algo` on task `name` with `lanes` lanes."""
-    loop, method, lives = world(name, algo, lanes, 100_000)
-    advance = jax.jit(lambda m, state: autonomy.run(loop, m, state, steps), donate_argnums=1)
+    problem, method, lives = world(name, algo, lanes, 100_000)
+    advance = jax.jit(lambda m, state: autonomy.run(problem, m, state, steps), donate_argnums=1)
     began = time.perf_counter()
     program = advance.lower(method, lives).compile()
     compiled = time.perf_counter() - began
@@ -46,7 +48,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     pace = steps / statistics.median(times[1:])
     return {
-        "env": name, "engine": loop.env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "env": name, "engine": problem.env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
         "steps_per_s": round(pace, 1),
         "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.output import tell
+from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.deployed import deployed
-from earl_jax.physics import Integration
-from earl_jax.policy import Policy
-from earl_jax.quickstart import PRESET
+from earl_jax.physics import PhysicsState
 from earl_jax.training import Result, train
+from earl_jax.training import Policy
 
 TASK = "tabletop_organization"
 EPISODES = 200
@@ -38,7 +38,7 @@ def _within(env: Env, limit: float) -> Callable[[jax.Array], State]:
 def _at(env: Env, key: jax.Array, qpos: jax.Array) -> State:
     state = env.reset(key)
     obs = jnp.concatenate([qpos, FREE, state.info["goal"]])
-    return state.replace(data=Integration.at(qpos), obs=obs)
+    return state.replace(data=PhysicsState.at(qpos), obs=obs)
 
 
 def starts(env: Env) -> dict[str, Callable[[jax.Array], State]]:
@@ -46,7 +46,7 @@ def starts(env: Env) -> dict[str, Callable[[jax.Array], State]]:
     wide = make(TASK, wide=True)
     return {
         "initial": env.reset,
-        "uniform in 2.8": env.scattered,
+        "uniform in 2.8": env.reset_uniform,
         "uniform in 2.5": _within(env, 2.5),
         "uniform in 2.0": _within(env, 2.0),
         "released wide": lambda key: _at(env, key, wide.reset(key).data.qpos),

@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.output import save
-from earl_jax.algos import networks
-from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.sac import SAC, Agent, Batch
+from earl_jax.algos.learner import networks
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.sac import SAC, Agent, Batch
 from earl_jax.report.tables import write
 
 OBS, ACTION, CRITICS, POOL = 14, 4, 2, 2048

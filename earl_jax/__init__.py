@@ -9,20 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
-    from earl_jax.envs import Env, Helped, State, list_envs, make, register_env
-    from earl_jax.evaluation import evaluate
-    from earl_jax.protocol import Continuing, Deployment
-    from earl_jax.training import Result, lifetime, select_seed, train
+    from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
+    from earl_jax.protocol import Continuing, Deployment, Protocol
+    from earl_jax.training import Problem, Result, evaluate, lifetime, resume, select_seed, train
 
 _HOME = {
     "Continuing": "protocol",
     "Deployment": "protocol",
     "Env": "envs",
-    "Helped": "envs",
+    "HelpBudget": "envs",
     "Method": "algos",
+    "MujocoEnv": "envs",
+    "Problem": "training",
+    "Protocol": "protocol",
     "Result": "training",
     "State": "envs",
-    "evaluate": "evaluation",
+    "evaluate": "training",
     "lifetime": "training",
     "list_algos": "algos",
     "list_envs": "envs",
@@ -31,15 +33,21 @@ _HOME = {
     "method_for": "algos",
     "register_algo": "algos",
     "register_env": "envs",
+    "resume": "training",
     "select_seed": "training",
     "train": "training",
 }
+_RENAMED = {"Helped": "HelpBudget"}
+"""Earlier names, which still work."""
 __all__ = [
     "Continuing",
     "Deployment",
     "Env",
-    "Helped",
+    "HelpBudget",
     "Method",
+    "MujocoEnv",
+    "Problem",
+    "Protocol",
     "Result",
     "State",
     "evaluate",
@@ -51,6 +59,7 @@ __all__ = [
     "method_for",
     "register_algo",
     "register_env",
+    "resume",
     "select_seed",
     "train",
 ]
@@ -58,6 +67,7 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
+    name = _RENAMED.get(name, name)
     if name in _HOME:
         return getattr(importlib.import_module(f"earl_jax.{_HOME[name]}"), name)
     raise AttributeError(f"module 'earl_jax' has no attribute {name!r}")

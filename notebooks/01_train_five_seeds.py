@@ -34,12 +34,12 @@ import numpy as np
 from IPython.display import Image
 
 import earl_jax
-from earl_jax.algos.life import Loop
+from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
 from earl_jax.metrics.statistics import summarise
 from earl_jax.protocol import Protocol
-from earl_jax.quickstart import PRESET
 from earl_jax.report.plots import plot_runs
+from earl_jax.training.state import Problem
 
 # %matplotlib inline
 
@@ -182,10 +182,10 @@ own, it is a pure function of its keys, and `jit` takes it whole. Here five shor
 """
 
 # %%
-loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=100, eval_episodes=2))
+problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=100, eval_episodes=2))
 method = earl_jax.make_algo("fbrl", **{**OPTIONS, "random_steps": 100})
 keys = jax.random.split(jax.random.key(0), SEEDS)
-lives, metrics = jax.jit(lambda keys: earl_jax.lifetime(loop, method, keys, 200))(keys)
+lives, metrics = jax.jit(lambda keys: earl_jax.lifetime(problem, method, keys, 200))(keys)
 print({name: values.shape for name, values in metrics.items()})
 
 # %% [markdown]

@@ -32,11 +32,11 @@ import numpy as np
 from IPython.display import Image, Markdown
 
 import earl_jax
+from earl_jax.cli.quickstart import PRESET
 from earl_jax.metrics.statistics import bootstrap, difference, iqm, mean_of, summarise
-from earl_jax.quickstart import PRESET
-from earl_jax.report.canvas import colours, step_axis
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
+from earl_jax.report.style import colours, step_axis
 from earl_jax.report.tables import markdown, tabulate
 
 # %matplotlib inline

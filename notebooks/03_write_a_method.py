@@ -35,10 +35,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import earl_jax
-from earl_jax.algos.method import RETURN, TASK, Commands, Method, goals_of
+from earl_jax.algos.goals import GoalIndices, goal_table
+from earl_jax.algos.method import RETURN, TASK, Method
+from earl_jax.cli.quickstart import PRESET
 from earl_jax.metrics.statistics import difference
-from earl_jax.quickstart import PRESET
-from earl_jax.report.canvas import step_axis
+from earl_jax.report.style import step_axis
 
 # %matplotlib inline
 
@@ -77,13 +78,13 @@ class AsIf(Method):
     phases: ClassVar[int] = 2
     demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
 
-    def next_goal(self, key, goals, phase, lane, extra):
+    def next_goal(self, key, goals, phase, lane, method_state):
         """Return the goal commanded now and the task that the world rewards, as indices."""
         task_key, home_key = jax.random.split(key)
         task = goals.draw_task(task_key)
         home = goals.tasks + jax.random.randint(home_key, (), 0, goals.initials)
         back = phase == RETURN
-        return Commands(goal=jnp.where(back, home, task), task=jnp.where(back, lane.task, task))
+        return GoalIndices(goal=jnp.where(back, home, task), task=jnp.where(back, lane.task, task))
 
     def relabel(self, key, env, goals, rows):
         """Return sampled transitions, `rows [B]`, a share of them under another goal."""
@@ -115,7 +116,7 @@ phases back, on the real goal table:
 
 # %%
 env = earl_jax.make("tabletop_organization")
-goals, method, before = goals_of(env), AsIf(), Commands(jnp.asarray(2), jnp.asarray(2))
+goals, method, before = goal_table(env), AsIf(), GoalIndices(jnp.asarray(2), jnp.asarray(2))
 print(
     f"goal table: {goals.tasks} task goals, {goals.initials} initial state, {len(goals.candidates):,} demonstrated states"
 )

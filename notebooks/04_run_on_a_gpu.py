@@ -37,11 +37,11 @@ import numpy as np
 from IPython.display import Image, Markdown
 
 import earl_jax
-from earl_jax.algos.life import Loop
-from earl_jax.memory import free_bytes, need
 from earl_jax.metrics.statistics import summarise
 from earl_jax.protocol import Protocol
 from earl_jax.report.plots import plot_runs
+from earl_jax.training.memory import free_bytes, need
+from earl_jax.training.state import Problem
 
 # %matplotlib inline
 
@@ -79,8 +79,8 @@ PUBLISHED = {"tabletop_organization": 2_500_000, "sawyer_door": 4_000_000, "mini
 rows = ["| task | steps | GB of 5 lanes | of 50 | of 100 |", "| --- | --- | --- | --- | --- |"]
 for name, steps in PUBLISHED.items():
     env = earl_jax.make(name)
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon))
-    needs = [need(loop, earl_jax.method_for(env, "fbrl"), lanes, steps).total / 1e9 for lanes in (5, 50, 100)]
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
+    needs = [need(problem, earl_jax.method_for(env, "fbrl"), lanes, steps).total / 1e9 for lanes in (5, 50, 100)]
     rows.append(f"| {name} | {steps:,} | " + " | ".join(f"{gigabytes:.1f}" for gigabytes in needs) + " |")
 Markdown("\n".join(rows))
 

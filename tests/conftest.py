@@ -16,11 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import autonomy, birth, make_algo
-from earl_jax.algos.life import Loop
+from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
+from earl_jax.training import init as birth
+from earl_jax.training import loop as autonomy
 from earl_jax.training import per_lane
+from earl_jax.training.state import Problem
 
 CACHE = Path(__file__).parent.parent / ".cache" / "jax"
 TINY = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 20}
@@ -51,8 +53,8 @@ def env():
 
 
 @pytest.fixture(scope="session")
-def loop(env):
-    return Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
+def problem(env):
+    return Problem(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
 
 
 def tiny_options(algo, **options):
@@ -64,14 +66,14 @@ def tiny_method(algo, lanes=2, **options):
     return per_lane(make_algo(algo, **tiny_options(algo, **options)), lanes)
 
 
-def newborn(loop, method, seeds, steps=200):
+def newborn(problem, method, seeds, steps=200):
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds))
-    capacity = birth.capacity_for(loop, method, steps)
-    return jax.jit(lambda m, k: birth.begin(loop, m, k, capacity))(method, keys)
+    capacity = birth.capacity_for(problem, method, steps)
+    return jax.jit(lambda m, k: birth.begin(problem, m, k, capacity))(method, keys)
 
 
-def advance(loop, method, lives, steps, explore=False, compiler=None):
-    run = jax.jit(lambda m, state: autonomy.run(loop, m, state, steps, explore), compiler_options=compiler)
+def advance(problem, method, lives, steps, explore=False, compiler=None):
+    run = jax.jit(lambda m, state: autonomy.run(problem, m, state, steps, explore), compiler_options=compiler)
     return run(method, lives)
 
 

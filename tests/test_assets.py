@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from earl_jax import assets, demos
+from earl_jax import assets
+from earl_jax.demos import scripted as demos
 from earl_jax.envs import make
 
 

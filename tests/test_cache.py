@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax
 
-from earl_jax import cache
+from earl_jax.training import program_cache as cache
 from tests.conftest import CACHE
 
 START = """

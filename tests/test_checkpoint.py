@@ -10,20 +10,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from earl_jax import checkpoint
-from earl_jax.files import DamagedWarning
+from earl_jax.runs import checkpoint
+from earl_jax.runs.files import DamagedWarning
 from tests.conftest import advance, assert_same, newborn, tiny_method
 
 
 @pytest.fixture(scope="module")
-def lives(loop):
+def lives(problem):
     method = tiny_method("fbrl")
-    return advance(loop, method, newborn(loop, method, [0, 1]), 40)
+    return advance(problem, method, newborn(problem, method, [0, 1]), 40)
 
 
 def used(replay):
     row = int(replay.row)
-    return replay.state[: row + 1], replay.action[:row], replay.marks[:row], replay.counts, replay.demos, replay.row
+    return replay.state[: row + 1], replay.action[:row], replay.flags[:row], replay.counts, replay.demos, replay.row
 
 
 def test_what_is_saved_comes_back(tmp_path, lives):
@@ -34,9 +34,9 @@ def test_what_is_saved_comes_back(tmp_path, lives):
     assert int(back.step) == 40
 
 
-def test_a_larger_buffer_keeps_both_ends_of_the_lists(tmp_path, loop, lives):
+def test_a_larger_buffer_keeps_both_ends_of_the_lists(tmp_path, problem, lives):
     checkpoint.save(tmp_path, lives)
-    larger = newborn(loop, tiny_method("fbrl"), [0, 1], steps=500)
+    larger = newborn(problem, tiny_method("fbrl"), [0, 1], steps=500)
     back = checkpoint.restore(tmp_path, larger).replay
     for lane in range(2):
         mine, other = (int(count) for count in back.counts[lane])
@@ -45,9 +45,9 @@ def test_a_larger_buffer_keeps_both_ends_of_the_lists(tmp_path, loop, lives):
     assert back.capacity == larger.replay.capacity
 
 
-def test_lanes_are_saved_apart_and_come_back_side_by_side(tmp_path, loop):
+def test_lanes_are_saved_apart_and_come_back_side_by_side(tmp_path, problem):
     method = tiny_method("fbrl", lanes=3)
-    lives = advance(loop, method, newborn(loop, method, [0, 1, 2]), 40)
+    lives = advance(problem, method, newborn(problem, method, [0, 1, 2]), 40)
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, span in zip(folders, (slice(0, 1), slice(1, 3)), strict=True):
         checkpoint.save(folder, lives, span)
@@ -57,7 +57,7 @@ def test_lanes_are_saved_apart_and_come_back_side_by_side(tmp_path, loop):
     assert_same(lives.lanes, back.lanes)
     assert_same(used(lives.replay), used(back.replay))
     assert_same(lives.replay.index, back.replay.index)
-    alone = checkpoint.restore(folders[1], jax.eval_shape(lambda: newborn(loop, tiny_method("fbrl"), [1, 2])))
+    alone = checkpoint.restore(folders[1], jax.eval_shape(lambda: newborn(problem, tiny_method("fbrl"), [1, 2])))
     assert_same(jax.tree.map(lambda leaf: leaf[1:], lives.lanes), alone.lanes)
     np.testing.assert_array_equal(alone.replay.state[:41], lives.replay.state[:41, 1:])
     with pytest.raises(ValueError, match="not of this experiment"):
@@ -92,9 +92,9 @@ def test_of_damaged_ones_the_newest_whole_one_is_taken_and_that_is_said(tmp_path
     assert int(checkpoint.restore(tmp_path, lives).step) == 80
 
 
-def test_lanes_side_by_side_go_back_to_a_step_that_all_have_whole(tmp_path, loop):
+def test_lanes_side_by_side_go_back_to_a_step_that_all_have_whole(tmp_path, problem):
     method = tiny_method("fbrl", lanes=2)
-    lives = advance(loop, method, newborn(loop, method, [0, 1]), 40)
+    lives = advance(problem, method, newborn(problem, method, [0, 1]), 40)
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, span in zip(folders, (slice(0, 1), slice(1, 2)), strict=True):
         for step in (40, 80):
@@ -122,8 +122,8 @@ def test_no_flipped_bit_goes_unseen(saved, where, bit, number):
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory, loop):
-    lives = newborn(loop, tiny_method("fbrl"), [0, 1])
+def saved(tmp_path_factory, problem):
+    lives = newborn(problem, tiny_method("fbrl"), [0, 1])
     return checkpoint.save(tmp_path_factory.mktemp("saved"), at(lives, 40)), lives
 
 
@@ -203,8 +203,8 @@ def test_a_checkpoint_under_another_step_s_name_is_damaged(tmp_path, lives):
         checkpoint.restore(tmp_path, lives)
 
 
-def test_another_experiment_s_checkpoint_is_refused(tmp_path, loop, lives):
+def test_another_experiment_s_checkpoint_is_refused(tmp_path, problem, lives):
     checkpoint.save(tmp_path, lives)
-    other = newborn(loop, tiny_method("fbrl", hidden_sizes=[8, 8]), [0, 1])
+    other = newborn(problem, tiny_method("fbrl", hidden_sizes=[8, 8]), [0, 1])
     with pytest.raises(ValueError, match="not of this experiment"):
         checkpoint.restore(tmp_path, other)

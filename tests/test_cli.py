@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from earl_jax.cli import main
+from earl_jax.cli.main import main
 from tests.conftest import CACHE
 
 TINY = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
@@ -28,7 +28,7 @@ ENVIRONMENT = {
 
 
 def start(*arguments):
-    command = [sys.executable, "-m", "earl_jax.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "earl_jax.cli.main", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax.devices import join_hosts, lane_mesh
-from earl_jax.experiment import RunFolder
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.hosts import join_hosts, lane_mesh
 from tests.conftest import CACHE
 
 FOUR = {**os.environ, "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
@@ -83,7 +83,7 @@ def on_two_hosts(*arguments):
     env = {**os.environ, "EARL_JAX_CACHE": str(CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
     hosts = [
         subprocess.Popen(
-            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}"],
+            [sys.executable, "-m", "earl_jax.cli.main", *arguments, "--hosts", f"{address},2,{number}"],
             env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
         for number in range(2)

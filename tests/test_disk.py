@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from earl_jax.checkpoint import SPARE, newest
+from earl_jax.runs.checkpoint import SPARE, newest
 from tests.test_cli import ENVIRONMENT, run, snapshot, train
 
 pytestmark = pytest.mark.slow

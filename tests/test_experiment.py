@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from earl_jax import make, make_algo
-from earl_jax.experiment import Experiment, RunFolder
-from earl_jax.program import per_lane
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.runner import per_lane
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-3, 2**70) | st.floats() | st.text(max_size=5),
@@ -29,17 +30,17 @@ def metrics(value):
 @pytest.fixture
 def folder(tmp_path):
     env = make("tabletop_organization", reward_type="dense")
-    experiment = Experiment.of(env, make_algo("fbrl", discount=0.9), (3, 5), 120, 40, 2, 40)
-    return RunFolder.create(tmp_path / "run", experiment)
+    config = RunConfig.of(env, make_algo("fbrl", discount=0.9), (3, 5), 120, 40, 2, 40)
+    return RunFolder.create(tmp_path / "run", config)
 
 
 def fill(folder, *steps):
     for step in steps:
-        folder.append(folder.experiment.rows(step, metrics(step / 7)))
+        folder.append(folder.config.rows(step, metrics(step / 7)))
 
 
-def built(experiment):
-    return experiment.build_env(), experiment.build_setting(), per_lane(experiment.build_method(), 2)
+def built(config):
+    return config.build_env(), config.build_setting(), per_lane(config.build_method(), 2)
 
 
 def cause(action):
@@ -58,7 +59,7 @@ def test_a_changed_config_is_an_experiment_or_one_clear_error(folder, key, value
     config = copy.deepcopy(json.loads(whole))
     config.pop(key)
     folder.config.write_text(json.dumps(config if drop else {**config, key: value}))
-    told = cause(lambda: built(RunFolder.open(folder.path).experiment))
+    told = cause(lambda: built(RunFolder.open(folder.path).config))
     folder.config.write_text(whole)
     assert len(told.splitlines()) <= 1
 
@@ -78,7 +79,7 @@ def test_an_option_of_any_kind_is_taken_or_is_one_clear_error(folder, place, val
     config = json.loads(whole)
     config[key] = {**config[key], name: value}
     folder.config.write_text(json.dumps(config))
-    told = cause(lambda: built(RunFolder.open(folder.path).experiment))
+    told = cause(lambda: built(RunFolder.open(folder.path).config))
     folder.config.write_text(whole)
     assert not told or any(word in told for word in (name, "setting", "hyper-parameter"))
 
@@ -129,7 +130,7 @@ def test_nothing_in_a_run_folder_leads_out_of_it(folder, name):
 
 def test_a_run_folder_may_itself_be_a_link(folder, tmp_path):
     (tmp_path / "latest").symlink_to(folder.path)
-    assert RunFolder.open(tmp_path / "latest").experiment.seeds == (3, 5)
+    assert RunFolder.open(tmp_path / "latest").config.seeds == (3, 5)
 
 
 def test_a_full_disk_is_one_clear_error(folder):
@@ -143,4 +144,4 @@ def test_its_name_stays_when_it_is_extended_or_moved(folder, tmp_path):
     folder.extended(240)
     moved = RunFolder.open(folder.path.rename(tmp_path / "moved"))
     assert moved.id == before
-    assert moved.experiment.steps == 240
+    assert moved.config.steps == 240

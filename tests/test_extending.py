@@ -100,7 +100,7 @@ def distribution(tmp_path, monkeypatch):
         )
         monkeypatch.delitem(sys.modules, "theirs", raising=False)
         monkeypatch.syspath_prepend(tmp_path / name)
-        return Registry("env", {"sawyer_door": "earl_jax.envs.sawyer_door:SawyerDoor"})
+        return Registry("env", {"sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor"})
 
     return put
 

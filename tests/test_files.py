@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax.files import inside, locked, write_atomically
+from earl_jax.runs.files import inside, locked, write_atomically
 
 HOLD = (
-    "import sys, time; from pathlib import Path; from earl_jax.files import locked\n"
+    "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
     "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
 )
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from earl_jax import grid
+from earl_jax.sweeps import grid
 
 BASE = """
 envs = ["tabletop_organization", "sawyer_door"]

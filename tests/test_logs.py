@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from earl_jax import make, make_algo, train
-from earl_jax.experiment import Experiment, RunFolder
-from earl_jax.logs import LOGS, opened, scalars
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.logging import LOGS, opened, scalars
 from tests.conftest import TINY
 
 METRICS = {40: {"deployed/success": np.array([0.0, 1.0])}, 80: {"deployed/success": np.array([0.25, 0.5])}}
 
 
 def folder_of(path, *logs):
-    experiment = Experiment.of(make("tabletop_organization"), make_algo("naive"), (3, 5), 120, 40, 2, 40)
-    return RunFolder.create(path, experiment, logs)
+    config = RunConfig.of(make("tabletop_organization"), make_algo("naive"), (3, 5), 120, 40, 2, 40)
+    return RunFolder.create(path, config, logs)
 
 
 def told(folder, since, *steps):

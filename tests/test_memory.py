@@ -6,11 +6,12 @@ import jax
 import pytest
 
 import earl_jax
-from earl_jax import memory
-from earl_jax.algos import birth, make_algo
-from earl_jax.algos.life import Loop
+from earl_jax.algos import make_algo
 from earl_jax.envs import list_envs, make
 from earl_jax.protocol import Protocol
+from earl_jax.training import init as birth
+from earl_jax.training import memory
+from earl_jax.training.state import Problem
 from tests.conftest import newborn, tiny_method
 
 PUBLISHED = {
@@ -23,7 +24,7 @@ CARD = 141e9
 
 def loop_of(name):
     env = make(name)
-    return Loop(env, Protocol(env.train_horizon, env.eval_horizon))
+    return Problem(env, Protocol(env.train_horizon, env.eval_horizon))
 
 
 @pytest.mark.parametrize("name", list_envs())
@@ -34,13 +35,13 @@ def test_a_hundred_lanes_of_the_published_length_fit_on_one_card(name):
 
 
 @pytest.mark.parametrize("algo", ["naive", "fbrl", "vaprl"])
-def test_the_replay_and_the_agent_are_as_large_as_said(loop, algo):
+def test_the_replay_and_the_agent_are_as_large_as_said(problem, algo):
     method, steps = tiny_method(algo, lanes=3), 300
-    needed, lives = memory.need(loop, method, 3, steps), newborn(loop, method, range(3), steps)
+    needed, lives = memory.need(problem, method, 3, steps), newborn(problem, method, range(3), steps)
     occupied = sum(leaf.nbytes for leaf in jax.tree.leaves(lives.replay))
     assert abs(occupied - 3 * needed.replay) < 200, "counts and the one state more than transitions"
     assert sum(leaf.nbytes for leaf in jax.tree.leaves(lives.lanes)) == 3 * needed.agent
-    assert birth.capacity_for(loop, method, steps) >= steps
+    assert birth.capacity_for(problem, method, steps) >= steps
 
 
 def test_a_run_that_cannot_fit_says_how_many_lanes_would_and_leaves_nothing(monkeypatch, tmp_path):

@@ -6,10 +6,11 @@ import sys
 import jax
 import pytest
 
-from earl_jax import packs, program
 from earl_jax.algos import method_for
 from earl_jax.envs import make
-from earl_jax.experiment import RunFolder
+from earl_jax.runs.folder import RunFolder
+from earl_jax.sweeps import planner as packs
+from earl_jax.training import runner as program
 from earl_jax.training import load_lanes, train
 from tests.conftest import TINY, assert_same, newborn
 
@@ -130,12 +131,12 @@ def test_other_tasks_and_lengths_are_other_programs(tmp_path, grid):
     assert sum(pack["lanes"] for pack in plan["packs"]) == 8
 
 
-def test_the_plan_says_how_much_the_replay_takes(tmp_path, grid, loop):
+def test_the_plan_says_how_much_the_replay_takes(tmp_path, grid, problem):
     grid.write_text(GRID.replace('"naive", "oracle"', '"vaprl"'))
     plan = packs.plan(grid, tmp_path)
     [cell] = plan["cells"].values()
     method = program.per_lane(packs.experiment_of(cell["experiment"]).build_method(), 2)
-    replay = newborn(loop, method, [0, 1], steps=120).replay
+    replay = newborn(problem, method, [0, 1], steps=120).replay
     born = sum(leaf.nbytes for leaf in jax.tree.leaves(replay))
     assert plan["packs"][0]["replay_bytes"] == pytest.approx(born, rel=0.01)
 
@@ -167,8 +168,8 @@ def test_mistakes_are_found_before_anything_starts(tmp_path, grid, changed, word
 
 def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, grid):
     entries = packs.plan(grid, tmp_path)["cells"]
-    experiment = packs.experiment_of(entries[NAMES[0]]["experiment"])
-    folder = RunFolder.create(tmp_path / NAMES[0], experiment)
+    config = packs.experiment_of(entries[NAMES[0]]["experiment"])
+    folder = RunFolder.create(tmp_path / NAMES[0], config)
     assert packs.plan(grid, tmp_path)["packs"][0]["cells"] == NAMES
     before = (folder.path / "config.json").read_bytes()
     grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))
@@ -191,14 +192,14 @@ def test_one_folder_has_one_worker(tmp_path, grid):
 
 
 def test_a_kill_while_a_folder_is_made_does_no_harm(tmp_path, grid):
-    experiment = packs.experiment_of(packs.plan(grid, tmp_path)["cells"][NAMES[0]]["experiment"])
+    config = packs.experiment_of(packs.plan(grid, tmp_path)["cells"][NAMES[0]]["experiment"])
     (tmp_path / "cell").mkdir()
     (tmp_path / "cell/config.json.part").write_text("{")
-    with packs.claimed(tmp_path / "cell", experiment) as folder:
-        assert RunFolder.open(folder.path).experiment.steps == 120
+    with packs.claimed(tmp_path / "cell", config) as folder:
+        assert RunFolder.open(folder.path).config.steps == 120
     (tmp_path / "other").mkdir()
     (tmp_path / "other/thesis.tex").write_text("all of it")
-    with pytest.raises(ValueError, match="not an empty folder"), packs.claimed(tmp_path / "other", experiment):
+    with pytest.raises(ValueError, match="not an empty folder"), packs.claimed(tmp_path / "other", config):
         pass
 
 

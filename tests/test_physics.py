@@ -220,8 +220,8 @@ def test_auto_turns_to_the_accelerator_where_lanes_are_too_many_for_the_cores(mo
 
 def test_few_rows_wake_few_threads(monkeypatch):
     monkeypatch.setattr(physics.c, "cores", lambda: 16)
-    crew = physics.c.Crew(physics.c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
-    assert [crew._threads(rows) for rows in (1, 16, 50, 64, 65)] == [8, 8, 12, 12, 16]
+    worker_pool = physics.c.WorkerPool(physics.c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
+    assert [worker_pool._threads(rows) for rows in (1, 16, 50, 64, 65)] == [8, 8, 12, 12, 16]
 
 
 @EVERY

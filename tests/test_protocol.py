@@ -8,22 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import autonomy, birth
-from earl_jax.algos.life import Loop
-from earl_jax.algos.replay import unpack
-from earl_jax.envs import Helped, make
-from earl_jax.experiment import Experiment
-from earl_jax.protocol import Continuing, Deployment, Protocol, Rules, setting_of, settled
+from earl_jax.algos.learner.replay import unpack
+from earl_jax.envs import HelpBudget, make
+from earl_jax.protocol import Continuing, Deployment, Protocol, Rules, setting_of, split_setting
+from earl_jax.runs.config import RunConfig
+from earl_jax.training import init as birth
+from earl_jax.training import loop as autonomy
 from earl_jax.training import split_options
+from earl_jax.training.state import Problem
 from tests.conftest import advance, assert_same, newborn, tiny_method
 
 
-def lived(loop, method, rules, steps, seeds=(0, 1)):
+def lived(problem, method, rules, steps, seeds=(0, 1)):
     """The explored lives of lanes with `rules`, each a list of one number a lane."""
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds))
-    capacity = birth.capacity_for(loop, method, steps)
-    start = jax.jit(lambda m, k, r: birth.begin(loop, m, k, capacity, r))(method, keys, rules)
-    return advance(loop, method, start, steps, explore=True)
+    capacity = birth.capacity_for(problem, method, steps)
+    start = jax.jit(lambda m, k, r: birth.begin(problem, m, k, capacity, r))(method, keys, rules)
+    return advance(problem, method, start, steps, explore=True)
 
 
 def rules(horizon, chance=(0.0, 0.0), goal_change=(0, 0)):
@@ -48,25 +49,27 @@ def test_interventions_follow_the_horizon_and_the_chance():
     assert float(rate) == pytest.approx(0.1, abs=0.015)
 
 
-def test_lanes_of_one_program_live_by_rules_of_their_own(loop):
+def test_lanes_of_one_program_live_by_rules_of_their_own(problem):
     method = tiny_method("naive")
-    lives = lived(loop, method, rules([0, 20], (0.1, 0.0)), 200)
-    chance, every = np.asarray(lives.lanes.tally.interventions)
+    lives = lived(problem, method, rules([0, 20], (0.1, 0.0)), 200)
+    chance, every = np.asarray(lives.lanes.counters.interventions)
     assert every == 10
     assert 8 <= chance <= 34
-    alone = lived(loop, tiny_method("naive", 1), rules([20], [0.0], [0]), 200, seeds=[1])
+    alone = lived(problem, tiny_method("naive", 1), rules([20], [0.0], [0]), 200, seeds=[1])
     assert_same(jax.tree.map(lambda leaf: leaf[1:], lives.lanes.world), alone.lanes.world)
 
 
 @pytest.mark.parametrize("algo", ["naive", "fbrl"])
-def test_in_the_continuing_setting_the_world_asks(env, loop, monkeypatch, algo):
+def test_in_the_continuing_setting_the_world_asks(env, problem, monkeypatch, algo):
     """Goals change on the clock alone; a task attempt follows at once, a way back goes on to its end."""
-    monkeypatch.setattr(autonomy, "_act", lambda loop, method, lane, key, explore: loop.env.expert(lane.world.obs))
+    monkeypatch.setattr(
+        autonomy, "_act", lambda problem, method, lane, key, explore: problem.env.expert(lane.world.obs)
+    )
     method, seen = tiny_method(algo), []
-    lives = newborn(loop, method, [0, 1], 400)
+    lives = newborn(problem, method, [0, 1], 400)
     lives = lives.replace(lanes=lives.lanes.replace(rules=rules([0, 0], goal_change=(100, 100))))
     for _ in range(16):
-        lives = advance(loop, method, lives, 25, explore=True)
+        lives = advance(problem, method, lives, 25, explore=True)
         commands, phase = lives.lanes.commands, np.asarray(lives.lanes.phase)
         seen.append(np.asarray(commands.task))
         assert (np.asarray(commands.goal) == commands.task)[phase == 0].all()
@@ -74,7 +77,7 @@ def test_in_the_continuing_setting_the_world_asks(env, loop, monkeypatch, algo):
     tasks = np.concatenate([np.asarray(seen)[3:-1].reshape(3, 4, 2), np.asarray(seen)[None, -1:].repeat(4, 1)])
     assert (tasks == tasks[:, :1]).all(), "a task changes every 100 steps and at no other time"
     assert len(np.unique(tasks)) > 1
-    earned = float(lives.lanes.tally.window_reward.sum())
+    earned = float(lives.lanes.counters.window_reward.sum())
     assert (earned > 400) if algo == "naive" else (8 < earned < 40)
 
 
@@ -94,48 +97,48 @@ def test_settings_say_which_numbers_of_a_task_hold():
 
 def test_a_budget_makes_a_world_with_help_and_back(env):
     world = Deployment(budget=5.0, help_cost=2.0, help_above=0.5).world(env)
-    assert world == Helped(env, budget=5.0, help_cost=2.0, help_above=0.5)
-    assert settled(world, Continuing()) == (env, Continuing(budget=5.0, help_cost=2.0, help_above=0.5))
+    assert world == HelpBudget(env, budget=5.0, help_cost=2.0, help_above=0.5)
+    assert split_setting(world, Continuing()) == (env, Continuing(budget=5.0, help_cost=2.0, help_above=0.5))
     assert Continuing().protocol(world) == Protocol(50_000, 200, goal_change=400)
     assert Deployment().world(env) is env
 
 
 def test_an_experiment_remembers_its_setting(env):
     method = tiny_method("naive")
-    one = Experiment.of(Helped(env, budget=5.0), method, (0, 1), 40, 40, 1, 40, Continuing(goal_change=7))
+    one = RunConfig.of(HelpBudget(env, budget=5.0), method, (0, 1), 40, 40, 1, 40, Continuing(goal_change=7))
     assert one.setting == {"name": "continuing", "budget": 5.0, "goal_change": 7}
-    again = Experiment(**json.loads(json.dumps(dataclasses.asdict(one))))
-    assert again.build_env() == Helped(env, budget=5.0)
+    again = RunConfig(**json.loads(json.dumps(dataclasses.asdict(one))))
+    assert again.build_env() == HelpBudget(env, budget=5.0)
     assert again.build_setting() == Continuing(goal_change=7, budget=5.0)
     assert again.protocol(again.build_env()).goal_change == 7
 
 
-def test_a_map_counts_every_step(loop):
-    lives = advance(loop, tiny_method("fbrl"), newborn(loop, tiny_method("fbrl"), [0, 1]), 40, explore=True)
+def test_a_map_counts_every_step(problem):
+    lives = advance(problem, tiny_method("fbrl"), newborn(problem, tiny_method("fbrl"), [0, 1]), 40, explore=True)
     visits = np.asarray(lives.lanes.visits)
     assert visits.sum(axis=(1, 2)).tolist() == [40, 40]
-    low, high = loop.env.area
+    low, high = problem.env.map_bounds
     last = np.floor((np.asarray(lives.replay.state[int(lives.replay.row), :, :2]) - low) / (high - low) * 64).astype(
         int
     )
     assert all(visits[lane, x, y] > 0 for lane, (x, y) in enumerate(last))
-    cheetah = Loop(make("cheetah_run", physics="c"), loop.protocol)
+    cheetah = Problem(make("cheetah_run", physics="c"), problem.protocol)
     assert newborn(cheetah, tiny_method("naive"), [0, 1]).lanes.visits is None
 
 
-def test_the_step_into_the_end_is_worth_the_end_for_ever(loop):
+def test_the_step_into_the_end_is_worth_the_end_for_ever(problem):
     world = Deployment(budget=1.0, help_above=-1.0, absorbed_reward=-2.0).world(
         make("tabletop_organization", reward_type="dense")
     )
     method = tiny_method("naive", discount=[0.9, 0.5])
-    lives = newborn(Loop(world, loop.protocol), method, [0, 1])
+    lives = newborn(Problem(world, problem.protocol), method, [0, 1])
     first = int(lives.replay.row)
-    lives = advance(Loop(world, loop.protocol), method, lives, 3, explore=True)
+    lives = advance(Problem(world, problem.protocol), method, lives, 3, explore=True)
     np.testing.assert_allclose(lives.replay.reward[first], [-20.0, -4.0], rtol=1e-5)
-    assert np.asarray(unpack(lives.replay.marks[first]).absorbed).all()
+    assert np.asarray(unpack(lives.replay.flags[first]).absorbed).all()
     listed = np.asarray(lives.replay.counts[:, 0] - lives.replay.demos[0])
     assert listed.tolist() == [1, 1]
-    assert np.asarray(lives.lanes.tally.window_reward).tolist() == [-6.0, -6.0]
+    assert np.asarray(lives.lanes.counters.window_reward).tolist() == [-6.0, -6.0]
 
 
 def test_options_find_task_setting_and_method():

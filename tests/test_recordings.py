@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from earl_jax import assets, recordings
-from earl_jax.cli import main
+from earl_jax import assets
+from earl_jax.cli.main import main
+from earl_jax.demos import importer as recordings
 
 FUZZ = settings(max_examples=100, deadline=None)
 

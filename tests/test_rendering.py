@@ -3,10 +3,10 @@ import importlib
 import numpy as np
 import pytest
 
-from earl_jax import rendering
 from earl_jax.envs import make
-from earl_jax.rendering import ACTINGS, cast_of, episodes, render, step_seconds
-from earl_jax.scenes import Scene
+from earl_jax.rendering import video as rendering
+from earl_jax.rendering.scenes import Scene
+from earl_jax.rendering.video import ACTINGS, cast_of, episodes, render, step_seconds
 from tests.conftest import tiny_options
 
 pytest.importorskip("mediapy", reason="videos are written with mediapy: pip install 'earl-jax[render]'")

@@ -4,9 +4,10 @@ import csv
 
 import pytest
 
-from earl_jax import grid, reproduce
-from earl_jax.cli import main
-from earl_jax.packs import plan
+from earl_jax.cli.main import main
+from earl_jax.paper import reproduce
+from earl_jax.sweeps import grid
+from earl_jax.sweeps.planner import plan
 from tests.conftest import CACHE
 
 FILES = {
@@ -35,8 +36,8 @@ def cache(monkeypatch):
 
 
 def cells_of(name, scale, tmp_path, tasks=None, **options):
-    experiment, path = reproduce.EXPERIMENTS[name], tmp_path / "grid.toml"
-    blocks = [experiment.block(task) for task in tasks or experiment.tasks]
+    config, path = reproduce.EXPERIMENTS[name], tmp_path / "grid.toml"
+    blocks = [config.block(task) for task in tasks or config.tasks]
     path.write_text(reproduce.toml(blocks, reproduce.SCALES[scale], options))
     return path, grid.read(path)
 

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import assets, scenes
-from earl_jax.envs import Helped, list_envs, make
+from earl_jax import assets
+from earl_jax.envs import HelpBudget, list_envs, make
 from earl_jax.physics import load_model
-from earl_jax.scenes import Scene, cameras, dressed, headless_backend, merged
+from earl_jax.rendering import scenes
+from earl_jax.rendering.scenes import Scene, cameras, dressed, headless_backend, merged
 
 mujoco = pytest.importorskip("mujoco", reason="pictures are drawn by MuJoCo")
 SMALL = (64, 96)
@@ -133,7 +134,7 @@ def test_images_show_the_state_and_the_goal(drawing, env, start):
 
 
 def test_a_helped_world_is_drawn_like_its_task(drawing, env, start):
-    helped = Helped(env, budget=3.0)
+    helped = HelpBudget(env, budget=3.0)
     state = helped.reset(jax.random.key(0))
     with Scene(env, SMALL) as plain, Scene(helped, SMALL) as scene:
         np.testing.assert_array_equal(scene.image(state), plain.image(state.data))
@@ -172,7 +173,7 @@ GOALS = {"sawyer_door": "handle", "sawyer_peg": "head", "dhand_lightbulb": "bulb
 def test_the_goal_that_is_shown_is_the_goal(name):
     env = make(name)
     state = env.reset(jax.random.key(3))
-    data = posed(load_model(env.model), jax.device_get(env.shown_goal(state)))
+    data = posed(load_model(env.model), jax.device_get(env.render_goal(state)))
     np.testing.assert_allclose(data.site(GOALS[name]).xpos, state.info["goal"][-3:], atol=2e-4)
 
 
@@ -188,20 +189,20 @@ def test_goals_of_the_other_tasks_are_shown():
         wanted = (
             env.goal_states[0][[9, 11, 13, 15, 17, 19, 20, 21, 22]] if name == "franka_kitchen" else state.info["goal"]
         )
-        np.testing.assert_array_equal(env.shown_goal(state).qpos[places], wanted[: places.stop])
+        np.testing.assert_array_equal(env.render_goal(state).qpos[places], wanted[: places.stop])
     fish = make("fish_swim")
     goal = jnp.asarray(fish.goal_states[7])
     np.testing.assert_array_equal(
-        fish.shown_goal(fish.with_goal(fish.reset(jax.random.key(0)), goal)).mocap_pos[0], goal
+        fish.render_goal(fish.with_goal(fish.reset(jax.random.key(0)), goal)).mocap_pos[0], goal
     )
-    assert make("cheetah_run").shown_goal(make("cheetah_run").reset(jax.random.key(0))) is None
+    assert make("cheetah_run").render_goal(make("cheetah_run").reset(jax.random.key(0))) is None
 
 
 @pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_door", "sawyer_peg"])
 def test_demonstrations_can_be_begun(name):
     env = make(name)
     demos = env.demos("forward")
-    state = env.begun(jnp.asarray(demos.states[0]), jnp.asarray(demos.goals[0]))
+    state = env.state_from_demo(jnp.asarray(demos.states[0]), jnp.asarray(demos.goals[0]))
     np.testing.assert_allclose(state.obs, np.concatenate([demos.states[0], demos.goals[0]]), atol=2e-3)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.physics import service
+from earl_jax.physics.host_call import service
 
 BROKEN = (ValueError, RuntimeError)
 """What jax raises for an error inside a program, by how it was dispatched."""

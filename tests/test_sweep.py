@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax import sweep
+from earl_jax.sweeps import launcher as sweep
 from tests.test_cli import ENVIRONMENT, run, start
 
 GRID = """
@@ -61,7 +61,7 @@ def tables(out):
 
 def test_the_launcher_never_imports_jax(grid, tmp_path):
     code = (
-        "import sys, earl_jax.sweep; from earl_jax.cli import main;"
+        "import sys, earl_jax.sweeps.launcher; from earl_jax.cli.main import main;"
         f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run']);"
         "assert not {'jax', 'numpy', 'flax', 'mujoco'} & set(sys.modules), sorted(sys.modules)"
     )
@@ -70,7 +70,7 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
     assert "pack 1: 4 lanes, steps 0 to 800, replay" in found.stdout
     assert "2 cells, 0 of them done; 1 programs" in found.stdout
     assert not (tmp_path / "out").exists()
-    helped = "import sys; from earl_jax.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    helped = "import sys; from earl_jax.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
     found = subprocess.run([sys.executable, "-c", helped + "assert 'jax' not in sys.modules"], capture_output=True)
     assert found.returncode == 0, found.stderr
 
@@ -128,7 +128,7 @@ def test_a_pack_that_fails_is_told_and_the_next_one_runs(grid, tmp_path, capsys)
 
 @pytest.mark.usefixtures("fake_worker")
 def test_a_failed_sweep_ends_with_one(grid, tmp_path, capsys):
-    from earl_jax.cli import main
+    from earl_jax.cli.main import main
 
     with pytest.raises(SystemExit) as ended:
         main(["sweep", str(grid), "--out", str(tmp_path)])

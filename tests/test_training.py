@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax.algos.life import Loop
 from earl_jax.algos.naive import Naive
-from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Protocol
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
 from earl_jax.training import execute, lifetime, per_lane, select_seed, train
+from earl_jax.training.state import Problem
 from tests.conftest import ALGOS, TINY, assert_same, tiny_options
 
 RUN = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2}
@@ -34,10 +35,10 @@ def test_training_returns_a_leading_seed_axis(algo):
 @pytest.mark.parametrize("algo", ["naive", "vaprl"])
 def test_a_lifetime_under_jit_equals_training(env, algo):
     result = tiny_train(algo)
-    loop = Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
     method = earl_jax.make_algo(algo, **tiny_options(algo))
     keys = jax.vmap(jax.random.key)(jnp.arange(2))
-    lives, metrics = jax.jit(lambda k: lifetime(loop, method, k, 120))(keys)
+    lives, metrics = jax.jit(lambda k: lifetime(problem, method, k, 120))(keys)
     for name, values in metrics.items():
         np.testing.assert_allclose(values, result.metrics[name], rtol=1e-3, atol=1e-4, err_msg=name)
     np.testing.assert_allclose(lives.replay.action, result.lives.replay.action, atol=1e-3)
@@ -80,7 +81,7 @@ def test_a_run_resumed_from_its_folder_ends_bit_identical(tmp_path, algo):
     whole = tiny_train(algo, out=tmp_path / "whole", checkpoint_every=40)
     tiny_train(algo, out=tmp_path / "part", checkpoint_every=40, steps=80)
     resumed = RunFolder.open(tmp_path / "part").extended(120)
-    result = execute(resumed.experiment, resumed)
+    result = execute(resumed.config, resumed)
     assert_same(whole.lives.lanes, result.lives.lanes)
     for name, values in whole.metrics.items():
         np.testing.assert_array_equal(values, result.metrics[name])
@@ -92,9 +93,9 @@ def test_dense_rewards_and_other_options_travel_through_the_folder(tmp_path):
     env = earl_jax.make("tabletop_organization", reward_type="dense", wide=True)
     method = earl_jax.make_algo("naive", **tiny_options("naive", reward_scale=0.1))
     train(env, method, out=tmp_path / "run", **RUN)
-    experiment = RunFolder.open(tmp_path / "run").experiment
-    assert experiment.build_env() == env
-    assert_same(experiment.build_method(), method)
+    config = RunFolder.open(tmp_path / "run").config
+    assert config.build_env() == env
+    assert_same(config.build_method(), method)
 
 
 def test_a_task_brings_its_own_reward_scale_and_measure():
@@ -103,7 +104,7 @@ def test_a_task_brings_its_own_reward_scale_and_measure():
     assert earl_jax.method_for(dense, "naive").sac.reward_scale == dense.reward_scale == 1.0
     assert earl_jax.method_for(dense, "naive", reward_scale=10.0).sac.reward_scale == 10.0
     for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
-        told = Experiment.of(env, earl_jax.method_for(env, "naive"), (0,), 40, 40, 1, 40)
+        told = RunConfig.of(env, earl_jax.method_for(env, "naive"), (0,), 40, 40, 1, 40)
         assert told.deployed_metric == metric
         assert told.build_method().sac.reward_scale == env.reward_scale
 
@@ -111,7 +112,7 @@ def test_a_task_brings_its_own_reward_scale_and_measure():
 def test_a_finished_run_stays_finished(tmp_path):
     first = tiny_train("naive", out=tmp_path / "run")
     folder = RunFolder.open(tmp_path / "run")
-    again = execute(folder.experiment, folder)
+    again = execute(folder.config, folder)
     assert_same(first.lives.lanes, again.lives.lanes)
     np.testing.assert_array_equal(first.metrics["deployed/success"], again.metrics["deployed/success"])
     with pytest.raises(ValueError, match="has lived 120 steps already"):
@@ -138,7 +139,7 @@ def test_numbers_that_do_not_fit_are_refused(changed, message):
 def test_lengths_that_share_no_round_number_train_too():
     result = tiny_train("vaprl", steps=50, eval_every=50)
     assert int(result.lives.step) == 50
-    assert (result.lives.lanes.extra.values != 0).all()
+    assert (result.lives.lanes.method_state.values != 0).all()
 
 
 def test_a_method_that_nobody_registered_trains_too():
@@ -149,7 +150,7 @@ def test_a_method_that_nobody_registered_trains_too():
 
     method = Mine(sac=earl_jax.make_algo("naive", **TINY).sac)
     result = train("tabletop_organization", method, **RUN)
-    assert result.experiment.algo == "mine"
+    assert result.config.algo == "mine"
     np.testing.assert_array_equal(result.metrics["entropy"], tiny_train("naive").metrics["entropy"])
 
 

@@ -28,7 +28,7 @@ class JaxLearner:
     def __init__(self, obs_size: int, action_size: int):
         import jax
 
-        from earl_jax.algos import sac
+        from earl_jax.algos.learner import sac
 
         hyper = sac.SAC(learning_rate=LEARNING_RATE, hidden_sizes=HIDDEN, reward_scale=REWARD_SCALE)
         self.agent = sac.init(jax.random.key(0), hyper, obs_size, action_size)

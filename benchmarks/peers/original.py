@@ -11,7 +11,7 @@ from benchmarks.peers.common import BATCH, CAPACITY, DOOR, median_s, options, si
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.physics import original_style
 from earl_jax.envs import make
-from earl_jax.envs.sawyer import HAND_HIGH, HAND_LOW, OPENING, REACH
+from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, OPENING, REACH
 
 WARM_UP = 300
 

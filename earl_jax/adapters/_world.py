@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 
 from earl_jax.envs import Env, State, make
-from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, settled
+from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 MODES = ("train", "eval")
 ATTEMPT_STEPS = 1000
@@ -88,8 +88,8 @@ class World:
             ValueError: an unknown name or option, or options beside an `Env`; the message lists the choices.
         """
         env = _task(task, options)
-        env, setting = settled(env, setting_of(setting) if isinstance(setting, str) else setting)
-        env = setting.world(env.for_lanes(lanes))
+        env, setting = split_setting(env, setting_of(setting) if isinstance(setting, str) else setting)
+        env = setting.wrap(env.for_lanes(lanes))
         return cls(env, setting.protocol(env), mode, attempt_steps)
 
     @property
@@ -234,8 +234,8 @@ class Camera:
         self._scene: Any = None
 
     def __call__(self, world: State) -> np.ndarray:
-        """Return the picture of one `world`. Raises: as `earl_jax.scenes.Scene`."""
-        from earl_jax.scenes import Scene
+        """Return the picture of one `world`. Raises: as `earl_jax.rendering.scenes.Scene`."""
+        from earl_jax.rendering.scenes import Scene
 
         self._scene = self._scene or Scene(self.env, self.size)
         return self._scene.image(world)

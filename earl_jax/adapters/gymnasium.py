@@ -64,7 +64,7 @@ class LifeEnv(gymnasium.Env):
             render_mode: `rgb_array`, or None for no pictures.
             width: of a picture, in pixels.
             height: of a picture, in pixels.
-            options: `mode`; `setting`, `deployment`, `continuing` or an object of `earl_jax.protocol` with interventions and a
+            options: `mode`; `setting`, `deployment`, `continuing` or an object of `earl_jax.protocol.rules` with interventions and a
                 budget of its own; `attempt_steps`; and the task's own, `reward_type`, `physics`, `train_horizon` and so on.
 
         Raises:

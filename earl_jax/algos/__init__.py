@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import Method
-from earl_jax.algos.sac import SAC
 from earl_jax.envs import Env
 from earl_jax.options import check
 from earl_jax.registry import Registry

@@ -5,7 +5,8 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.method import RETURN, Commands, Goals, Method
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.method import RETURN, Method
 
 
 class FBRL(Method):
@@ -20,9 +21,11 @@ class FBRL(Method):
     phases: ClassVar[int] = 2
     demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
 
-    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
+    ) -> GoalIndices:
         task_key, initial_key = jax.random.split(key)
         task = goals.draw_task(task_key)
         initial = goals.tasks + jax.random.randint(initial_key, (), 0, goals.initials)
         back = phase == RETURN
-        return Commands(goal=jnp.where(back, initial, task), task=jnp.where(back, lane.task, task))
+        return GoalIndices(goal=jnp.where(back, initial, task), task=jnp.where(back, current.task, task))

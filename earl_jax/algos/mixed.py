@@ -7,15 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.algos.method import Commands, Goals, Method
-from earl_jax.algos.replay import Rows
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 
 
 class Mixed(Method):
     """Lanes of several methods: all `members` answer every question, and a lane keeps the answer of its own `member`.
 
-    Members agree in their `form`; what that fixes is asked of the first one.
+    Members agree in their `program_signature`; what that fixes is asked of the first one.
     """
 
     members: tuple[Method, ...] = ()
@@ -63,26 +64,28 @@ class Mixed(Method):
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
         return self._own(lambda member: member.ends_on_success(phase))
 
-    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
-        return self._own(lambda member: member.next_goal(key, goals, phase, lane, extra))
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
+    ) -> GoalIndices:
+        return self._own(lambda member: member.next_goal(key, goals, phase, current, method_state))
 
-    def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
-        return self._own(lambda member: member.relabel(key, env, goals, rows))
+    def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
+        return self._own(lambda member: member.relabel(key, env, goals, batch))
 
-    def reward(self, rows: Rows, phase: jax.Array, extra: Any) -> jax.Array:
-        return self._own(lambda member: member.reward(rows, phase, extra))
+    def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
+        return self._own(lambda member: member.reward(batch, phase, method_state))
 
-    def terminal(self, rows: Rows) -> jax.Array:
-        return self._own(lambda member: member.terminal(rows))
+    def terminal(self, batch: TransitionBatch) -> jax.Array:
+        return self._own(lambda member: member.terminal(batch))
 
 
-def form(method: Method) -> Hashable:
+def program_signature(method: Method) -> Hashable:
     """Return what methods have to agree in to share one program.
 
     Float hyper-parameters are free. A method that learns or remembers something of its own shares with its class alone.
     """
     kind = type(method)
-    if any(getattr(kind, part) is not getattr(Method, part) for part in ("init_extra", "learn_extra", "refresh")):
+    if any(getattr(kind, part) is not getattr(Method, part) for part in ("init_state", "update_state", "refresh")):
         return _kind(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
     return jax.tree.structure(method.sac), shapes, kind.demo_copies
@@ -94,7 +97,7 @@ def together(methods: Sequence[Method]) -> Method:
     Raises:
         ValueError: the methods differ in what one program fixes.
     """
-    if len({form(method) for method in methods}) > 1:
+    if len({program_signature(method) for method in methods}) > 1:
         names = ", ".join(sorted({method.name for method in methods}))
         raise ValueError(f"these methods can't share a program, their shapes differ: {names}")
     kinds = list(dict.fromkeys(_kind(method) for method in methods))

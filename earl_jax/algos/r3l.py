@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.method import RETURN, TASK, Commands, Goals, Method
-from earl_jax.algos.networks import apply, mlp
-from earl_jax.algos.replay import Rows
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.networks import apply, mlp
+from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.method import RETURN, TASK, Method
 from earl_jax.envs import Env
 
 EMBEDDING = 512
@@ -50,30 +51,36 @@ class R3L(Method):
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
         return phase == TASK
 
-    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Any) -> Commands:
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
+    ) -> GoalIndices:
         task = goals.draw_task(key)
         keep = phase == RETURN
-        return Commands(goal=jnp.where(keep, lane.goal, task), task=jnp.where(keep, lane.task, task))
+        return GoalIndices(goal=jnp.where(keep, current.goal, task), task=jnp.where(keep, current.task, task))
 
-    def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> RND:
+    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> RND:
         blank = jnp.zeros((env.state_size,))
         target, predictor = [_NETWORK.init(part, blank) for part in jax.random.split(key)]
         return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
 
-    def reward(self, rows: Rows, phase: jax.Array, extra: RND) -> jax.Array:
+    def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: RND) -> jax.Array:
         novelty = jnp.clip(
-            extra.error(extra.predictor, rows.state, self.sac.precision) / extra.sigma, 0.0, self.rnd_clip
+            method_state.error(method_state.predictor, batch.state, self.sac.precision) / method_state.sigma,
+            0.0,
+            self.rnd_clip,
         )
-        return jnp.where(phase == RETURN, novelty, rows.reward)
+        return jnp.where(phase == RETURN, novelty, batch.reward)
 
-    def learn_extra(self, extra: RND, rows: Rows, phase: jax.Array) -> RND:
+    def update_state(self, method_state: RND, batch: TransitionBatch, phase: jax.Array) -> RND:
         def loss(predictor):
-            errors = extra.error(predictor, rows.state, self.sac.precision)
+            errors = method_state.error(predictor, batch.state, self.sac.precision)
             return errors.mean(), errors
 
-        grads, errors = jax.grad(loss, has_aux=True)(extra.predictor)
-        predictor, moments = sac_lib.descend(extra.predictor, grads, extra.moments, self.sac.learning_rate)
-        spread = jnp.maximum((errors / extra.sigma).std(), 1e-3)
-        sigma = self.rnd_decay * extra.sigma + (1 - self.rnd_decay) * spread
-        learnt = extra.replace(predictor=predictor, moments=moments, sigma=sigma)
-        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), learnt, extra)
+        grads, errors = jax.grad(loss, has_aux=True)(method_state.predictor)
+        predictor, moments = sac_lib.descend(
+            method_state.predictor, grads, method_state.moments, self.sac.learning_rate
+        )
+        spread = jnp.maximum((errors / method_state.sigma).std(), 1e-3)
+        sigma = self.rnd_decay * method_state.sigma + (1 - self.rnd_decay) * spread
+        learnt = method_state.replace(predictor=predictor, moments=moments, sigma=sigma)
+        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), learnt, method_state)

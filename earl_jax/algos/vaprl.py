@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.method import RETURN, Commands, Goals, Method
-from earl_jax.algos.replay import Rows
-from earl_jax.algos.sac import Agent
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.learner.sac import Agent
+from earl_jax.algos.method import RETURN, Method
 from earl_jax.envs import Env
 
 DEMO_SHARE = 0.2
@@ -48,14 +49,16 @@ class VaPRL(Method):
     needs_demos: ClassVar[bool] = True
     demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
 
-    def init_extra(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
+    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
         return Curriculum(jnp.zeros((goals.tasks, len(goals.candidates))))
 
-    def next_goal(self, key: jax.Array, goals: Goals, phase: jax.Array, lane: Commands, extra: Curriculum) -> Commands:
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Curriculum
+    ) -> GoalIndices:
         """Queue a task goal and command its subgoal when a return phase begins; then command the queued one."""
-        queued = jnp.where(phase == RETURN, goals.draw_task(key), lane.task)
-        subgoal = goals.tasks + goals.initials + self.choose(extra.values[queued], goals)
-        return Commands(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
+        queued = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
+        subgoal = goals.tasks + goals.initials + self.choose(method_state.values[queued], goals)
+        return GoalIndices(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
 
     def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
         """Return the candidate nearest the mean initial state among `values [C]` >= epsilon, else the best valued."""
@@ -64,7 +67,7 @@ class VaPRL(Method):
         able = values >= self.epsilon
         return jnp.where(able.any(), jnp.argmin(jnp.where(able, distance, jnp.inf)), jnp.argmax(values))
 
-    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, extra: Curriculum) -> Curriculum:
+    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Curriculum) -> Curriculum:
         agent = jax.tree.map(lambda leaf: leaf[0], agent)
         value_pair = jax.tree.map(lambda leaf: leaf[sac_lib.SOFT_CRITICS :], agent.critics)
         tasks, count = goals.table[: goals.tasks], len(goals.candidates)
@@ -81,21 +84,21 @@ class VaPRL(Method):
         """List a demonstrated transition once for every N + 1 later states that it is a way to."""
         return np.maximum(1, np.rint(steps_left * DEMO_SHARE).astype(int))
 
-    def relabel(self, key: jax.Array, env: Env, goals: Goals, rows: Rows) -> Rows:
+    def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
         """Give a share of the transitions another goal: demonstrations a later state of their own, others any of the table.
 
         A transition without a successor keeps its goal.
         """
         share_key, goal_key = jax.random.split(key)
-        draw = jax.random.uniform(goal_key, rows.reward.shape)
-        last = jnp.asarray(goals.ends)[jnp.minimum(rows.row, len(goals.ends) - 1)]
-        later = rows.row + 1 + jnp.floor(draw * (last - rows.row)).astype(jnp.int32)
+        draw = jax.random.uniform(goal_key, batch.reward.shape)
+        last = jnp.asarray(goals.ends)[jnp.minimum(batch.row, len(goals.ends) - 1)]
+        later = batch.row + 1 + jnp.floor(draw * (last - batch.row)).astype(jnp.int32)
         anything = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
-        goal = jnp.where(rows.row < len(goals.ends), goals.tasks + goals.initials + later, anything)
-        chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~rows.marks.lost
-        obs = jnp.concatenate([rows.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
-        marks = rows.marks._replace(
-            goal=jnp.where(chosen, goal, rows.marks.goal),
-            reached=jnp.where(chosen, env.success(obs) & env.sparse, rows.marks.reached),
+        goal = jnp.where(batch.row < len(goals.ends), goals.tasks + goals.initials + later, anything)
+        chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~batch.flags.no_successor
+        obs = jnp.concatenate([batch.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
+        flags = batch.flags._replace(
+            goal=jnp.where(chosen, goal, batch.flags.goal),
+            reached=jnp.where(chosen, env.success(obs) & env.sparse, batch.flags.reached),
         )
-        return rows._replace(reward=jnp.where(chosen, env.reward(obs), rows.reward), marks=marks)
+        return batch._replace(reward=jnp.where(chosen, env.reward(obs), batch.reward), flags=flags)

@@ -2,22 +2,24 @@
 
 import dataclasses
 
-from earl_jax.envs.base import Env, State
-from earl_jax.envs.helped import Helped
+from earl_jax.envs.base import Env
+from earl_jax.envs.mujoco_env import MujocoEnv
+from earl_jax.envs.state import State
+from earl_jax.envs.wrappers.help_budget import HelpBudget
 from earl_jax.registry import Registry
 
-__all__ = ["Env", "Helped", "State", "list_envs", "make", "register_env", "with_physics"]
+__all__ = ["Env", "HelpBudget", "MujocoEnv", "State", "list_envs", "make", "register_env", "with_physics"]
 
 _ENVS = Registry(
     "env",
     {
-        "cheetah_run": "earl_jax.envs.cheetah_run:CheetahRun",
-        "dhand_lightbulb": "earl_jax.envs.dhand_lightbulb:DHandLightbulb",
-        "fish_swim": "earl_jax.envs.fish_swim:FishSwim",
-        "franka_kitchen": "earl_jax.envs.franka_kitchen:FrankaKitchen",
-        "minitaur_pen": "earl_jax.envs.minitaur_pen:MinitaurPen",
-        "sawyer_door": "earl_jax.envs.sawyer_door:SawyerDoor",
-        "sawyer_peg": "earl_jax.envs.sawyer_peg:SawyerPeg",
+        "cheetah_run": "earl_jax.envs.dm_control.cheetah_run:CheetahRun",
+        "dhand_lightbulb": "earl_jax.envs.dhand:DHandLightbulb",
+        "fish_swim": "earl_jax.envs.dm_control.fish_swim:FishSwim",
+        "franka_kitchen": "earl_jax.envs.kitchen.franka_kitchen:FrankaKitchen",
+        "minitaur_pen": "earl_jax.envs.minitaur.pen:MinitaurPen",
+        "sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor",
+        "sawyer_peg": "earl_jax.envs.sawyer.peg:SawyerPeg",
         "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
     },
 )
@@ -50,7 +52,7 @@ def with_physics(env: Env, engine: str | None) -> Env:
     """
     if engine is None:
         return env
-    if isinstance(env, Helped):
+    if isinstance(env, HelpBudget):
         return dataclasses.replace(env, task=with_physics(env.task, engine))
     if "physics" not in {field.name for field in dataclasses.fields(env)}:
         raise ValueError(f"{env.name} is plain arithmetic: it has no physics engine to choose")

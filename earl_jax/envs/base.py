@@ -1,40 +1,29 @@
-"""The contract that every task keeps: `State`, `Env`, and what a goal-conditioned world must answer."""
+"""The contract of every task: the goal-conditioned `Env` and its pure functions."""
 
 import abc
 import dataclasses
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
-from jax.core import Tracer
 
 from earl_jax import assets
+from earl_jax.envs.state import DemoStart, NextState, State, check_action
+from earl_jax.physics import PendingStep
 
 REWARD_TYPES = ("sparse", "dense")
 
 
-class State(struct.PyTreeNode):
-    """One moment of a world: physics `data`, `obs [s + g]`, scalar float32 `reward` and `done`, `metrics`, `info`.
-
-    The tree keeps its structure, dtypes and weak types from `reset` on, so it can be a scan's carry.
-    """
-
-    data: Any
-    obs: jax.Array
-    reward: jax.Array
-    done: jax.Array
-    metrics: dict[str, jax.Array]
-    info: dict[str, jax.Array]
-
-
 @dataclasses.dataclass(frozen=True)
 class Env(abc.ABC):
-    """A goal-conditioned world without resets: pure `reset` and `step`, unbatched, jittable, hashable.
+    """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
-    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`, actions lie in
-    [-1, 1] and are clipped. An env never resets itself and never ends by itself: that is the protocol's business.
+    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie in
+    [-1, 1] and are clipped. An env never resets itself and never ends an episode: the protocol does both.
+
+    A kinematic task writes `reset`, `transition`, `success` and `reward`. A task with a MuJoCo model is a `MujocoEnv`.
     """
 
     reward_type: str = "sparse"
@@ -49,19 +38,25 @@ class Env(abc.ABC):
     """Steps between goal changes in the paper's continuing setting."""
     continuing_horizon: ClassVar[int | None] = None
     """H_T of the released continuing setting where it differs from `train_horizon`."""
-    area: ClassVar[np.ndarray | None] = None
-    """What `place` lies in, [[x, y] low, [x, y] high], where a map of visited places says something of this task."""
+    map_bounds: ClassVar[np.ndarray | None] = None
+    """Bounds of `map_position`, [[x, y] low, [x, y] high]; None where a map of visited positions means nothing."""
+    map_unit: ClassVar[str] = "m"
+    """Unit of `map_position`."""
+    demo_noise: ClassVar[float | None] = None
+    """Half-width of the uniform noise that scripted demonstrations add to all actions but the last; None without a script."""
+    demo_hold: ClassVar[int | None] = None
+    """Steps of a scripted demonstration that goes on after success; None where it ends at success."""
     ends: ClassVar[bool] = False
-    """Whether a life in this world can come to an end, which `State.done` then says."""
+    """Whether this environment has an absorbing end, which `State.done` reports."""
 
     def __post_init__(self):
-        self._require("reward_type", REWARD_TYPES)
+        self._require_choice("reward_type", REWARD_TYPES)
         for field in ("train_horizon", "eval_horizon"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
 
-    def _require(self, field: str, choices: tuple[str, ...]) -> None:
-        """Refuse an option that is not one of its `choices`."""
+    def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
+        """Raise a ValueError if the option `field` is not one of `choices`."""
         if getattr(self, field) not in choices:
             raise ValueError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
 
@@ -76,25 +71,35 @@ class Env(abc.ABC):
         """Length g of a goal."""
 
     @property
+    def title(self) -> str:
+        """The name of this task in tables and figures."""
+        return self.name.replace("_", " ").capitalize()
+
+    @property
     def engine(self) -> str:
-        """What moves this world: a physics engine's name, or `kinematic` for plain arithmetic."""
+        """The physics engine's name, or `kinematic` for a task that is plain arithmetic."""
         return "kinematic"
 
     @property
+    def step_seconds(self) -> float:
+        """Seconds of a control step as videos show them."""
+        return 0.1
+
+    @property
     def model(self) -> str:
-        """The MJCF that pictures show, its name in assets or its path."""
+        """The MJCF that pictures show: its name in assets, or a path."""
         return self.name
 
-    def shown(self, state: State) -> Any:
-        """Return the `Integration` of `model` that a picture of `state` shows."""
+    def render_state(self, state: State) -> Any:
+        """Return the `PhysicsState` of `model` that a picture of `state` shows."""
         return state.data
 
-    def shown_goal(self, state: State) -> Any:
-        """Return the `Integration` that `shown` would be with the goal of `state` reached, None where nothing marks a goal."""
+    def render_goal(self, state: State) -> Any:
+        """Return the `PhysicsState` of `model` in which the goal of `state` is reached; None if pictures mark no goal."""
         del state
 
-    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
-        """Return a start at which `vector [s]` is observed and `goal [g]` commanded, for demonstrations to be replayed from.
+    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+        """Return a state that observes `vector [s]` with the goal `goal [g]`, from which demonstrations are replayed.
 
         Raises:
             ValueError: this task starts from `reset` only.
@@ -102,7 +107,7 @@ class Env(abc.ABC):
         raise ValueError(f"{self.name} cannot replay demonstrations: it starts from reset only")
 
     def for_lanes(self, lanes: int) -> "Env":
-        """Return this task with what only the number of lanes can tell decided: for a physics engine `auto`, which one."""
+        """Return this task for a batch of `lanes`: the physics engine `auto` becomes the fastest one."""
         del lanes
         return self
 
@@ -118,7 +123,7 @@ class Env(abc.ABC):
 
     @property
     def reward_scale(self) -> float:
-        """The learner's factor on this task's reward where none is asked for: 10 for a sparse reward, 1 for a dense one."""
+        """The learner's default factor on this task's reward: 10 for a sparse reward, 1 for a dense one."""
         return 10.0 if self.sparse else 1.0
 
     @property
@@ -135,14 +140,9 @@ class Env(abc.ABC):
     def reset(self, key: jax.Array) -> State:
         """Return a state with s0 ~ rho and a task goal drawn uniformly."""
 
-    def _launch(self, state: State, action: jax.Array) -> Any:
-        """Return what `_land` goes on from: by default nothing is begun, and that is the clipped `action [a]`."""
-        del state
-        return action
-
     @abc.abstractmethod
-    def _land(self, state: State, flight: Any) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
-        """Return the next physics data, the next state vector [s] and the info fields that changed."""
+    def transition(self, state: State, action: jax.Array) -> NextState:
+        """Return what the control step from `state` with the clipped `action [a]` leads to."""
 
     @abc.abstractmethod
     def success(self, obs: jax.Array) -> jax.Array:
@@ -153,35 +153,35 @@ class Env(abc.ABC):
         """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
 
     def fault(self, state: State) -> jax.Array:
-        """Return whether the simulation broke on the way to `state`, bool []: something in it is not finite.
+        """Return whether the simulation broke on the way to `state`, bool []: a value in it is not finite.
 
-        Tasks with a workspace add leaving it. Whoever lives in this world is then put back to s0 ~ rho from outside.
+        Tasks with a workspace add leaving it. The training loop answers a fault with a reset to s0 ~ rho.
         """
         leaves = [leaf for leaf in jax.tree.leaves((state.data, state.obs)) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         return ~jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
 
     def irreversible(self, state: State) -> jax.Array:
-        """Return whether `state` is one that this body cannot leave and a watcher can tell, bool []: here a `fault` only.
+        """Return whether the agent can never leave `state` by itself, bool []; by default this is a `fault`.
 
-        Nothing follows from it in the plain world; `Helped` enforces an intervention there.
+        The plain environment does nothing about it. `HelpBudget` enforces an intervention there.
         """
         return self.fault(state)
 
     def intervene(self, key: jax.Array, state: State) -> State:
-        """Return the state after an intervention from outside: s0 ~ rho, with what `state` remembers across one kept."""
+        """Return the state after a hard intervention: s0 ~ rho, and whatever `state` must remember across it."""
         del state
         return self.reset(key)
 
-    def place(self, obs: jax.Array) -> jax.Array:
-        """Return where [..., 2] in its `area` the body or thing that a map of this task follows is in `obs [..., s + g]`.
+    def map_position(self, obs: jax.Array) -> jax.Array:
+        """Return the position [..., 2] within `map_bounds` of the body that this task's map follows, in `obs [..., s + g]`.
 
         Raises:
             ValueError: this task has no map.
         """
-        raise ValueError(f"{self.name} has no map of visited places")
+        raise ValueError(f"{self.name} has no map of visited positions")
 
-    def scattered(self, key: jax.Array) -> State:
-        """Return a state drawn uniformly over the workspace, with a task goal, as figure 5 of the paper asks for.
+    def reset_uniform(self, key: jax.Array) -> State:
+        """Return a state drawn uniformly over the workspace, with a task goal (figure 5 of the paper).
 
         Raises:
             ValueError: this task has no such distribution.
@@ -214,34 +214,58 @@ class Env(abc.ABC):
         """
         raise ValueError(f"{self.name} has no scripted expert")
 
+    def demo_action(self, obs: np.ndarray) -> np.ndarray:
+        """Return the action [a] of the demonstration script at `obs [s + g]`, before noise: the expert's by default."""
+        return np.array(self.expert(jnp.asarray(obs)))
+
+    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
+        """Yield where scripted demonstrations start, one item for each forward demonstration.
+
+        Raises:
+            ValueError: this task has no demonstration script.
+        """
+        del seed
+        raise ValueError(f"{self.name} has no demonstration script")
+
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].
 
         Raises:
             ValueError: the action has another shape, or (outside jit, where values are known) is not finite.
         """
-        return self.land(state, self.launch(state, action))
+        return self.finish_step(state, self.start_step(state, action))
 
-    def launch(self, state: State, action: jax.Array) -> Any:
-        """Return the control step from `state` with `action [a]` on its way, a tree of arrays for `land`.
+    def start_step(self, state: State, action: jax.Array) -> PendingStep:
+        """Return the pending control step from `state` with `action [a]`, for `finish_step`.
 
-        Between the two a program can do other work while the host simulates; `step` is both in one. Errors as `step`.
+        A program can do other work between the two while the host simulates. Errors as `step`.
         """
+        del state
+        return PendingStep(self.checked_action(action))
+
+    def finish_step(self, state: State, pending: PendingStep) -> State:
+        """Return the state after the control step that `start_step` began at `state`."""
+        return self.next_state(state, self.transition(state, pending.payload))
+
+    def checked_action(self, action: jax.Array) -> jax.Array:
+        """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
         check_action(action, self.action_size)
-        return self._launch(state, jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0))
+        return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
 
-    def land(self, state: State, flight: Any) -> State:
-        """Return the state after the control step that `launch` began from `state`."""
-        data, vector, changed = self._land(state, flight)
-        return self._state(data, vector, {**state.info, **changed})
+    def next_state(self, state: State, following: NextState) -> State:
+        """Return the `State` of what a control step from `state` led to."""
+        data, vector, changed = following
+        return self.make_state(data, vector, {**state.info, **changed})
 
-    def _state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
+    def make_state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
+        """Return the `State` with physics `data`, state vector `vector [s]` and `info`, which holds the `goal [g]`."""
         obs = jnp.concatenate([vector, info["goal"]])
         metrics = {"success": self.success(obs).astype(jnp.float32)}
-        return State(data, obs, self._arrival_reward(obs, info), jnp.zeros((), jnp.float32), metrics, info)
+        reward, done = self.transition_reward(obs, info), jnp.zeros((), jnp.float32)
+        return State(data=data, obs=obs, reward=reward, done=done, metrics=metrics, info=info)
 
-    def _arrival_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
-        """Return the reward of arriving in `obs [s + g]` with `info`, where a task's reward depends on more than obs."""
+    def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
+        """Return the reward of arriving in `obs [s + g]` with `info`; a task whose reward needs more than obs overrides it."""
         del info
         return self.reward(obs)
 
@@ -251,19 +275,10 @@ class Env(abc.ABC):
         return goals[jax.random.randint(key, (), 0, goals.shape[0])]
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
-        """Return `state` commanded to reach `goal [g]`; reward and metrics still speak of the last transition."""
+        """Return `state` with the goal `goal [g]`; reward and metrics still describe the last transition."""
         obs = jnp.concatenate([state.obs[: self.state_size], goal])
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
-        """Return what `state` would have earned under `goal [g]`, whichever goal is commanded now."""
-        return self._arrival_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)
-
-
-def check_action(action: jax.Array, size: int) -> None:
-    """Refuse an action of another shape than [size], or one that is known not to be finite."""
-    shape = jnp.shape(action)
-    if shape != (size,):
-        raise ValueError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
-    if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
-        raise ValueError(f"action is not finite: {np.asarray(action).tolist()}")
+        """Return the reward that `state` would have earned under `goal [g]`, whatever its own goal is."""
+        return self.transition_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)

@@ -5,14 +5,16 @@ The original moves bodies by writing positions and never integrates a force, so 
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from collections.abc import Iterator
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.base import Env, State
-from earl_jax.physics import Integration
+from earl_jax.envs.base import Env
+from earl_jax.envs.state import DemoStart, NextState, State
+from earl_jax.physics import PhysicsState
 
 STEP = 0.2
 REACH = 0.4
@@ -24,6 +26,11 @@ FREE = np.array([-1.0, -1.0], np.float32)
 HELD = np.array([0.0, 0.0], np.float32)
 HOME = np.array([0.0, 0.0, 2.5, 0.0], np.float32)
 COASTERS = np.array([[-2.5, -1.0], [-2.5, 1.0], [0.0, 2.0], [0.0, -2.0]], np.float32)
+DEMOS_PER_GOAL = 3
+DEMO_SPEED = 0.5
+"""Share of the full speed at which the demonstration script moves, like the released demonstrations."""
+DEMO_AXIS_TOLERANCE = 0.05
+"""Distance along x below which the demonstration script moves along y."""
 WIDE_RANGE = 2.5
 WIDE_CLEARANCE = 1.0
 WIDE_TRIES = 64
@@ -44,7 +51,9 @@ class TabletopOrganization(Env):
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
     continuing_horizon: ClassVar[int | None] = 50_000
-    area: ClassVar[np.ndarray] = np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32)
+    map_bounds: ClassVar[np.ndarray] = np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32)
+    map_unit: ClassVar[str] = "table units"
+    demo_noise: ClassVar[float | None] = 0.1
 
     @property
     def state_size(self) -> int:
@@ -67,22 +76,22 @@ class TabletopOrganization(Env):
         start_key, goal_key = jax.random.split(key)
         qpos = self._wide_start(start_key) if self.wide else jnp.asarray(HOME)
         info = {"goal": self.sample_goal(goal_key)}
-        return self._state(Integration.at(qpos), jnp.concatenate([qpos, FREE]), info)
+        return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
 
-    def scattered(self, key: jax.Array) -> State:
+    def reset_uniform(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
         qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)
         info = {"goal": self.sample_goal(goal_key)}
-        return self._state(Integration.at(qpos), jnp.concatenate([qpos, FREE]), info)
+        return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
 
-    def place(self, obs: jax.Array) -> jax.Array:
+    def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""
         return obs[..., :2]
 
-    def begun(self, vector: jax.Array, goal: jax.Array) -> State:
-        return self._state(Integration.at(vector[:4]), vector, {"goal": goal})
+    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
 
-    def shown_goal(self, state: State) -> Integration:
+    def render_goal(self, state: State) -> PhysicsState:
         return state.data.replace(qpos=state.info["goal"][:4])
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
@@ -92,7 +101,7 @@ class TabletopOrganization(Env):
         clear = jnp.linalg.norm(draws[:, None, 2:] - COASTERS, axis=-1) >= WIDE_CLEARANCE
         return draws[jnp.argmax(apart & clear.all(-1))]
 
-    def _land(self, state: State, action: jax.Array) -> tuple[Any, jax.Array, dict[str, jax.Array]]:
+    def transition(self, state: State, action: jax.Array) -> NextState:
         gripper, mug, flag = state.data.qpos[:2], state.data.qpos[2:], state.obs[4:6]
         near = jnp.linalg.norm(gripper - mug) < REACH
         held = (action[2] > 0) & (near | (flag[0] == HELD[0]))
@@ -119,6 +128,21 @@ class TabletopOrganization(Env):
         target, grip = self.waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])
+
+    def demo_action(self, obs: np.ndarray) -> np.ndarray:
+        """Return the action [3] of the demonstration script: the expert's waypoint at half speed, x before y."""
+        target, grip = self.waypoint(jnp.asarray(obs), tolerance=0.1)
+        offset = np.asarray(target) - obs[:2]
+        axis = 0 if abs(offset[0]) > DEMO_AXIS_TOLERANCE else 1
+        move = np.zeros(2)
+        move[axis] = np.clip(offset[axis] / STEP, -DEMO_SPEED, DEMO_SPEED)
+        return np.append(move, grip)
+
+    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
+        """Yield three starts for each goal; a backward demonstration starts where its forward one ended."""
+        for goal in np.repeat(self.goal_states, DEMOS_PER_GOAL, axis=0):
+            start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(goal))
+            yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
 
     def waypoint(self, obs: jax.Array, tolerance: float = 0.1) -> tuple[jax.Array, jax.Array]:
         """Return where the gripper should go next [2] and whether to hold (1) or let go (-1).

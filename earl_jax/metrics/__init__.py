@@ -1,1 +1,1 @@
-"""How a life is judged: deployed and continuing evaluation, and statistics over seeds."""
+"""Deployed and continuing evaluation, and statistics over seeds."""

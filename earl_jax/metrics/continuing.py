@@ -1,31 +1,48 @@
-"""Continuing evaluation: what an agent earned while it lived, and how often somebody had to step in."""
+"""Continuing evaluation: the reward of a lifetime, and the number of interventions in it."""
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
-from earl_jax.algos.life import Lane
 from earl_jax.envs import State
 
 
-def continuing_lane(lane: Lane, step: jax.Array, since: jax.Array) -> tuple[Lane, dict[str, jax.Array]]:
-    """Return one lane with its window closed, and its averages after `step` steps, `since` of them in the window.
+class Counters(struct.PyTreeNode):
+    """Counts of one lane since its first step.
 
-    `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted;
-    `continuing/recent` the same since the last report; `interventions`, `faults` (those among them that a broken
-    simulation enforced) and `reached` are counts since birth. In a world with help (`Helped`) `help/asked` and
-    `help/enforced` count its own interventions, `help/budget` is what is left, and `help/over` whether that ended the life.
+    `window_reward`: task reward since the last report; `total_reward`: before that; `interventions`, of which `faults` are
+    resets after a broken simulation; `reached`: task goals reached; `diagnostics`: of the last gradient step.
     """
-    total = lane.tally.total_reward + lane.tally.window_reward
+
+    window_reward: jax.Array
+    total_reward: jax.Array
+    interventions: jax.Array
+    faults: jax.Array
+    reached: jax.Array
+    diagnostics: dict[str, jax.Array]
+
+
+def continuing(
+    counters: Counters, env_state: State, step: jax.Array, window: jax.Array
+) -> tuple[Counters, dict[str, jax.Array]]:
+    """Return the counters with their window closed, and one lane's averages after `step` steps, the last `window` of them recent.
+
+    `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted.
+    `continuing/recent` is the same since the last report. `interventions`, `faults` (resets after a broken simulation, which
+    count as interventions) and `reached` are counts since the first step. In a `HelpBudget` environment, `help/asked` and
+    `help/enforced` count its own interventions, `help/budget` is the rest of the budget, and `help/over` is 1 where the
+    lifetime has ended.
+    """
+    total = counters.total_reward + counters.window_reward
     metrics = {
         "continuing/reward": total / step,
-        "continuing/recent": lane.tally.window_reward / since,
-        "interventions": lane.tally.interventions,
-        "faults": lane.tally.faults,
-        "reached": lane.tally.reached,
+        "continuing/recent": counters.window_reward / window,
+        "interventions": counters.interventions,
+        "faults": counters.faults,
+        "reached": counters.reached,
     }
-    if isinstance(lane.world.data, State):
-        info = lane.world.info
+    if isinstance(env_state.data, State):
+        info = env_state.info
         metrics |= {f"help/{name}": info[name] for name in ("asked", "enforced", "budget")}
-        metrics["help/over"] = lane.world.done
-    closed = lane.tally.replace(total_reward=total, window_reward=jnp.zeros_like(total))
-    return lane.replace(tally=closed), metrics
+        metrics["help/over"] = env_state.done
+    return counters.replace(total_reward=total, window_reward=jnp.zeros_like(total)), metrics

@@ -8,7 +8,7 @@ import io
 from typing import Any
 
 from earl_jax import assets
-from earl_jax.physics.state import Integration
+from earl_jax.physics.state import PhysicsState
 
 INVWEIGHT = "invweight:"
 """A `<numeric>` of this name and a body's replaces the body's compiled inverse weight (translation, rotation)."""
@@ -39,7 +39,7 @@ def import_mjx() -> Any:
         return importlib.import_module("mujoco.mjx")
 
 
-def mjx_data(name: str, state: Integration) -> Any:
+def mjx_data(name: str, state: PhysicsState) -> Any:
     """Return the full `mjx.Data` of `state` in the model `name`, after forward kinematics."""
     mjx = import_mjx()
     model = mjx.put_model(load_model(name))
@@ -47,7 +47,7 @@ def mjx_data(name: str, state: Integration) -> Any:
     return mjx.kinematics(model, mjx.make_data(model).replace(**fields))
 
 
-def mujoco_data(name: str, state: Integration) -> Any:
+def mujoco_data(name: str, state: PhysicsState) -> Any:
     """Return the full `mujoco.MjData` of `state` in the model `name`, after `mj_forward`: what a renderer draws."""
     mujoco: Any = importlib.import_module("mujoco")
     model = load_model(name)

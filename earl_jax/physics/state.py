@@ -1,18 +1,18 @@
-"""What a lane carries of its world, and what may stand between a task's command and MuJoCo's controls."""
+"""The physics state of a lane, a control step that has begun, and the actuator between a command and MuJoCo's controls."""
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 
-class Integration(struct.PyTreeNode):
+class PhysicsState(struct.PyTreeNode):
     """MuJoCo's integration state of one lane: `qpos [nq]`, `qvel [nv]`, `act [na]`, mocap `[nmocap, 3 or 4]`, warmstart, time.
 
-    Beside it stand what the task's drive remembers, `memory [m]`, and the lane's own values of the model fields that its
-    simulator calls varied, `constants [k]`, flat and in that order.
+    `memory [m]` belongs to the task's actuator. `constants [k]` are the lane's own values of the model fields in
+    `Simulator.varied`, flat and in that order.
     """
 
     qpos: jax.Array
@@ -26,7 +26,7 @@ class Integration(struct.PyTreeNode):
     constants: jax.Array
 
     @classmethod
-    def at(cls, qpos: jax.Array, qvel: jax.Array | None = None, **others: jax.Array) -> "Integration":
+    def at(cls, qpos: jax.Array, qvel: jax.Array | None = None, **others: jax.Array) -> "PhysicsState":
         """Return the state at `qpos [nq]`, at rest unless `qvel [nv]` says otherwise, with `others` of its fields set."""
         speed = jnp.zeros_like(qpos) if qvel is None else qvel
         none = jnp.zeros((0,), jnp.float32)
@@ -37,15 +37,26 @@ class Integration(struct.PyTreeNode):
         return cls(qpos=qpos, qvel=speed, **{**fields, **others})
 
 
+class PendingStep(NamedTuple):
+    """A control step between its start and its finish: the arrays that finishing needs, and the host's ticket.
+
+    `payload` is a tree of arrays. `ticket [1]`, int32, identifies work that the host does beside a GPU; it is None where the
+    step has no such work.
+    """
+
+    payload: Any
+    ticket: jax.Array | None = None
+
+
 OWN = ("memory", "constants")
-FIELDS = tuple(field.name for field in dataclasses.fields(Integration) if field.name not in OWN)
+FIELDS = tuple(field.name for field in dataclasses.fields(PhysicsState) if field.name not in OWN)
 """The fields that MuJoCo's own data has."""
 
 
-class Drive(Protocol):
-    """What turns a command into each substep's controls: a motor with its own feedback. Pure, hashable, broadcasting.
+class Actuator(Protocol):
+    """Turns a command into each substep's controls, like a motor with its own feedback. Pure, hashable, broadcasting.
 
-    It is called before every substep, under JAX by `mjx` and `warp` and under NumPy, for all lanes at once, by `c`.
+    It is called before every substep: by `mjx` and `warp` with JAX arrays, by `c` with NumPy arrays of all lanes at once.
     """
 
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.statistics import bootstrap, iqm
-from earl_jax.report.canvas import canvas, save
 from earl_jax.report.runs import Curves, labels, read_all
+from earl_jax.report.style import canvas, save
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward a step"}
@@ -38,7 +38,7 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
         axis.locator_params(axis="x", nbins=6)
         axis.grid(alpha=0.3)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(", ".join(sorted({curves.experiment.env for curves in runs})))
+    figure.suptitle(", ".join(sorted({curves.config.env for curves in runs})))
     return save(figure, out)
 
 

@@ -7,34 +7,35 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.envs import make
-from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Deployment
-from earl_jax.report.canvas import COLOURS, TITLES, ordered
+from earl_jax.report.style import COLOURS, TITLES, ordered
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
 
 
 class Curves(NamedTuple):
     """What the seeds of one method earned on one task: `steps [E]` and `metrics` of arrays [N, E]."""
 
-    experiment: Experiment
+    config: RunConfig
     steps: np.ndarray
     metrics: dict[str, np.ndarray]
 
     @property
     def deployed_metric(self) -> str:
         """The metric that the task is judged by when it is deployed."""
-        return self.experiment.deployed_metric
+        return self.config.deployed_metric
 
     @property
     def options(self) -> dict[str, Any]:
         """Options of task, setting and method that differ from the defaults."""
-        one = self.experiment
+        one = self.config
         name, changed = one.setting["name"], {key: value for key, value in one.setting.items() if key != "name"}
         return {**one.env_options, **({} if name == Deployment.name else {"setting": name}), **changed, **one.options}
 
     @property
     def comparable(self) -> bool:
         """Whether reward, sparse or dense, and setting are those of the paper's tables."""
-        one = self.experiment
+        one = self.config
         return one.build_env().sparse == make(one.env).sparse and one.build_setting() == Deployment()
 
 
@@ -42,11 +43,11 @@ def read(path: Path) -> Curves:
     """Return the curves of one run folder; one without an evaluation yet is a ValueError."""
     folder = RunFolder.open(path)
     rows = folder.rows()
-    per_step = len(folder.experiment.seeds)
+    per_step = len(folder.config.seeds)
     rows = rows[: len(rows) // per_step * per_step]
     if not rows:
         raise ValueError(f"{path} has no evaluation yet")
-    return Curves(folder.experiment, *folder.experiment.curves(rows))
+    return Curves(folder.config, *folder.config.curves(rows))
 
 
 def read_all(folders: Sequence[Path]) -> list[Curves]:
@@ -56,7 +57,7 @@ def read_all(folders: Sequence[Path]) -> list[Curves]:
     groups: dict[str, list[Curves]] = {}
     for path in folders:
         curves = read(path)
-        one = curves.experiment
+        one = curves.config
         groups.setdefault(repr((one.env, one.env_options, one.setting, one.algo, one.options)), []).append(curves)
     return [_pool(group) for group in groups.values()]
 
@@ -66,18 +67,18 @@ def _pool(group: list[Curves]) -> Curves:
     for other in group[1:]:
         steps = np.intersect1d(steps, other.steps)
     if not len(steps):
-        raise ValueError(f"runs of {group[0].experiment.algo} have no evaluation step in common")
+        raise ValueError(f"runs of {group[0].config.algo} have no evaluation step in common")
     picked = [np.isin(part.steps, steps) for part in group]
     metrics = {
         name: np.concatenate([part.metrics[name][:, pick] for part, pick in zip(group, picked, strict=True)])
         for name in group[0].metrics
     }
-    return Curves(group[0].experiment, steps, metrics)
+    return Curves(group[0].config, steps, metrics)
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:
     """Return a name for each run: its method, with those options in which runs of that method here differ."""
-    named = [(curves.experiment.env, curves.experiment.algo, curves.options) for curves in runs]
+    named = [(curves.config.env, curves.config.algo, curves.options) for curves in runs]
     return [
         label(algo, own, [options for *place, options in named if place == [env, algo]]) for env, algo, own in named
     ]
@@ -107,7 +108,7 @@ def cells(folders: Sequence[Path]) -> list[Cell]:
 
 def cells_of(runs: Sequence[Curves]) -> list[Cell]:
     """Return `runs`, each with its name, by task and method in the paper's order."""
-    bare = [Cell(one.experiment.env, one.experiment.algo, "", one) for one in runs]
+    bare = [Cell(one.config.env, one.config.algo, "", one) for one in runs]
     found = []
     for env in ordered((cell.env for cell in bare), TITLES):
         for algo in ordered((cell.algo for cell in bare if cell.env == env), COLOURS):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.statistics import summarise
+from earl_jax.paper.verdicts import published
 from earl_jax.report.runs import Curves, described, labels, read_all
-from earl_jax.report.verdicts import published
 
 WINDOW = 10
 """Evaluations in the trailing mean that a crossing is read from."""
@@ -33,13 +33,13 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
 
 def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
-    experiment = curves.experiment
+    config = curves.config
     scores = curves.metrics[curves.deployed_metric]
     deployed = summarise(scores[:, -last:].mean(axis=1))
     continuing = summarise(curves.metrics["continuing/reward"][:, -1])
     mean_curve, rates = scores.mean(axis=0), curves.deployed_metric == "deployed/success"
     return {
-        "env": experiment.env,
+        "env": config.env,
         "algo": name,
         "options": described(curves.options),
         "seeds": deployed.seeds,
@@ -78,7 +78,7 @@ def steps_per_reward(curves: Curves) -> float | None:
 
 
 def _published(table: str, curves: Curves) -> str | None:
-    cell = published(table, curves.experiment.env, curves.experiment.algo) if curves.comparable else None
+    cell = published(table, curves.config.env, curves.config.algo) if curves.comparable else None
     return f"{cell[0]} ({cell[1]})" if cell else None
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from earl_jax.envs import make
-from earl_jax.scenes import Scene
+from earl_jax.rendering.scenes import Scene
 
 
 @pytest.fixture(scope="module")

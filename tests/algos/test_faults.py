@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos.life import Loop
 from earl_jax.envs import make
 from earl_jax.metrics.continuing import continuing_lane
 from earl_jax.metrics.deployed import episode
 from earl_jax.protocol import Protocol
+from earl_jax.training.state import Problem
 from tests.conftest import advance, newborn, tiny_method
 
 
 @pytest.fixture(scope="module")
 def door():
     env = make("sawyer_door", physics="c")
-    return Loop(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
+    return Problem(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=40, eval_episodes=2))
 
 
 def broken(lives, lane, how):
@@ -34,11 +34,11 @@ def test_a_fault_is_an_intervention_of_its_lane_alone(door, how):
     lives = advance(door, method, newborn(door, method, [0, 1]), 20, explore=True)
     whole = advance(door, method, lives, 10)
     after = advance(door, method, broken(lives, 1, how), 10)
-    assert np.asarray(after.lanes.tally.faults).tolist() == [0, 1]
-    assert np.asarray(after.lanes.tally.interventions).tolist() == [0, 1]
+    assert np.asarray(after.lanes.counters.faults).tolist() == [0, 1]
+    assert np.asarray(after.lanes.counters.interventions).tolist() == [0, 1]
     np.testing.assert_array_equal(after.lanes.world.obs[0], whole.lanes.world.obs[0])
     assert all(
-        np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.replay, after.lanes.agent, after.lanes.tally))
+        np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.replay, after.lanes.agent, after.lanes.counters))
     )
     before, now = np.asarray(lives.replay.counts), np.asarray(after.replay.counts)
     assert (now - before).sum(axis=1).tolist() == [10, 9]

@@ -25,22 +25,22 @@ class Strange(Method):
         return False
 
     def relabel(self, key, env, goals, rows):
-        return rows._replace(marks=rows.marks._replace(goal=rows.marks.goal * 0))
+        return rows._replace(flags=rows.flags._replace(goal=rows.flags.goal * 0))
 
-    def reward(self, rows, phase, extra):
+    def reward(self, rows, phase, method_state):
         return self.factor * (rows.reward + 1)
 
     def terminal(self, rows):
-        return rows.marks.reached
+        return rows.flags.reached
 
 
 def lanes_of(lives, span):
     return jax.tree.map(lambda leaf: leaf[span], lives.lanes)
 
 
-def test_each_lane_lives_as_if_its_method_were_alone(env, loop):
+def test_each_lane_lives_as_if_its_method_were_alone(env, problem):
     env = dataclasses.replace(env, eval_horizon=25)
-    loop = dataclasses.replace(loop, env=env)
+    problem = dataclasses.replace(problem, env=env)
     naive = tiny_method("naive")
     methods = [naive, tiny_method("oracle"), Strange(naive.sac, jnp.array([3.0, 5.0]))]
     mixed = together(methods)
@@ -48,15 +48,15 @@ def test_each_lane_lives_as_if_its_method_were_alone(env, loop):
     np.testing.assert_array_equal(mixed.member, [0, 0, 1, 1, 2, 2])
 
     def lived(method, seeds):
-        begun = newborn(loop, method, seeds, steps=60)
-        explored = advance(loop, method, begun, 20, explore=True, compiler=SHIPPED)
-        return advance(loop, method, explored, 40, compiler=SHIPPED)
+        state_from_demo = newborn(problem, method, seeds, steps=60)
+        explored = advance(problem, method, state_from_demo, 20, explore=True, compiler=SHIPPED)
+        return advance(problem, method, explored, 40, compiler=SHIPPED)
 
     whole = lived(mixed, [0, 1] * 3)
     for number, method in list(enumerate(methods))[1:]:
         alone = lived(method, [0, 1])
         assert_same(alone.lanes, lanes_of(whole, slice(2 * number, 2 * number + 2)))
-    np.testing.assert_array_equal(whole.lanes.tally.interventions, [0, 0, 2, 2, 0, 0])
+    np.testing.assert_array_equal(whole.lanes.counters.interventions, [0, 0, 2, 2, 0, 0])
     assert int(whole.lanes.phase_step[4]) == 60 % 7
 
 
@@ -78,7 +78,7 @@ def test_forms_tell_what_can_share_a_program():
         together([tiny_method("naive"), tiny_method("fbrl")])
 
 
-def test_answers_keep_their_member(env, loop):
+def test_answers_keep_their_member(env, problem):
     mixed = together([tiny_method("naive", lanes=1), tiny_method("oracle", lanes=1)])
     phase = jnp.asarray(TASK)
     np.testing.assert_array_equal(jax.vmap(lambda m: m.phase_length(env, phase))(mixed), [1000, 200])

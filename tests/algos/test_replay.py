@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.algos import autonomy, replay
-from earl_jax.algos.replay import Marks, Transition
+from earl_jax.algos.learner import replay
+from earl_jax.algos.learner.replay import TransitionFlags, Transition
+from earl_jax.training import loop as autonomy
 from tests.conftest import newborn, tiny_method
 
 NONE = jnp.zeros(2)
@@ -15,8 +16,8 @@ def transition(step, lanes=2):
     """A transition whose every field tells its step and lane."""
     number = jnp.arange(lanes) + 10.0 * step
     flags = jnp.zeros(lanes, bool)
-    marks = Marks(jnp.full(lanes, step), flags.at[0].set(step % 2 == 0), flags, flags, flags)
-    return Transition(number[:, None], number[:, None] + 1000, number, marks)
+    flags = TransitionFlags(jnp.full(lanes, step), flags.at[0].set(step % 2 == 0), flags, flags, flags)
+    return Transition(number[:, None], number[:, None] + 1000, number, flags)
 
 
 def filled(controllers, valid, sparse=False):
@@ -29,7 +30,7 @@ def filled(controllers, valid, sparse=False):
 def test_marks_survive_packing():
     goals = jnp.array([0, 1, 65535])
     bits = [jnp.array([a, b, a != b]) for a, b in ((True, False), (False, False), (True, True), (False, True))]
-    back = replay.unpack(replay.pack(Marks(goals, *bits)))
+    back = replay.unpack(replay.pack(TransitionFlags(goals, *bits)))
     np.testing.assert_array_equal(back.goal, goals)
     for got, want in zip(back[1:], bits, strict=True):
         np.testing.assert_array_equal(got, want)
@@ -49,7 +50,7 @@ def test_each_controller_samples_its_own_valid_rows():
                 rows.state[lane, :, 0], np.where(rows.row[lane] == 0, 0, 990 + 10 * rows.row[lane] + lane)
             )
             np.testing.assert_allclose(rows.reward[lane], 10 * rows.row[lane] + lane)
-            np.testing.assert_array_equal(rows.marks.goal[lane], rows.row[lane])
+            np.testing.assert_array_equal(rows.flags.goal[lane], rows.row[lane])
 
 
 def test_a_controller_without_a_row_of_its_own_is_given_the_others():
@@ -90,12 +91,12 @@ def test_bytes_per_transition_are_what_create_takes():
         assert grown == 200 * 3 * replay.bytes_per_transition(6, 3, sparse)
 
 
-def test_no_step_copies_the_buffer(loop):
+def test_no_step_copies_the_buffer(problem):
     """The buffer enters as a donated argument, as it does after a resume; a hidden copy would be ten times the bound."""
     method = tiny_method("fbrl")
-    lives = newborn(loop, method, [0, 1], steps=200_000)
+    lives = newborn(problem, method, [0, 1], steps=200_000)
     program = (
-        jax.jit(lambda m, state: autonomy.run(loop, m, state, 20), donate_argnums=1).lower(method, lives).compile()
+        jax.jit(lambda m, state: autonomy.run(problem, m, state, 20), donate_argnums=1).lower(method, lives).compile()
     )
     buffer = sum(leaf.nbytes for leaf in jax.tree.leaves(lives.replay))
     memory = program.memory_analysis()

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from earl_jax.algos import make_algo, networks
-from earl_jax.algos import sac as sac_lib
-from earl_jax.algos.networks import TanhNormal, apply, mlp
-from earl_jax.algos.sac import SAC, Batch
+from earl_jax.algos import make_algo
+from earl_jax.algos.learner import networks
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.networks import TanhNormal, apply, mlp
+from earl_jax.algos.learner.sac import SAC, Batch
 
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 

@@ -11,7 +11,7 @@ import pytest
 from benchmarks import dhand as benchmark
 from benchmarks.safety import actions as wild
 from earl_jax import physics
-from earl_jax.envs import dhand_lightbulb as task
+from earl_jax.envs import dhand as task
 from earl_jax.envs import make
 
 

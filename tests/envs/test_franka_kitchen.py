@@ -12,8 +12,9 @@ import pytest
 from benchmarks import kitchen as chores
 from benchmarks.safety import actions
 from earl_jax import physics
-from earl_jax.envs import kitchen_reward, make
-from earl_jax.envs.franka_kitchen import (
+from earl_jax.envs import make
+from earl_jax.envs.kitchen import reward as kitchen_reward
+from earl_jax.envs.kitchen.franka_kitchen import (
     ARM_QPOS,
     ARM_QVEL,
     ARM_WARMSTART,

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import autonomy
-from earl_jax.algos.life import Loop
-from earl_jax.envs import Env, Helped, make
+from earl_jax.envs import Env, HelpBudget, make
 from earl_jax.protocol import Protocol
+from earl_jax.training import loop as autonomy
+from earl_jax.training.state import Problem
 from tests.conftest import assert_same, newborn, plain, tiny_method
 
 LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
@@ -87,7 +87,7 @@ def described(tree):
 
 @pytest.mark.parametrize(("budget", "cost", "last"), [(3.0, 1.0, 12), (2.5, 1.0, 12), (1.0, 0.25, 16), (1.0, 0.0, 99)])
 def test_always_right_falls_every_four_steps_and_ends_with_the_last_intervention_it_could_not_pay(budget, cost, last):
-    env = Helped(Chain(), budget=budget, enforced_cost=cost)
+    env = HelpBudget(Chain(), budget=budget, enforced_cost=cost)
     life, time = lived(env, np.tile(RIGHT, (20, 1))), np.arange(21)
     falls, over = np.minimum(time, last) // 4, time >= last
     np.testing.assert_array_equal(life.info["enforced"], falls)
@@ -102,7 +102,7 @@ def test_always_right_falls_every_four_steps_and_ends_with_the_last_intervention
 
 @pytest.mark.parametrize(("budget", "cost", "last"), [(6.3, 0.7, 9), (2.7, 0.9, 3), (9000.0, 0.9, 10_000)])
 def test_a_budget_that_divides_exactly_ends_exactly_then_in_float32_too(budget, cost, last):
-    env = Helped(Chain(), budget=budget, help_cost=cost)
+    env = HelpBudget(Chain(), budget=budget, help_cost=cost)
     late = lived(env, np.tile(HELP, (3, 1)), born(env, 0, asked=last - 2))
     assert late.done.tolist() == [0, 0, 1, 1]
 
@@ -148,20 +148,20 @@ PROBLEMS = [
 
 @pytest.mark.parametrize(("chain", "costs", "absorbed"), PROBLEMS)
 def test_value_iteration_over_the_transform_gives_the_augmented_mdps_values(chain, costs, absorbed):
-    env = Helped(chain, 4, *map(float, costs), absorbed_reward=absorbed)
+    env = HelpBudget(chain, 4, *map(float, costs), absorbed_reward=absorbed)
     expected = known_quality(chain, 4, *costs, absorbed)
     np.testing.assert_allclose(learnt_quality(env)[:, 1:], expected[:, 1:], rtol=1e-5, atol=1e-5)
 
 
 def test_help_pays_far_from_the_goal_while_it_is_not_the_last_and_nowhere_else():
     left, help_ = 0, 2
-    best = learnt_quality(Helped(Chain(cliff=8, start=0, goal=1), 3)).argmax(axis=-1)
+    best = learnt_quality(HelpBudget(Chain(cliff=8, start=0, goal=1), 3)).argmax(axis=-1)
     assert best[6].tolist()[1:] == [left, help_, help_]
     assert best[2].tolist()[1:] == [left, left, left]
 
 
 def test_help_moves_nobody_and_costs_its_own_price_even_beside_the_cliff():
-    env = Helped(Chain(start=1), budget=5.0, help_cost=0.5, enforced_cost=2.0)
+    env = HelpBudget(Chain(start=1), budget=5.0, help_cost=0.5, enforced_cost=2.0)
     life = lived(env, [HELP, RIGHT, RIGHT, HELP, RIGHT, RIGHT, RIGHT])
     np.testing.assert_array_equal(life.obs[:, 0], [1, 1, 2, 3, 1, 2, 3, 1])
     np.testing.assert_array_equal(life.info["budget"], [5, 4.5, 4.5, 4.5, 4, 4, 4, 2])
@@ -172,13 +172,13 @@ def test_help_moves_nobody_and_costs_its_own_price_even_beside_the_cliff():
 
 @pytest.mark.parametrize(("above", "asks"), [(0.98, [0, 0, 1]), (-1.0, [0, 1, 1])])
 def test_only_a_last_component_above_the_threshold_asks(above, asks):
-    env = Helped(Chain(), budget=9.0, help_above=above)
+    env = HelpBudget(Chain(), budget=9.0, help_above=above)
     actions = jnp.array([[1.0, -1.0], [1.0, 0.98], [1.0, 5.0]])
     assert [env.step(born(env), action).info["asked"] for action in actions] == asks
 
 
 def test_an_intervention_starts_from_rho_drawn_anew_each_time():
-    env = Helped(make("tabletop_organization", wide=True), budget=9.0)
+    env = HelpBudget(make("tabletop_organization", wide=True), budget=9.0)
     step, ask = jax.jit(env.step), jnp.array([0, 0, 0, 1.0])
     first, same, other = (step(env.reset(jax.random.key(seed)), ask) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.obs, same.obs)
@@ -186,7 +186,7 @@ def test_an_intervention_starts_from_rho_drawn_anew_each_time():
 
 
 def test_an_intervention_from_outside_costs_nothing_and_forgives_nothing():
-    env = Helped(Chain(start=1), budget=5.0)
+    env = HelpBudget(Chain(start=1), budget=5.0)
     before = jax.tree.map(lambda leaf: leaf[-1], lived(env, [HELP, RIGHT]))
     after = env.intervene(jax.random.key(3), before)
     assert described(after) == described(before)
@@ -199,7 +199,7 @@ def test_an_intervention_from_outside_costs_nothing_and_forgives_nothing():
 
 
 def test_the_end_is_for_ever_and_earns_what_it_was_said_to():
-    env = Helped(Chain(reward_type="dense"), budget=1.0, absorbed_reward=-7.0)
+    env = HelpBudget(Chain(reward_type="dense"), budget=1.0, absorbed_reward=-7.0)
     life = lived(env, [RIGHT, HELP, LEFT, HELP, RIGHT])
     np.testing.assert_array_equal(life.reward[1:], [-2, -7, -7, -7, -7])
     first, *later = (jax.tree.map(lambda leaf, row=row: leaf[row], life) for row in (2, 3, 4, 5))
@@ -207,11 +207,11 @@ def test_the_end_is_for_ever_and_earns_what_it_was_said_to():
         assert_same(first, other)
     assert first.obs.tolist() == [1, 0, 3]
     assert env.goal_reward(first, jnp.zeros(1)) == env.reward(first.obs) == -7
-    assert not Helped(Chain(goal=1), budget=1.0).success(jnp.array([1.0, 0.0, 1.0]))
+    assert not HelpBudget(Chain(goal=1), budget=1.0).success(jnp.array([1.0, 0.0, 1.0]))
 
 
 def test_a_fault_is_an_intervention_and_leaves_nothing_broken_behind():
-    env = Helped(Chain(fragile=True), budget=2.0)
+    env = HelpBudget(Chain(fragile=True), budget=2.0)
     life = lived(env, [LEFT, RIGHT, LEFT, LEFT, LEFT])
     np.testing.assert_array_equal(life.info["enforced"], [0, 1, 1, 1, 2, 2])
     np.testing.assert_array_equal(life.done, [0, 0, 0, 0, 1, 1])
@@ -225,7 +225,7 @@ CONTRACT = {"chain": Chain(), "peg": make("sawyer_peg", physics="c", reward_type
 
 @pytest.mark.parametrize("name", CONTRACT)
 def test_it_keeps_the_contract_of_an_env_and_moves_like_its_task(name):
-    env, lanes, steps = Helped(CONTRACT[name], 2.0), 3, 3
+    env, lanes, steps = HelpBudget(CONTRACT[name], 2.0), 3, 3
     keys = jax.random.split(jax.random.key(0), lanes)
     actions = jax.random.uniform(jax.random.key(1), (steps, lanes, env.action_size), minval=-1, maxval=1)
     actions = actions.at[:, 1, -1].set(1.0)
@@ -263,34 +263,34 @@ def test_it_keeps_the_contract_of_an_env_and_moves_like_its_task(name):
         ({"help_above": 1.0}, r"help_above must lie in \[-1, 1\)"),
         ({"absorbed_reward": -1.0}, "absorbed_reward must be 0 with a sparse reward"),
         ({"task": Chain(reward_type="dense"), "absorbed_reward": np.nan}, "absorbed_reward must be finite"),
-        ({"task": Helped(Chain(), 1.0)}, "without a budget of its own"),
+        ({"task": HelpBudget(Chain(), 1.0)}, "without a budget of its own"),
     ],
 )
 def test_what_makes_no_sense_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        Helped(**{"task": Chain(), "budget": 1.0, **options})
+        HelpBudget(**{"task": Chain(), "budget": 1.0, **options})
     with pytest.raises(ValueError, match=r"takes \(2,\)"):
-        Helped(Chain(), 1.0).step(born(Helped(Chain(), 1.0)), jnp.zeros(1))
+        HelpBudget(Chain(), 1.0).step(born(HelpBudget(Chain(), 1.0)), jnp.zeros(1))
 
 
 def test_a_life_that_ends_in_the_loop_learns_and_stores_no_more_while_the_other_goes_on():
-    env = Helped(Chain(), budget=100.0, help_above=-1.0)
-    loop = Loop(env, Protocol(train_horizon=7, eval_horizon=5))
+    env = HelpBudget(Chain(), budget=100.0, help_above=-1.0)
+    problem = Problem(env, Protocol(train_horizon=7, eval_horizon=5))
     method = tiny_method("naive")
-    lives = newborn(loop, method, [0, 1], steps=20)
+    lives = newborn(problem, method, [0, 1], steps=20)
     asked = jnp.array([95, 0])
     info = {**lives.lanes.world.info, "asked": asked, "budget": 100.0 - asked.astype(jnp.float32)}
     world = lives.lanes.world.replace(info=info, obs=lives.lanes.world.obs.at[:, 1].set(info["budget"] / 100.0))
     lives = lives.replace(lanes=lives.lanes.replace(world=world))
-    onward = jax.jit(lambda lives: autonomy.run(loop, method, lives, 5))
+    onward = jax.jit(lambda lives: autonomy.run(problem, method, lives, 5))
     before = onward(lives)
     assert before.lanes.world.done.tolist() == [1, 0]
     assert before.replay.counts[:, 0].tolist() == [5, 5]
     after = onward(before)
     ended, living = ([jax.tree.map(lambda leaf, n=n: leaf[n], x.lanes) for x in (before, after)] for n in (0, 1))
-    assert_same(*((lane.agent, lane.extra, lane.world.data.data, lane.world.info["budget"]) for lane in ended))
+    assert_same(*((lane.agent, lane.method_state, lane.world.data.data, lane.world.info["budget"]) for lane in ended))
     assert ended[1].world.done == 1
-    assert ended[1].tally.window_reward == ended[0].tally.window_reward
+    assert ended[1].counters.window_reward == ended[0].counters.window_reward
     assert after.replay.counts[:, 0].tolist() == [5, 10]
     for one, other in zip(*(jax.tree.leaves(lane.agent.actor) for lane in living), strict=True):
         assert (plain(one) != plain(other)).any()

@@ -11,8 +11,10 @@ import pytest
 
 from benchmarks import minitaur_trots
 from earl_jax import physics
-from earl_jax.envs import make, minitaur_body, minitaur_pen
-from earl_jax.envs.minitaur_motors import DIRECTION, POSITIONS, MinitaurMotors, legs_to_motors, torque
+from earl_jax.envs import make
+from earl_jax.envs.minitaur import body as minitaur_body
+from earl_jax.envs.minitaur import pen as minitaur_pen
+from earl_jax.envs.minitaur.motors import DIRECTION, POSITIONS, MinitaurMotors, legs_to_motors, torque
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "specs" / "data" / "minitaur_pybullet_reference.json"
 
@@ -76,8 +78,8 @@ def drive_once(motors, qpos, command, memory):
 def test_a_command_leads_by_at_most_three_tenths_of_a_radian(env):
     qpos, memory = np.array(minitaur_pen.STANDING[0]), np.r_[np.zeros(16), 16.0, 0.0]
     ahead = qpos[POSITIONS] * DIRECTION + 2.0
-    far, _ = drive_once(env.drive, qpos, ahead, memory)
-    near, _ = drive_once(env.drive, qpos, ahead - 1.7, memory)
+    far, _ = drive_once(env.actuator, qpos, ahead, memory)
+    near, _ = drive_once(env.actuator, qpos, ahead - 1.7, memory)
     np.testing.assert_allclose(far, near, atol=1e-6)
     expected, _ = by_the_book(0.0, 0.0, 0.3, 16.0, 0.0)
     np.testing.assert_allclose(far * DIRECTION, expected, rtol=1e-5)
@@ -115,7 +117,7 @@ def test_the_standing_robot_is_where_the_released_reset_leaves_it(still):
     data, memory = mujoco.MjData(model), np.r_[np.zeros(16), 16.0, 0.0]
     data.qpos[7::2], data.qpos[8::2] = DIRECTION * np.pi / 2, DIRECTION * -2.1834
     for _ in range(100):
-        data.ctrl[:], memory = still.drive(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
+        data.ctrl[:], memory = still.actuator(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
         mujoco.mj_step(model, data)
     for ours, theirs in zip(minitaur_pen.STANDING, (data.qpos, data.qvel, data.qacc_warmstart), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import Helped, dhand_lightbulb, list_envs, make, sawyer_peg, tabletop
+from earl_jax.envs import HelpBudget, list_envs, make, tabletop
+from earl_jax.envs import dhand as dhand_lightbulb
+from earl_jax.envs.sawyer import peg as sawyer_peg
 
 MAPPED = ["dhand_lightbulb", "fish_swim", "minitaur_pen", "sawyer_door", "sawyer_peg", "tabletop_organization"]
 LOSABLE = ["dhand_lightbulb", "minitaur_pen", "sawyer_peg"]
@@ -32,25 +34,27 @@ def test_a_place_is_where_the_body_or_thing_is_and_lies_in_the_area(name):
         "sawyer_peg": lambda: (data[9:12] + sawyer_peg.HEAD)[:2],
         "tabletop_organization": lambda: data[:2],
     }[name]()
-    place = env.place(state.obs)
+    place = env.map_position(state.obs)
     np.testing.assert_allclose(place, where, atol=1e-6)
-    assert ((env.area[0] <= place) & (place <= env.area[1])).all()
-    np.testing.assert_array_equal(env.place(jnp.stack([state.obs] * 2)), [place, place])
+    assert ((env.map_bounds[0] <= place) & (place <= env.map_bounds[1])).all()
+    np.testing.assert_array_equal(env.map_position(jnp.stack([state.obs] * 2)), [place, place])
 
 
 def test_the_papers_peg_which_observes_less_is_in_the_same_place():
     released, paper = (make("sawyer_peg", variant=variant) for variant in ("released", "paper"))
-    np.testing.assert_array_equal(released.place(released.reset(KEY).obs), paper.place(paper.reset(KEY).obs))
+    np.testing.assert_array_equal(
+        released.map_position(released.reset(KEY).obs), paper.map_position(paper.reset(KEY).obs)
+    )
     assert not paper.irreversible(paper.reset(KEY))
 
 
 def test_tasks_without_a_map_or_scattered_starts_say_so():
     for name in set(list_envs()) - set(MAPPED):
-        assert make(name).area is None
+        assert make(name).map_bounds is None
         with pytest.raises(ValueError, match=f"{name} has no map"):
-            make(name).place(jnp.zeros(46))
+            make(name).map_position(jnp.zeros(46))
     with pytest.raises(ValueError, match="sawyer_peg has no uniform distribution"):
-        make("sawyer_peg").scattered(KEY)
+        make("sawyer_peg").reset_uniform(KEY)
 
 
 def test_the_released_lifelong_horizons():
@@ -66,13 +70,13 @@ def test_the_released_lifelong_horizons():
 
 def test_scattered_starts_cover_the_table_with_a_free_mug_and_every_goal():
     env = make("tabletop_organization")
-    obs = np.asarray(jax.jit(jax.vmap(env.scattered))(jax.random.split(KEY, 4000)).obs)
+    obs = np.asarray(jax.jit(jax.vmap(env.reset_uniform))(jax.random.split(KEY, 4000)).obs)
     counts = np.stack([np.histogram(column, 4, (-tabletop.LIMIT, tabletop.LIMIT))[0] for column in obs[:, :4].T])
     assert counts.sum() == 16_000
     assert (abs(counts - 1000) < 120).all()
     np.testing.assert_array_equal(obs[:, 4:6], -1)
     assert len(np.unique(obs[:, 6:], axis=0)) == 4
-    state = env.scattered(KEY)
+    state = env.reset_uniform(KEY)
     np.testing.assert_array_equal(state.data.qpos, state.obs[:4])
     assert jax.tree.structure(state) == jax.tree.structure(env.reset(KEY))
 
@@ -150,7 +154,7 @@ def test_a_fault_is_irreversible_too(name):
 
 def test_a_helped_task_says_what_the_task_says():
     task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
-    env = Helped(task, budget=4.0)
+    env = HelpBudget(task, budget=4.0)
     assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
     assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.ends) == (77, 9, True, "kinematic", True)
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
@@ -160,10 +164,10 @@ def test_a_helped_task_says_what_the_task_says():
         np.testing.assert_array_equal(found.next_states[:, 6], 1)
         np.testing.assert_array_equal(found.actions, np.pad(own.actions, ((0, 0), (0, 1)), constant_values=-1))
         assert found.goals is own.goals
-    state = env.scattered(KEY)
+    state = env.reset_uniform(KEY)
     inner = env.task_obs(state.obs)
-    np.testing.assert_array_equal(env.place(state.obs), inner[:2])
+    np.testing.assert_array_equal(env.map_position(state.obs), inner[:2])
     np.testing.assert_array_equal(env.expert(state.obs), [*task.expert(inner), -1])
-    physical = Helped(make("sawyer_peg"), budget=1.0).for_lanes(2)
+    physical = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
     assert physical.task.physics == physical.engine == "c"
     assert physical.continuing_horizon == 50_000

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks import replay_demos
-from earl_jax import assets, demos, physics
+from earl_jax import assets, physics
+from earl_jax.demos import scripted as demos
 from earl_jax.envs import make
-from earl_jax.envs.sawyer import _leashed
-from earl_jax.envs.sawyer_door import AT_HANDLE, HINGE, handle_at
-from earl_jax.envs.sawyer_door import HOME as DOOR_HOME
-from earl_jax.envs.sawyer_peg import HEADS
-from earl_jax.envs.sawyer_peg import HOME as PEG_HOME
+from earl_jax.envs.sawyer.base import _leashed
+from earl_jax.envs.sawyer.door import AT_HANDLE, HINGE, handle_at
+from earl_jax.envs.sawyer.door import HOME as DOOR_HOME
+from earl_jax.envs.sawyer.peg import HEADS
+from earl_jax.envs.sawyer.peg import HOME as PEG_HOME
 
 TASKS = ("sawyer_door", "sawyer_peg")
 RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"

@@ -12,7 +12,7 @@ import pytest
 
 from earl_jax import assets, physics
 from earl_jax.envs import make
-from earl_jax.envs.cheetah_run import settle
+from earl_jax.envs.dm_control.cheetah_run import settle
 
 TASKS = ("cheetah_run", "fish_swim")
 EVERY = pytest.mark.parametrize("name", TASKS)
@@ -35,13 +35,13 @@ def fish():
     return make("fish_swim", physics="c")
 
 
-def begun(env, count):
+def state_from_demo(env, count):
     return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
 
 
 @pytest.fixture(scope="module")
 def shoal(fish):
-    return begun(fish, 500)
+    return state_from_demo(fish, 500)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_cheetah_starts_are_those_that_the_procedure_settles(cheetah):
     assert shipped["qpos"].shape == (512, 9)
     np.testing.assert_allclose(shipped["qpos"], made["qpos"], atol=1e-5)
     np.testing.assert_allclose(shipped["qvel"], made["qvel"], atol=1e-4)
-    states = begun(cheetah, 300)
+    states = state_from_demo(cheetah, 300)
     rows = {tuple(row) for row in shipped["qpos"].tolist()}
     drawn = {tuple(row) for row in np.asarray(states.data.qpos).tolist()}
     assert drawn <= rows
@@ -205,7 +205,7 @@ def test_saturated_steps_stay_finite_and_sound(name):
         states = jax.vmap(env.step)(states, held)
         return (states, held), jax.vmap(env.fault)(states)
 
-    keys, start = jax.random.split(jax.random.key(1), 500), (begun(env, 8), jnp.ones((8, env.action_size)))
+    keys, start = jax.random.split(jax.random.key(1), 500), (state_from_demo(env, 8), jnp.ones((8, env.action_size)))
     (states, _), faults = jax.jit(lambda carry: jax.lax.scan(step, carry, keys))(start)
     assert not np.asarray(faults).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(states))
@@ -288,11 +288,11 @@ def test_a_hundred_steps_beside_dm_control(suite, name, seed):
 
 def test_starts_are_distributed_as_the_suites(suite):
     """Means and spreads of settled positions over 150 of the suite's own resets."""
-    other, settled = theirs(suite, "cheetah_run", 0), []
+    other, split_setting = theirs(suite, "cheetah_run", 0), []
     for _ in range(150):
         other.reset()
-        settled.append(other.physics.data.qpos[1:].copy())
-    found, wanted = assets.starts("cheetah_run")["qpos"][:, 1:], np.asarray(settled)
+        split_setting.append(other.physics.data.qpos[1:].copy())
+    found, wanted = assets.starts("cheetah_run")["qpos"][:, 1:], np.asarray(split_setting)
     error = wanted.std(axis=0) * np.sqrt(1 / len(wanted) + 1 / len(found))
     assert (np.abs(found.mean(axis=0) - wanted.mean(axis=0)) < 4.5 * error + 1e-4).all()
     np.testing.assert_allclose(found.std(axis=0), wanted.std(axis=0), rtol=0.3, atol=1e-4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from earl_jax.metrics.judgement import deployed_area, judged, regret
+from earl_jax.metrics.scores import deployed_area, judged, regret
 
 STEPS, SCORES = np.array([10, 30]), np.array([[1.0, 0.5], [0.0, 0.3]])
 

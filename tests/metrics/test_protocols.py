@@ -33,38 +33,38 @@ def test_dense_returns_are_undiscounted_sums():
     assert float(result["return"]) == pytest.approx(7 * float(env.reward(state.obs)), rel=1e-5)
 
 
-def test_evaluation_is_a_multiple_of_a_tenth_and_leaves_the_life_alone(loop):
+def test_evaluation_is_a_multiple_of_a_tenth_and_leaves_the_life_alone(problem):
     method = tiny_method("naive")
-    lives = newborn(loop, method, [0, 1])
+    lives = newborn(problem, method, [0, 1])
     one = jax.tree.map(lambda leaf: leaf[0], (method, lives.lanes))
-    first = deployed_lane(loop, *one, lives.step)
-    again = deployed_lane(loop, *one, lives.step)
+    first = deployed_lane(problem, *one, lives.step)
+    again = deployed_lane(problem, *one, lives.step)
     assert float(first["deployed/success"]) == float(again["deployed/success"])
-    assert (float(first["deployed/success"]) * loop.protocol.eval_episodes) % 1 == 0
+    assert (float(first["deployed/success"]) * problem.protocol.eval_episodes) % 1 == 0
 
 
-def test_continuing_reward_is_the_lifetime_average(loop):
+def test_continuing_reward_is_the_lifetime_average(problem):
     method = tiny_method("naive")
-    lane = jax.tree.map(lambda leaf: leaf[0], newborn(loop, method, [0, 1]).lanes)
-    lane = lane.replace(tally=lane.tally.replace(window_reward=jnp.asarray(3.0)))
+    lane = jax.tree.map(lambda leaf: leaf[0], newborn(problem, method, [0, 1]).lanes)
+    lane = lane.replace(counters=lane.counters.replace(window_reward=jnp.asarray(3.0)))
     lane, metrics = continuing_lane(lane, jnp.asarray(10.0), jnp.asarray(10.0))
     assert float(metrics["continuing/reward"]) == float(metrics["continuing/recent"]) == pytest.approx(0.3)
-    lane = lane.replace(tally=lane.tally.replace(window_reward=jnp.asarray(1.0)))
+    lane = lane.replace(counters=lane.counters.replace(window_reward=jnp.asarray(1.0)))
     _, metrics = continuing_lane(lane, jnp.asarray(20.0), jnp.asarray(10.0))
     assert float(metrics["continuing/reward"]) == pytest.approx(0.2)
     assert float(metrics["continuing/recent"]) == pytest.approx(0.1)
 
 
-def test_the_task_is_rewarded_whichever_controller_acts(env, loop):
+def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
     """A life that stands on its task goal while the backward controller acts goes on earning."""
     method = tiny_method("fbrl", 1)
-    lives = newborn(loop, method, [0])
+    lives = newborn(problem, method, [0])
     goal = jnp.asarray(env.goal_states[1])
     world = lives.lanes.world
     world = world.replace(data=world.data.replace(qpos=goal[None, :4]), obs=jnp.concatenate([goal, goal])[None])
     commands = lives.lanes.commands._replace(goal=jnp.array([4]), task=jnp.array([1]))
     lanes = lives.lanes.replace(world=world, commands=commands, phase=jnp.array([1]))
-    after = advance(loop, method, lives.replace(lanes=lanes), 1, explore=True)
-    assert float(after.lanes.tally.window_reward[0]) == 1.0
-    assert int(after.lanes.tally.reached[0]) == 0
+    after = advance(problem, method, lives.replace(lanes=lanes), 1, explore=True)
+    assert float(after.lanes.counters.window_reward[0]) == 1.0
+    assert int(after.lanes.counters.reached[0]) == 0
     assert int(after.lanes.phase[0]) == 1

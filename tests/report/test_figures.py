@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from earl_jax.report.canvas import COLOURS
-from earl_jax.report.figure2 import verdict, write_figure2
-from earl_jax.report.figure4 import Map, write_figure4
-from earl_jax.report.figure5 import figure_rows, write_figure5
+from earl_jax.paper.figure2 import verdict, write_figure2
+from earl_jax.paper.figure4 import Map, write_figure4
+from earl_jax.paper.figure5 import figure_rows, write_figure5
+from earl_jax.report.style import COLOURS
 from tests.report.test_paper import drawn, table, write_run
 
 SQUARE = np.array([[-1.0, -1.0], [1.0, 1.0]])

@@ -10,12 +10,14 @@ from matplotlib.image import imread
 
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
-from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report import paper_tables, verdicts
-from earl_jax.report.canvas import COLOURS, TITLES, colours, ordered
-from earl_jax.report.curves import write_curves
+from earl_jax.paper import tables as paper_tables
+from earl_jax.paper import verdicts
+from earl_jax.paper.curves import write_curves
 from earl_jax.report.runs import cells
+from earl_jax.report.style import COLOURS, TITLES, colours, ordered
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
 
 TABLETOP, DOOR, KITCHEN = "tabletop_organization", "sawyer_door", "franka_kitchen"
 
@@ -25,10 +27,10 @@ def write_run(path, env, algo, deployed, lifetime=0.0, steps=(10, 20), env_optio
     scores = np.asarray(deployed, float)
     scores = scores if scores.ndim == 2 else np.repeat(scores[:, None], len(steps), axis=1)
     world, method = make(env, **(env_options or {})), make_algo(algo, **options)
-    folder = RunFolder.create(path, Experiment.of(world, method, range(len(scores)), steps[-1], steps[0], 2, 10))
+    folder = RunFolder.create(path, RunConfig.of(world, method, range(len(scores)), steps[-1], steps[0], 2, 10))
     for number, step in enumerate(steps):
         values = dict.fromkeys(("deployed/success", "deployed/return"), scores[:, number])
-        folder.append(folder.experiment.rows(step, {**values, "continuing/reward": np.full(len(scores), lifetime)}))
+        folder.append(folder.config.rows(step, {**values, "continuing/reward": np.full(len(scores), lifetime)}))
     return path
 
 

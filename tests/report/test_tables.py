@@ -7,19 +7,20 @@ import pytest
 
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
-from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read, read_all
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
 
 
 def write_run(
     path, algo="naive", seeds=(0, 1), success=(0.0, 0.5, 1.0), recent=(0.0, 0.01, 0.02), setting=None, **options
 ):
     env, method = make("tabletop_organization"), make_algo(algo, **options)
-    experiment = Experiment.of(env, method, seeds, 30, 10, 10, 30, setting)
-    folder = RunFolder.create(path, experiment)
+    config = RunConfig.of(env, method, seeds, 30, 10, 10, 30, setting)
+    folder = RunFolder.create(path, config)
     lifetime = np.cumsum(recent) / np.arange(1, 4)
     for number, step in enumerate((10, 20, 30)):
         metrics = {
@@ -28,7 +29,7 @@ def write_run(
             "continuing/reward": np.full(len(seeds), lifetime[number]),
             "continuing/recent": np.full(len(seeds), recent[number]),
         }
-        folder.append(experiment.rows(step, metrics))
+        folder.append(config.rows(step, metrics))
     return path
 
 

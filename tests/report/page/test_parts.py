@@ -12,15 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from earl_jax import training
 from earl_jax.envs import make
-from earl_jax.experiment import Experiment, RunFolder
 from earl_jax.protocol import Continuing, Deployment
-from earl_jax.report.page import media
-from earl_jax.report.page.curves import POINTS, banded, thinned
-from earl_jax.report.page.media import Album, maps
-from earl_jax.report.page.origin import command, settings
-from earl_jax.report.page.runs import find, gather, lightened, shade
+from earl_jax.report.html import media
+from earl_jax.report.html.curves import POINTS, banded, thinned
+from earl_jax.report.html.media import Album, maps
+from earl_jax.report.html.origin import command, settings
+from earl_jax.report.html.runs import find, gather, lightened, shade
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import api as training
 from tests.report.page.test_writing import TABLETOP, rising, write_run
 
 
@@ -108,20 +109,20 @@ def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
     "setting", [Deployment(), Continuing(budget=2.0, goal_change=7)], ids=["deployment", "continuing"]
 )
 def test_the_command_of_a_run_trains_that_run(tmp_path, setting, monkeypatch):
-    from earl_jax import cli
+    from earl_jax.cli import main as cli
 
     wide = {"hidden_sizes": (8, 8), "precision": "bf16", "reward_scale": 3.0}
     run = write_run(
         tmp_path / "run", TABLETOP, "fbrl", rising(2, 3), setting=setting, env_options={"wide": True}, **wide
     )
-    one = RunFolder.open(run).experiment
+    one = RunFolder.open(run).config
     asked = {}
     monkeypatch.setattr(training, "train", lambda *names, **options: asked.update(options, names=names) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         cli.main(shlex.split(command(one))[1:])
     env, method = asked["names"]
     counts = [asked[name] for name in ("steps", "eval_every", "eval_episodes", "checkpoint_every")]
-    again = Experiment.of(env, method, range(asked["seeds"]), *counts, asked["setting"])
+    again = RunConfig.of(env, method, range(asked["seeds"]), *counts, asked["setting"])
     assert json.loads(json.dumps(dataclasses.asdict(again))) == json.loads(json.dumps(dataclasses.asdict(one)))
     changed = [row["name"] for row in settings(one) if row["changed"]]
     assert {"wide", "hidden_sizes", "precision", "reward_scale"} <= set(changed)

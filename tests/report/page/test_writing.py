@@ -14,16 +14,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from earl_jax import training
 from earl_jax.algos import make_algo
-from earl_jax.commands.report import report
+from earl_jax.cli.report import report
 from earl_jax.envs import make
-from earl_jax.experiment import Experiment, RunFolder
-from earl_jax.report.page import media
-from earl_jax.report.page.origin import origins
-from earl_jax.report.page.runs import find, gather
-from earl_jax.report.page.tables import paper_table, seed_table, strips
-from earl_jax.report.page.writing import write_page
+from earl_jax.report.html import media
+from earl_jax.report.html.origin import origins
+from earl_jax.report.html.runs import find, gather
+from earl_jax.report.html.tables import paper_table, seed_table, strips
+from earl_jax.report.html.writing import write_page
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import api as training
 from tests.conftest import tiny_options
 
 pytest.importorskip("jinja2", reason="reports need the extra 'report'")
@@ -39,11 +40,13 @@ FLAGS = [
 ]  # fmt: skip
 
 
-def write_run(path, env, algo, deployed, seeds=None, setting=None, env_options=None, planned=None, extra=(), **options):
+def write_run(
+    path, env, algo, deployed, seeds=None, setting=None, env_options=None, planned=None, method_state=(), **options
+):
     """Write a run whose seeds score `deployed [N, E]` every 10 steps."""
     scores = np.asarray(deployed, float)
     steps = 10 * np.arange(1, scores.shape[1] + 1)
-    one = Experiment.of(
+    one = RunConfig.of(
         make(env, **(env_options or {})), make_algo(algo, **options), seeds or range(len(scores)),
         planned or int(steps[-1]), 10, 2, 10, setting,
     )  # fmt: skip
@@ -51,8 +54,8 @@ def write_run(path, env, algo, deployed, seeds=None, setting=None, env_options=N
     for number, step in enumerate(steps.tolist()):
         values = dict.fromkeys(("deployed/success", "deployed/return"), scores[:, number])
         values |= {f"continuing/{name}": scores[:, number] / 100 for name in ("reward", "recent")}
-        values |= {name: np.full(len(scores), step // 10) for name in (*COUNTS, *extra)}
-        folder.append(folder.experiment.rows(step, values))
+        values |= {name: np.full(len(scores), step // 10) for name in (*COUNTS, *method_state)}
+        folder.append(folder.config.rows(step, values))
     return path
 
 
@@ -66,7 +69,7 @@ class Reader(html.parser.HTMLParser):
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
-        self.tags, self.links, self.attributes, self.shown, self.raw = [], [], [], [], {}
+        self.tags, self.links, self.attributes, self.render_state, self.raw = [], [], [], [], {}
         self.inside = ""
         self.feed(text)
 
@@ -83,11 +86,11 @@ class Reader(html.parser.HTMLParser):
         if self.inside in ("plotly", "numbers", "own", "style"):
             self.raw[self.inside] = self.raw.get(self.inside, "") + data
         else:
-            self.shown.append(data)
+            self.render_state.append(data)
 
     @property
     def text(self):
-        return re.sub(r"\s+", " ", " ".join(self.shown))
+        return re.sub(r"\s+", " ", " ".join(self.render_state))
 
     def numbers(self):
         return json.loads(gzip.decompress(base64.b64decode(self.raw["numbers"])))
@@ -97,7 +100,7 @@ class Reader(html.parser.HTMLParser):
 def folders(tmp_path_factory):
     """Two tasks, variants of a method, a run that names itself in html, one cut short, and three that can't be read."""
     root = tmp_path_factory.mktemp("runs")
-    write_run(root / "fbrl", TABLETOP, "fbrl", rising(3, 30), extra=("help/asked",))
+    write_run(root / "fbrl", TABLETOP, "fbrl", rising(3, 30), method_state=("help/asked",))
     write_run(root / "deep" / "naive1", TABLETOP, "naive", rising(3, 30, 0.5), planned=600)
     write_run(root / "deep" / EVIL.replace("/", "|"), TABLETOP, "naive", rising(2, 30), env_options={"demo_file": EVIL})
     write_run(root / "door", DOOR, "oracle", rising(4, 3))

@@ -1,0 +1,60 @@
+"""The learner's networks: Brax's multilayer perceptron and tanh-squashed normal, with the paper's parameters.
+
+`apply` runs a network at a chosen precision; parameters are float32 at every one.
+"""
+
+import contextlib
+import io
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import linen
+
+from earl_jax.algos.learner import bf16
+
+# Brax imports MJX, which prints a line to stdout for each optional engine that is not installed; stdout may be JSON.
+with contextlib.redirect_stdout(io.StringIO()):
+    from brax.training import distribution, networks
+
+LOG_STD_RANGE = (-20.0, 2.0)
+PRECISIONS = ("float32", "tf32", "bf16")
+
+
+class TanhNormal(distribution.NormalTanhDistribution):
+    """Tanh-squashed normal whose log standard deviation is the clipped network output, as in the paper.
+
+    Brax's own passes it through a softplus; everything else is Brax's.
+    """
+
+    def create_dist(self, parameters: jax.Array) -> Any:
+        """Return the normal before squashing, from `parameters [..., 2a]`: means, then log standard deviations."""
+        loc, log_std = jnp.split(parameters, 2, axis=-1)
+        return type(super().create_dist(parameters))(loc, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE)))
+
+
+def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> networks.MLP:
+    """Return a ReLU network with Glorot-uniform weights and zero biases, as the released TF-Agents code has them.
+
+    `layer_norm` normalises every hidden layer.
+    """
+    init = jax.nn.initializers.glorot_uniform()
+    return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init, layer_norm=layer_norm)
+
+
+def check_precision(precision: str) -> None:
+    """Refuse a precision that `apply` does not know, by a ValueError."""
+    if precision not in PRECISIONS:
+        raise ValueError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")
+
+
+def apply(network: networks.MLP, params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
+    """Return the float32 outputs [..., O] of `network` at `x [..., K]`, differentiable in `params` and `x`.
+
+    "float32" multiplies matrices in float32 on every device, "tf32" at XLA's default (TF32 on NVIDIA GPUs, float32 on
+    CPUs), "bf16" with bfloat16 operands and activations, sums in float32.
+    """
+    if precision == "bf16":
+        return bf16.apply(network, params["params"], x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], -1)
+    with jax.default_matmul_precision("highest") if precision == "float32" else contextlib.nullcontext():
+        return jnp.asarray(network.apply(params, x))

@@ -1,0 +1,5 @@
+"""`python -m earl_jax.cli`."""
+
+from earl_jax.cli.main import main
+
+main()

@@ -1,0 +1,149 @@
+"""Cheetah run: a planar cheetah that is to run at 10 m/s, the DeepMind Control Suite's `cheetah-run` without episodes.
+
+Source: dm_control 1.0.50, `suite/cheetah`; the model is our own MJCF with its numbers, equal to rounding.
+`python -m earl_jax.envs.dm_control.cheetah_run FILE.npz` makes assets/starts/cheetah_run.npz anew.
+"""
+
+import dataclasses
+import functools
+import importlib
+import sys
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.envs.mujoco_env import MujocoEnv
+from earl_jax.envs.shaping import linear, tolerance
+from earl_jax.envs.state import NextState, State
+from earl_jax.physics import EngineCost, PhysicsState, load_model
+
+TARGET_SPEED = 10.0
+"""Metres a second from which the reward is 1."""
+SLIDES = 2
+"""Joints forward and up, before the seven hinges."""
+POSITIONS = 8
+"""Length of the observed position: all joints but the one forward."""
+LAP = 200.0
+"""Metres after which the place along the track, which nothing observes, starts over."""
+SETTLING = 200
+"""Steps without torque that a start is settled for."""
+STARTS = 512
+HEIGHTS = (-1.0, 10.0)
+"""Metres between which the trunk's height, 0 where it starts, stays in sound physics."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CheetahRun(MujocoEnv):
+    """Run: `obs [17]` = height, pitch, six joint angles, then velocities of these and forward; `action [6]` = joint torques.
+
+    There is no goal, so goals have length 0 and an observation is a state. The suite has no success either: here it is
+    running at 10 m/s or more, where the suite's reward is 1. Starts are drawn from 512 states settled by the suite's procedure,
+    which itself settles a new one for each episode. The place along the track wraps every 200 m, where the suite's grows.
+    """
+
+    reward_type: str = "dense"
+    train_horizon: int = 100_000
+    eval_horizon: int = 1000
+
+    name: ClassVar[str] = "cheetah_run"
+    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.027)
+    action_size: ClassVar[int] = 6
+    goal_change: ClassVar[int] = 1000
+    control_step: ClassVar[float] = 0.01
+
+    @property
+    def state_size(self) -> int:
+        return 17
+
+    @property
+    def goal_size(self) -> int:
+        return 0
+
+    @property
+    def goal_states(self) -> np.ndarray:
+        return np.zeros((1, 0), np.float32)
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        return np.zeros((1, 0), np.float32)
+
+    def reset(self, key: jax.Array) -> State:
+        table = assets.starts(self.name)
+        one = jax.random.randint(key, (), 0, len(table["qpos"]))
+        data = PhysicsState.at(**{field: jnp.asarray(values)[one] for field, values in table.items()})
+        return self.make_state(data, _observed(data), {"goal": jnp.zeros((0,))})
+
+    def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
+        return state.data, action
+
+    def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
+        ahead = data.qpos[0] - LAP * jnp.round(data.qpos[0] / LAP)
+        data = data.replace(qpos=data.qpos.at[0].set(ahead))
+        return data, _observed(data), {}
+
+    @functools.cached_property
+    def levers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which hinges turn each link, bool [7, 7], and its lever, [7, 2]: metres (x, z) that its turning moves the whole by."""
+        model = self.simulator.mujoco_model()
+        parents, total = model.body_parentid[1:] - 1, model.body_mass.sum()
+        turned_by, levers = np.eye(len(parents), dtype=bool), model.body_mass[1:, None] * model.body_ipos[1:]
+        for link, parent in list(enumerate(parents))[1:]:
+            turned_by[link] |= turned_by[parent]
+            levers[parent] += model.body_subtreemass[link + 1] * model.body_pos[link + 1]
+        return turned_by, (levers[:, ::2] / total).astype(np.float32)
+
+    def speed(self, obs: jax.Array) -> jax.Array:
+        """Return the forward speed [...] of the whole cheetah's centre of mass in `obs [..., 17]`, metres a second.
+
+        The suite reads it from a sensor, which it brings up to date after each step; it is a function of what is observed.
+        """
+        turned_by, levers = self.levers
+        angles = obs[..., None, SLIDES - 1 : POSITIONS] * turned_by
+        rates = obs[..., None, POSITIONS + SLIDES : self.state_size] * turned_by
+        angle, rate = angles.sum(axis=-1), rates.sum(axis=-1)
+        return obs[..., POSITIONS] + (rate * (levers[:, 1] * jnp.cos(angle) - levers[:, 0] * jnp.sin(angle))).sum(
+            axis=-1
+        )
+
+    def success(self, obs: jax.Array) -> jax.Array:
+        return self.speed(obs) >= TARGET_SPEED
+
+    def reward(self, obs: jax.Array) -> jax.Array:
+        if self.sparse:
+            return self.success(obs).astype(jnp.float32)
+        return tolerance(self.speed(obs), TARGET_SPEED, jnp.inf, jnp.asarray(TARGET_SPEED), linear)
+
+    def fault(self, state: State) -> jax.Array:
+        height = state.data.qpos[1]
+        return super().fault(state) | (height < HEIGHTS[0]) | (height > HEIGHTS[1])
+
+
+def _observed(data: PhysicsState) -> jax.Array:
+    """Return the state [17] of `data`: positions without the one along the track, then velocities."""
+    return jnp.concatenate([data.qpos[1:], data.qvel])
+
+
+def settle(count: int = STARTS, seed: int = 0) -> dict[str, np.ndarray]:
+    """Return `count` settled starts as float32 `qpos, qvel, qacc_warmstart [count, 9]`.
+
+    The suite's procedure: every limited joint uniform in its range, the trunk where the model has it, 200 steps at rest of
+    MuJoCo's C engine, each lane from its own cold start.
+    """
+    mujoco: Any = importlib.import_module("mujoco")
+    model, random = load_model(CheetahRun.name), np.random.default_rng(seed)
+    limited = model.jnt_limited.astype(bool)
+    rows: dict[str, list[np.ndarray]] = {"qpos": [], "qvel": [], "qacc_warmstart": []}
+    for _ in range(count):
+        data = mujoco.MjData(model)
+        data.qpos[limited] = random.uniform(*model.jnt_range[limited].T)
+        mujoco.mj_step(model, data, SETTLING)
+        for field, values in rows.items():
+            values.append(np.array(getattr(data, field)))
+    return {field: np.asarray(values, np.float32) for field, values in rows.items()}
+
+
+if __name__ == "__main__":
+    np.savez_compressed(sys.argv[1], **settle())  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,1 @@
+"""Minitaur pen."""

@@ -1,0 +1,181 @@
+"""Minitaur pen: a quadruped with eight motors walks to a place in a pen; nobody turns it over when it falls.
+
+Source: the released EARL environment on PyBullet's Minitaur. The physics are our own MJCF (assets/mjcf), held to poses and trots
+that were recorded there; docs/environments.md lists every difference.
+"""
+
+import dataclasses
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.envs.minitaur import body
+from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
+from earl_jax.envs.mujoco_env import MujocoEnv
+from earl_jax.envs.state import NextState, State
+from earl_jax.physics import EngineCost, PhysicsState
+
+WALLS = ("closed", "floating")
+VARIANTS = ("released", "paper")
+RADIUS = 0.1
+GOALS = np.array([(x, y) for x in (-0.4, -0.2, 0.2, 0.4) for y in (0.0, 0.2, 0.4)], np.float32)
+VOLTS, NOMINAL_VOLTS = (14.8, 16.8), 16.0
+VISCOSITIES, NOMINAL_VISCOSITY = (0.0, 0.01), 0.0
+"""V s/rad, beside the back-EMF."""
+EFFORT = {"released": -0.005 * 0.002, "paper": 0.02}
+"""Weight of the motors' power in each variant's reward: the released code pays 0.005 for the work of one 2 ms substep."""
+FAR = {"closed": 1.75, "floating": 100.0}
+"""Metres from the middle that the robot never reaches unless something broke."""
+HIGH = 2.0
+ON_ITS_BACK = -0.5
+"""Cosine of the body's upward axis to the vertical, below which no robot was ever seen to come back: docs/irreversible.md."""
+WALL = 1.5
+"""Metres from the middle to the walls."""
+
+STANDING = (
+    (
+        -0.000707922498, -6.86512891e-05, 0.158150353, 0.999999891, 7.51515086e-05, -0.000452908581, -8.42610288e-05,
+        -1.49839542, 2.25669983, -1.49242905, 2.25702727, -1.49508459, 2.26021022, -1.48833516, 2.26050417,
+        1.491641, -2.25742916, 1.49826436, -2.25714554, 1.48797454, -2.2607659, 1.49490019, -2.26046532,
+    ),
+    (
+        -0.00277706545, -0.000528385907, 0.112516292, 0.00762287688, -0.00051234212, 0.00493207018,
+        -1.06208824, -0.990449226, -1.03372734, -0.993214551, -1.06381984, -0.990063542, -1.03670776, -0.992474159,
+        1.0270888, 0.980081882, 1.04238475, 0.977797952, 1.02879865, 0.979049084, 1.04371212, 0.976684695,
+    ),
+    (
+        0.141939959, 0.0198406762, -4.17532743, -0.293252718, 0.127499409, -0.117010536,
+        39.3936285, 35.8371292, 38.3028803, 36.1176326, 39.330873, 35.6651026, 38.1966527, 35.9065803,
+        -38.2282875, -35.898999, -39.0575368, -35.6630831, -37.7938118, -35.3936648, -38.6194129, -35.156471,
+    ),
+)  # fmt: skip
+"""qpos, qvel and warm start of the nominal robot after the released reset: 0.2 s of holding its motors at 90 degrees."""
+REPORTED = (0.424335717, 0.477845813, 0.451270707, 0.511036733, 0.485318034, 0.428432067, 0.51529674, 0.455987717)
+"""The torques that its motors report then."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MinitaurPen(MujocoEnv):
+    """Walk to one of 12 places: `obs [32]` = motor angles 8, speeds 8, torques 8, orientation xyzw 4, place 2, goal 2.
+
+    `action [8]` is in leg space: four swings, then four extensions, front left, back left, front right, back right. `randomize`
+    draws masses (20 %), battery, viscosity and the feet's friction at every reset, as released; `overheat` shuts a motor down
+    that was above 2.45 N m for a second, until the next reset. `walls="floating"` has the released pen, out of which a robot that
+    crouches can walk; `variant="paper"` the reward of the paper's text. A fall ends nothing, as released.
+    """
+
+    reward_type: str = "dense"
+    train_horizon: int = 100_000
+    eval_horizon: int = 1000
+    substeps: int = 5
+    randomize: bool = True
+    overheat: bool = True
+    walls: str = "closed"
+    variant: str = "released"
+
+    name: ClassVar[str] = "minitaur_pen"
+    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
+    action_size: ClassVar[int] = MOTORS
+    goal_change: ClassVar[int] = 2000
+    map_bounds: ClassVar[np.ndarray] = np.array([[-WALL, -WALL], [WALL, WALL]], np.float32)
+    control_step: ClassVar[float] = 0.01
+
+    def __post_init__(self):
+        super().__post_init__()
+        self._require_choice("walls", WALLS)
+        self._require_choice("variant", VARIANTS)
+
+    @property
+    def model(self) -> str:
+        return self.name if self.walls == "closed" else f"{self.name}_floating"
+
+    @property
+    def actuator(self) -> MinitaurMotors:
+        return MinitaurMotors(overheat=self.overheat, timestep=self.control_step / self.substeps)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        return body.VARIED if self.randomize else ()
+
+    @property
+    def state_size(self) -> int:
+        return 30
+
+    @property
+    def goal_size(self) -> int:
+        return 2
+
+    @property
+    def reward_scale(self) -> float:
+        """0.1 for the dense reward, the released default for such tasks; at 1 and 10 learning was slower (docs/results.md)."""
+        return 10.0 if self.sparse else 0.1
+
+    @property
+    def goal_states(self) -> np.ndarray:
+        return GOALS
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        return np.zeros((1, 2), np.float32)
+
+    def reset(self, key: jax.Array) -> State:
+        goal_key, body_key, battery_key = jax.random.split(key, 3)
+        qpos, qvel, warmstart = (jnp.asarray(part, jnp.float32) for part in STANDING)
+        battery, constants = jnp.array([NOMINAL_VOLTS, NOMINAL_VISCOSITY]), jnp.zeros((0,))
+        if self.randomize:
+            low, high = jnp.array([VOLTS, VISCOSITIES]).T
+            battery = jax.random.uniform(battery_key, (2,), minval=low, maxval=high)
+            constants = body.draw(body_key, self.model)
+        memory = jnp.concatenate([jnp.zeros(MOTORS), jnp.asarray(REPORTED), battery])
+        data = PhysicsState.at(qpos, qvel, qacc_warmstart=warmstart, memory=memory, constants=constants)
+        return self.make_state(data, observed(data), {"goal": self.sample_goal(goal_key)})
+
+    def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
+        return state.data, legs_to_motors(jnp, action)
+
+    def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
+        return data, observed(data), {}
+
+    def render_goal(self, state: State) -> PhysicsState:
+        upright = jnp.asarray(STANDING[0][2:], jnp.float32)
+        return state.data.replace(qpos=jnp.concatenate([state.info["goal"], upright]))
+
+    def success(self, obs: jax.Array) -> jax.Array:
+        return jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], axis=-1) < RADIUS
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether the robot is on its back (or at fault): its upward axis more than 120 degrees from the vertical.
+
+        At rest it stands (cosine 1), lies on a side (about 0.1) or on its back (below -0.9).
+        """
+        x, y = state.obs[24:26]
+        return super().irreversible(state) | (1.0 - 2.0 * (x**2 + y**2) < ON_ITS_BACK)
+
+    def map_position(self, obs: jax.Array) -> jax.Array:
+        """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave the `area`."""
+        return obs[..., 28:30]
+
+    def reward(self, obs: jax.Array) -> jax.Array:
+        """Return the reward [...]: released, minus twice the L1 distance and a little of the motors' power; in the paper's text
+        the distance is L2 and the power counts for the robot, a thousand times as much."""
+        if self.sparse:
+            return self.success(obs).astype(jnp.float32)
+        power = jnp.abs((obs[..., 8:16] * obs[..., 16:24]).sum(axis=-1))
+        order = 1 if self.variant == "released" else 2
+        distance = jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], ord=order, axis=-1)
+        return -2.0 * distance + EFFORT[self.variant] * power
+
+    def fault(self, state: State) -> jax.Array:
+        x, y, z = state.data.qpos[:3]
+        far = FAR[self.walls]
+        inside = (jnp.abs(x) < far) & (jnp.abs(y) < far) & (z > -0.1) & (z < HIGH)
+        return super().fault(state) | ~inside
+
+
+def observed(data: PhysicsState) -> jax.Array:
+    """Return the state vector [30] of a robot at `data`: motors in their own sense, orientation as xyzw."""
+    angles, speeds = data.qpos[POSITIONS] * DIRECTION, data.qvel[SPEEDS] * DIRECTION
+    reported, orientation = data.memory[MOTORS : 2 * MOTORS], jnp.roll(data.qpos[3:7], -1)
+    return jnp.concatenate([angles, speeds, reported, orientation, data.qpos[:2]])

@@ -1,0 +1,111 @@
+"""What every task with a physics engine shares: its engine, its substeps, and the path of a control step through both."""
+
+import abc
+import dataclasses
+import functools
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.envs.base import Env, NextState, State
+from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Simulator, fastest_engine, resolve_engine
+
+
+@dataclasses.dataclass(frozen=True)
+class MujocoEnv(Env):
+    """A task with a MuJoCo model: `physics` names its engine, `substeps` divide its control step.
+
+    The model is `assets/mjcf/<name>.xml`, or whatever `model` says. A task writes `reset`, `control`, `observe`, `success` and
+    `reward`.
+    """
+
+    physics: str = "auto"
+    substeps: int = 1
+
+    control_step: ClassVar[float]
+    """Seconds of a control step."""
+    engine_cost: ClassVar[EngineCost | None] = None
+    """Measured costs by which `physics="auto"` chooses; without them it takes the backend's default engine."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.substeps < 1:
+            raise ValueError(f"substeps must be at least 1, not {self.substeps}")
+        if self.physics != "auto":
+            resolve_engine(self.physics)
+
+    @property
+    def engine(self) -> str:
+        return resolve_engine(self.physics)
+
+    @property
+    def step_seconds(self) -> float:
+        return self.control_step
+
+    def for_lanes(self, lanes: int) -> "MujocoEnv":
+        if self.physics != "auto":
+            return self
+        return dataclasses.replace(self, physics=fastest_engine(self.engine_cost, lanes))
+
+    @property
+    def model(self) -> str:
+        """The MJCF of this task: its name in assets, or a path."""
+        return self.name
+
+    @property
+    def actuator(self) -> Actuator | None:
+        """Turns the command of a control step into the controls of each substep; None applies the command itself."""
+        return None
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Fields of the compiled model whose values differ by lane."""
+        return ()
+
+    @functools.cached_property
+    def simulator(self) -> Simulator:
+        """The physics of this task on its engine."""
+        return Simulator(
+            model=self.model,
+            timestep=self.control_step / self.substeps,
+            substeps=self.substeps,
+            engine=self.engine,
+            actuator=self.actuator,
+            varied=self.varied,
+        )
+
+    @abc.abstractmethod
+    def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
+        """Return the physics state to simulate from and the command, for a control step with the clipped `action [a]`."""
+
+    @abc.abstractmethod
+    def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
+        """Return the transition, given the simulated `data` and the `sensors [nsensordata]` of its last substep."""
+
+    def transition(self, state: State, action: jax.Array) -> NextState:
+        return self.observe(state, action, *self.simulator.step(*self.control(state, action)))
+
+    def start_step(self, state: State, action: jax.Array) -> PendingStep:
+        action = self.checked_action(action)
+        data, command = self.control(state, action)
+        physics = self.simulator.start_step(data, command)
+        return PendingStep((action, data, physics.payload), physics.ticket)
+
+    def finish_step(self, state: State, pending: PendingStep) -> State:
+        action, data, payload = pending.payload
+        data, sensors = self.simulator.finish_step(data, PendingStep(payload, pending.ticket))
+        return self.next_state(state, self.observe(state, action, data, sensors))
+
+
+def leashed_target(
+    target: jax.Array, hand: jax.Array, fastest: jax.Array, speeds: np.ndarray, lengths: np.ndarray
+) -> jax.Array:
+    """Return the position [3] that a mocap weld pulls a hand to: `target [3]`, or a nearer one if the target is too far.
+
+    The target may lead the `hand [3]` by `lengths [2]` metres when the `fastest` joint turns at `speeds [2]` rad/s, and by a
+    linear interpolation between them.
+    """
+    distance, leash = jnp.linalg.norm(target - hand), jnp.interp(fastest, speeds, lengths)
+    return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)

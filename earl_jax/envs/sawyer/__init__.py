@@ -1,0 +1,1 @@
+"""The two Sawyer tasks: close a door, insert a peg."""

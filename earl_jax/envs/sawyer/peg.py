@@ -1,0 +1,224 @@
+"""Sawyer peg: pick a peg up and push it into a hole in the side of a block."""
+
+import dataclasses
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.envs.sawyer import experts
+from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
+from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
+from earl_jax.envs.state import State
+from earl_jax.physics import EngineCost
+
+HEAD = np.array([-0.1, 0.0, 0.0], np.float32)
+"""The peg's head, the observed object, seen from the peg's middle."""
+GRASP = np.array([0.03, 0.0, 0.01], np.float32)
+"""Where the peg is to be held, seen from its middle."""
+LOW = np.array([0.0, 0.5, 0.02], np.float32)
+HIGH = np.array([0.2, 0.7, 0.02], np.float32)
+SCATTER = 0.02
+RADIUS = 0.05
+NEAREST, WIDEST = 0.335, 0.64
+"""Metres: nearer to the robot than this y, and further to a side than this x, a hand inside its range can touch the middle of the
+peg's length no more, or only push it on: docs/irreversible.md."""
+INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
+HEADS = np.array(
+    [
+        [0.00313463, 0.68326396], [-0.04035005, 0.67949003], [0.02531051, 0.6074387], [0.05957219, 0.6271171],
+        [-0.07566337, 0.62575287], [-0.01177235, 0.55206996], [0.02779735, 0.54707706], [0.01835314, 0.5329686],
+        [0.02690855, 0.6263067], [0.01766127, 0.59630984], [0.0560186, 0.6634998], [-0.03950658, 0.6323736],
+        [-0.03216827, 0.5247563], [0.01265727, 0.69466716], [0.05076993, 0.6025737],
+    ],
+    np.float32,
+)  # fmt: skip
+"""x, y of the peg's head in the 15 published initial states."""
+FAR_HEADS = np.array(
+    [
+        [-0.3, 0.8], [-0.4, 0.8], [-0.3, 0.9], [-0.4, 0.9], [-0.2, 0.8], [-0.2, 0.75], [-0.2, 0.9], [-0.1, 0.77],
+        [0.0, 0.9], [0.1, 0.8], [0.15, 0.75], [-0.3, 0.4], [-0.4, 0.4], [-0.3, 0.45], [-0.4, 0.45], [-0.2, 0.4],
+        [-0.2, 0.45], [-0.2, 0.38], [-0.1, 0.42], [0.0, 0.45], [0.1, 0.36], [0.15, 0.44],
+    ],
+    np.float32,
+)  # fmt: skip
+"""x, y of the peg's head in the 22 wide starts."""
+BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
+LIPS = np.array([[[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]], [[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]]], np.float32)
+"""Two boxes in front of the block, below and above the hole, in the block's frame: corners where the dense reward is 0 and 1."""
+HOME = Pose(
+    target=(0.0, 0.6, 0.2),
+    qpos=(
+        1.88261579, -0.593460004, -0.959474307, 1.64832854, 0.923299052, 1.02688963, 2.32340571, -1.71909125e-4, 1.71744846e-4,
+    ),
+    qvel=(
+        0.329594884, 0.562470675, -0.620149629, 0.194811339, 0.938798804, 0.209966195, 2.09523271, 1.02772556e-6, 1.02595601e-6,
+    ),
+    warmstart=(
+        0.0914292181, 0.555950558, 0.68652535, -4.51333286, -5.15045738, 7.51743568, -218.555092, 1.00079362e-4, 9.84788047e-5,
+    ),
+    hand=(0.00615235, 0.6001898, 0.19430117),
+    grip=1.0,
+)  # fmt: skip
+
+START_TIPS = np.array([0.00599209, 0.60039713, 0.14930194], np.float32)
+"""Between the finger tips in that pose."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SawyerPeg(Sawyer):
+    """Insert the peg: it lies anywhere in 20 by 20 cm, success with its head within 5 cm of the end of the hole.
+
+    `listed=True` starts at one of the 15 published initial states; `wide=True` at one of 22 places all over the table
+    (within 2 cm) half of the time, as the released option `wide_init` does.
+    """
+
+    train_horizon: int = 100_000
+    listed: bool = False
+    wide: bool = False
+
+    name: ClassVar[str] = "sawyer_peg"
+    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0)
+    demo_count: ClassVar[int] = 10
+    goal_change: ClassVar[int] = 400
+    continuing_horizon: ClassVar[int | None] = 50_000
+    radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
+    object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
+    object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
+    map_bounds: ClassVar[np.ndarray] = np.stack([object_low[:2], object_high[:2]])
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.listed + self.wide + self.reset_at_goal > 1:
+            raise ValueError("listed, wide and reset_at_goal are different starts: choose one of them")
+
+    @property
+    def goal_states(self) -> np.ndarray:
+        return np.concatenate([np.array([0.0, 0.6, 0.2, 1.0], np.float32), INSERTED])[None, self.kept]
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        arm = np.tile(np.array([*HOME.hand, HOME.grip], np.float32), (len(HEADS), 1))
+        height = np.full((len(HEADS), 1), LOW[2])
+        return np.concatenate([arm, HEADS, height], axis=1)[:, self.kept]
+
+    @property
+    def pose(self) -> Pose:
+        return HOME
+
+    def reset(self, key: jax.Array) -> State:
+        place_key, goal_key = jax.random.split(key)
+        goals = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)
+        peg = self._peg_start(place_key)
+        return self._start_with_peg(peg, goals[jax.random.randint(goal_key, (), 0, len(goals))])
+
+    def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
+        """Return a start with the middle of the peg at `peg [3]`."""
+        return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()))
+
+    def joints_at(self, where: jax.Array) -> jax.Array:
+        """Return the peg's middle [3] with its head at `where [3]`."""
+        return where - HEAD
+
+    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self._start_with_peg(self.joints_at(vector[-3:]), goal)
+
+    def _backward_demo_start(self, key: jax.Array) -> State:
+        """Return the start of a backward demonstration: the peg inserted and the hand at home, as published."""
+        return dataclasses.replace(self, reset_at_goal=True).reset(key)
+
+    def _peg_start(self, key: jax.Array) -> jax.Array:
+        which, where, spread, coin = jax.random.split(key, 4)
+        scatter = jax.random.uniform(spread, (3,), minval=-SCATTER, maxval=SCATTER)
+        near = jax.random.uniform(where, (3,), minval=LOW, maxval=HIGH)
+        if self.reset_at_goal:
+            return jnp.asarray(INSERTED - HEAD) + scatter
+        if self.listed:
+            return _lying_peg(HEADS, which)
+        if self.wide:
+            return jnp.where(jax.random.bernoulli(coin), near, _lying_peg(FAR_HEADS, which) + scatter)
+        return near
+
+    def _changed(self, state: State, action: jax.Array, tips: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
+        return {"grasp": jnp.zeros(()) if self.sparse else _caging(tips, seen, state.info["start"], action[GRIPPER])}
+
+    def irreversible(self, state: State) -> jax.Array:
+        """Return whether the peg is off the table (a `fault`: its middle past an edge of the top) or out of the hand's reach."""
+        middle = state.obs[self.state_size - 3 : self.state_size] - HEAD
+        return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
+
+    def map_position(self, obs: jax.Array) -> jax.Array:
+        """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
+        return obs[..., self.state_size - 3 : self.state_size - 1]
+
+    def reward(self, obs: jax.Array) -> jax.Array:
+        """Return the reward [...] of arriving in `obs [..., o]`.
+
+        The dense reward also depends on the action, both finger tips and where the peg started; from `obs` alone these are
+        taken as: no effort, tips symmetric about the hand, the nominal start. `step` and `goal_reward` know them.
+        """
+        if self.sparse:
+            return self.success(obs).astype(jnp.float32)
+        return jnp.vectorize(self._dense_from_obs, signature="(o)->()")(obs)
+
+    def _dense_from_obs(self, obs: jax.Array) -> jax.Array:
+        grip = obs[GRIPPER] if self.variant == "released" else 1.0
+        start = jnp.asarray((LOW + HIGH) / 2)
+        side = jnp.array([0.0, OPENING / 2, 0.0]) * grip
+        below = obs[:3] - jnp.array([0.0, 0.0, 0.045])
+        tips = jnp.stack([below - side, below + side])
+        return self._dense(obs, start, _caging(tips, obs[self.state_size - 3 : self.state_size], start, jnp.zeros(())))
+
+    def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
+        return self.reward(obs) if self.sparse else self._dense(obs, info["start"], info["grasp"])
+
+    def _dense(self, obs: jax.Array, start: jax.Array, grasp: jax.Array) -> jax.Array:
+        """Return Meta-World's peg-insertion reward as released with EARL, of one `obs [o]`."""
+        hand, head = obs[:3], obs[self.state_size - 3 : self.state_size]
+        goal, scale = obs[-3:], jnp.array([1.0, 2.0, 2.0])
+        held_at = head - HEAD + GRASP
+        left = jnp.linalg.norm((head - goal) * scale)
+        placed = tolerance(left, 0.0, RADIUS, jnp.linalg.norm((start + HEAD - goal) * scale), long_tail)
+        bump = hamacher(*[prism(head, *_from_block(corners)) for corners in LIPS[::-1]])
+        placed = hamacher(placed, bump)
+        grip = obs[GRIPPER] > 0 if self.variant == "released" else True
+        lifted = (jnp.linalg.norm(held_at - hand) < 0.08) & grip & (held_at[2] - 0.01 > start[2])
+        total = hamacher(jnp.where(lifted, 1.0, grasp), placed) + jnp.where(lifted, 1.0 + 5.0 * placed, 0.0)
+        return jnp.where(left <= RADIUS, 10.0, total)
+
+    def expert(self, obs: jax.Array) -> jax.Array:
+        """Return the action [4] that brings the peg to its goal; the paper's variant hides what the expert must see."""
+        if self.variant != "released":
+            raise ValueError("the scripted expert of sawyer_peg looks at the gripper, which variant 'paper' hides")
+        return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
+
+
+def _lying_peg(heads: np.ndarray, key: jax.Array) -> jax.Array:
+    """Return the middle [3] of a peg that lies with its head at one of `heads [n, 2]`."""
+    head = jnp.asarray(heads)[jax.random.randint(key, (), 0, len(heads))]
+    return jnp.append(head, LOW[2]) - HEAD
+
+
+def _from_block(corners: np.ndarray) -> np.ndarray:
+    """Return `corners [n, 3]` of the block's frame in the world: the block is turned by a quarter to the left."""
+    turned = np.stack([-corners[:, 1], corners[:, 0], corners[:, 2]], axis=-1)
+    return turned + BLOCK
+
+
+def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:
+    """Return how well the fingers enclose the peg, in [0, 1]. Source: Meta-World, `_gripper_caging_reward`, high density.
+
+    `tips [2, 3]` right and left, `head [3]`, the peg's `start [3]`, the gripper's action `effort []`.
+    """
+    reach, radius, thin, pad = 0.03, 0.0075, 0.005, jnp.array([0.003, -0.003])
+    held_at, middle = head - HEAD + GRASP, tips.mean(axis=0)
+    sides = tips[:, 1] + pad
+    margin = jnp.abs(jnp.abs(sides - start[1]) - reach)
+    right, left = tolerance(jnp.abs(sides - held_at[1]), radius, reach, margin, long_tail)
+    level = np.array([0, 2])
+    across = jnp.linalg.norm(start[level] - START_TIPS[level]) - thin
+    level_with = tolerance(jnp.linalg.norm((middle - held_at)[level]), 0.0, thin, across, long_tail)
+    caging = hamacher(hamacher(right, left), level_with)
+    gripping = jnp.where(caging > 0.97, jnp.clip(effort, 0.0, 1.0), 0.0)
+    return (hamacher(caging, gripping) + caging) / 2

@@ -1,0 +1,272 @@
+"""Irreversible states: a task with a budget for interventions, an action that requests one, and an end when it is spent.
+
+Source: Sharma et al. 2022, appendix on irreversible states. docs/irreversible.md has the equations.
+"""
+
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.envs.base import Env
+from earl_jax.envs.state import NextState, State, tree_where
+from earl_jax.physics import PendingStep
+
+ROUNDING = 4 * float(np.finfo(np.float32).eps)
+"""The largest share of an exactly spent budget that float32 rounding can leave."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HelpBudget(Env):
+    """`task` in augmented spaces: `obs` = task state, share of the budget left, goal; `action` = the task's, help.
+
+    A last action component above `help_above` requests help. The body does not move and the simulated step is discarded. The
+    next state is s' ~ rho, and the budget (h_max at first) falls by `help_cost`. After a step into a state that is irreversible
+    for the task, the environment enforces an intervention: again s' ~ rho, for `enforced_cost`. Both are transitions that an
+    agent learns from, and the goal does not change.
+
+    An intervention that would exhaust the budget is not given. The lifetime ends instead: `done` is 1, the budget is 0, the
+    state stays as it was before that step, and every later step earns `absorbed_reward`. With the threshold 0.98 one uniform
+    action in a hundred requests help.
+    """
+
+    reward_type: str = dataclasses.field(init=False, repr=False)
+    train_horizon: int = dataclasses.field(init=False, repr=False)
+    eval_horizon: int = dataclasses.field(init=False, repr=False)
+    demo_file: str | None = dataclasses.field(init=False, repr=False)
+    task: Env
+    budget: float
+    help_cost: float = 1.0
+    enforced_cost: float = 1.0
+    help_above: float = 0.98
+    absorbed_reward: float = 0.0
+
+    ends: ClassVar[bool] = True
+
+    def __post_init__(self):
+        if not isinstance(self.task, Env) or isinstance(self.task, HelpBudget):
+            raise ValueError(f"task must be an env without a budget of its own, not {self.task!r}")
+        for field in dataclasses.fields(Env):
+            object.__setattr__(self, field.name, getattr(self.task, field.name))
+        super().__post_init__()
+        if not (self.budget > 0 and math.isfinite(self.budget)):
+            raise ValueError(f"budget must be above 0 and finite, not {self.budget}")
+        for field in ("help_cost", "enforced_cost"):
+            if not (getattr(self, field) >= 0 and math.isfinite(getattr(self, field))):
+                raise ValueError(f"{field} must be at least 0 and finite, not {getattr(self, field)}")
+        if not -1 <= self.help_above < 1:
+            raise ValueError(f"help_above must lie in [-1, 1), not {self.help_above}")
+        if not math.isfinite(self.absorbed_reward) or (self.task.sparse and self.absorbed_reward):
+            kind = "0 with a sparse reward, which is a success bit" if self.task.sparse else "finite"
+            raise ValueError(f"absorbed_reward must be {kind}, not {self.absorbed_reward}")
+
+    @property
+    def name(self) -> str:
+        return self.task.name
+
+    @property
+    def title(self) -> str:
+        return self.task.title
+
+    @property
+    def step_seconds(self) -> float:
+        return self.task.step_seconds
+
+    @property
+    def map_unit(self) -> str:
+        return self.task.map_unit
+
+    @property
+    def action_size(self) -> int:
+        return self.task.action_size + 1
+
+    @property
+    def goal_change(self) -> int:
+        return self.task.goal_change
+
+    @property
+    def continuing_horizon(self) -> int | None:
+        return self.task.continuing_horizon
+
+    @property
+    def map_bounds(self) -> np.ndarray | None:
+        return self.task.map_bounds
+
+    @property
+    def state_size(self) -> int:
+        return self.task.state_size + 1
+
+    @property
+    def goal_size(self) -> int:
+        return self.task.goal_size
+
+    @property
+    def engine(self) -> str:
+        return self.task.engine
+
+    @property
+    def model(self) -> str:
+        return self.task.model
+
+    def render_state(self, state: State) -> Any:
+        return self.task.render_state(state.data)
+
+    def render_goal(self, state: State) -> Any:
+        return self.task.render_goal(state.data)
+
+    def for_lanes(self, lanes: int) -> "HelpBudget":
+        return dataclasses.replace(self, task=self.task.for_lanes(lanes))
+
+    @property
+    def sparse(self) -> bool:
+        return self.task.sparse
+
+    @property
+    def reward_scale(self) -> float:
+        return self.task.reward_scale
+
+    @property
+    def goal_states(self) -> np.ndarray:
+        return self.task.goal_states
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        return self.task.initial_states
+
+    def sample_goal(self, key: jax.Array) -> jax.Array:
+        return self.task.sample_goal(key)
+
+    def reset(self, key: jax.Array) -> State:
+        inner_key, own_key = jax.random.split(key)
+        return self._initial_state(self.task.reset(inner_key), own_key)
+
+    def reset_uniform(self, key: jax.Array) -> State:
+        inner_key, own_key = jax.random.split(key)
+        return self._initial_state(self.task.reset_uniform(inner_key), own_key)
+
+    def _initial_state(self, inner: State, key: jax.Array) -> State:
+        """Return the first state of a lifetime, with the whole budget and the task in the state `inner`.
+
+        `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime. It
+        keeps the `key` that s' ~ rho is drawn with.
+        """
+        none = jnp.zeros((), jnp.int32)
+        info = {
+            "goal": inner.info["goal"],
+            "budget": jnp.asarray(self.budget, jnp.float32),
+            "asked": none,
+            "enforced": none,
+        }
+        return self._augmented(inner, {**info, "key": jax.random.key_data(key)})
+
+    def intervene(self, key: jax.Array, state: State) -> State:
+        """Return the state after a hard intervention: s0 ~ rho at no cost, with budget and counts unchanged.
+
+        Where the lifetime has ended, it is `state`.
+        """
+        inner = self.task.intervene(key, state.data)
+        fresh = self._augmented(inner, {**state.info, "goal": inner.info["goal"]})
+        return tree_where(_ended(state.info), state, fresh)
+
+    def fault(self, state: State) -> jax.Array:
+        """Return false: this environment has already answered a fault of the task with an intervention."""
+        del state
+        return jnp.zeros((), bool)
+
+    def start_step(self, state: State, action: jax.Array) -> PendingStep:
+        action = self.checked_action(action)
+        step = self.task.start_step(state.data, action[:-1])
+        return PendingStep((action[-1] > self.help_above, step.payload), step.ticket)
+
+    def finish_step(self, state: State, pending: PendingStep) -> State:
+        asked, payload = pending.payload
+        moved = self.task.finish_step(state.data, PendingStep(payload, pending.ticket))
+        return self.next_state(state, self._after(state, asked, moved))
+
+    def transition(self, state: State, action: jax.Array) -> NextState:
+        return self._after(state, action[-1] > self.help_above, self.task.step(state.data, action[:-1]))
+
+    def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
+        """Return what follows where help was `asked` for and the task itself would have gone on to `moved`."""
+        enforced = ~asked & self.task.irreversible(moved)
+        following, drawn = jax.random.split(jax.random.wrap_key_data(state.info["key"]))
+        changed = {**self._charged(state.info, asked, enforced), "key": jax.random.key_data(following)}
+        fresh = self.task.with_goal(self.task.reset(drawn), state.info["goal"])
+        helped = tree_where(asked | enforced, fresh, moved)
+        info = tree_where(_ended(state.info), state.info, {**state.info, **changed})
+        inner = tree_where(_ended(info), state.data, helped)
+        return inner, self._vector(inner, info), info
+
+    def _charged(self, info: dict[str, jax.Array], asked: jax.Array, enforced: jax.Array) -> dict[str, jax.Array]:
+        """Return counts and budget after a step on which help was `asked` for, an intervention was `enforced`, or neither.
+
+        The budget is computed from the counts, so that rounding does not add up over a long lifetime.
+        """
+        counts = {"asked": info["asked"] + asked, "enforced": info["enforced"] + enforced}
+        costs = {"asked": self.help_cost, "enforced": self.enforced_cost}
+        paid = sum(counts[kind] * cost for kind, cost in costs.items())
+        left = jnp.maximum(self.budget - paid, 0.0)
+        return {**counts, "budget": jnp.where(left <= ROUNDING * self.budget, 0.0, left)}
+
+    def _vector(self, inner: State, info: dict[str, jax.Array]) -> jax.Array:
+        """Return the augmented state vector [s + 1]."""
+        return jnp.append(inner.obs[: self.task.state_size], info["budget"] / self.budget)
+
+    def _augmented(self, inner: State, info: dict[str, jax.Array]) -> State:
+        return self.make_state(inner, self._vector(inner, info), info)
+
+    def make_state(self, data: State, vector: jax.Array, info: dict[str, jax.Array]) -> State:
+        state = super().make_state(data, vector, info)
+        return state.replace(reward=self.goal_reward(state, info["goal"]), done=_ended(info).astype(jnp.float32))
+
+    def with_goal(self, state: State, goal: jax.Array) -> State:
+        return super().with_goal(state.replace(data=self.task.with_goal(state.data, goal)), goal)
+
+    def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
+        return jnp.where(_ended(state.info), self.absorbed_reward, self.task.goal_reward(state.data, goal))
+
+    def task_obs(self, obs: jax.Array) -> jax.Array:
+        """Return the task's own observation [..., s + g] of `obs [..., s + 1 + g]`: all but the budget."""
+        return jnp.delete(obs, self.task.state_size, axis=-1, assume_unique_indices=True)
+
+    def success(self, obs: jax.Array) -> jax.Array:
+        return self.task.success(self.task_obs(obs)) & self._budget_left(obs)
+
+    def reward(self, obs: jax.Array) -> jax.Array:
+        return jnp.where(self._budget_left(obs), self.task.reward(self.task_obs(obs)), self.absorbed_reward)
+
+    def _budget_left(self, obs: jax.Array) -> jax.Array:
+        return obs[..., self.task.state_size] > 0
+
+    def map_position(self, obs: jax.Array) -> jax.Array:
+        return self.task.map_position(self.task_obs(obs))
+
+    def expert(self, obs: jax.Array) -> jax.Array:
+        """Return the action [a + 1] of the task's scripted controller, which never requests help."""
+        return jnp.append(self.task.expert(self.task_obs(obs)), -1.0)
+
+    @property
+    def has_demos(self) -> bool:
+        return self.task.has_demos
+
+    @property
+    def demo_directions(self) -> tuple[str, ...]:
+        return self.task.demo_directions
+
+    def demos(self, direction: str) -> assets.Demos:
+        """Return the task's demonstrations with a full budget and no request for help. Errors as the task's."""
+        demos = self.task.demos(direction)
+        wider = {"states": 1.0, "next_states": 1.0, "actions": -1.0}
+        parts = {
+            name: np.pad(getattr(demos, name), ((0, 0), (0, 1)), constant_values=value) for name, value in wider.items()
+        }
+        return demos._replace(**parts)
+
+
+def _ended(info: dict[str, jax.Array]) -> jax.Array:
+    """Return whether a lifetime has ended, bool []: the budget is 0 from then on and at no other time."""
+    return info["budget"] <= 0

@@ -1,0 +1,59 @@
+"""Which physics engine a run uses: the one that was asked for, or the fastest one by measured costs."""
+
+import importlib.util
+import os
+from typing import NamedTuple
+
+import jax
+
+ENGINES = ("mjx", "warp", "c")
+DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
+"""The engine that `auto` takes on a backend for few lanes, by benchmarks/results/physics; on others (TPU) it is mjx."""
+REQUIREMENTS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
+"""The module that each engine needs, and the extra of this package that installs it."""
+DEVICE_LANES = 1000
+"""The number of lanes at which device costs were measured."""
+
+
+class EngineCost(NamedTuple):
+    """Measured milliseconds of a task's control step, on one H200 with 16 cores (benchmarks/results/physics).
+
+    `host` is the time of one core for one lane on `c`. `device` is the time of 1,000 lanes on `mjx`; fewer lanes take hardly
+    less. It is None where `mjx` was not measured.
+    """
+
+    host: float
+    device: float | None = None
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def resolve_engine(engine: str) -> str:
+    """Return the engine that `engine` stands for on this backend: itself, or for `auto` the default for few lanes.
+
+    Raises:
+        ValueError: the engine is unknown or not installed; the message names the choices or the extra that installs it.
+    """
+    if engine == "auto":
+        return DEFAULT_ENGINES.get(jax.default_backend(), "mjx")
+    if engine not in ENGINES:
+        raise ValueError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
+    module, extra = REQUIREMENTS[engine]
+    if importlib.util.find_spec(module.partition(".")[0]) is None:
+        raise ValueError(f"physics engine {engine!r} is not installed; get it with: pip install 'earl-jax{extra}'")
+    return engine
+
+
+def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
+    """Return the engine with the shortest control step of `lanes` lanes here, by a task's measured `cost`.
+
+    Without a cost, or on any backend but a GPU, it is the default engine.
+    """
+    default = resolve_engine("auto")
+    if jax.default_backend() != "gpu" or cost is None or cost.device is None:
+        return default
+    host = lanes * cost.host / (usable_cores() / jax.local_device_count())
+    return "mjx" if host > cost.device * max(1.0, lanes / DEVICE_LANES) else default

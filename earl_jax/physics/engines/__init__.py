@@ -1,0 +1,1 @@
+"""The engines: `c` on the host's threads, `mjx` and `warp` on the accelerator."""

@@ -1,0 +1,55 @@
+"""MJX, its own JAX implementation or Warp's: one program for all lanes."""
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+
+from earl_jax.physics.mjx_compat import guard_kinematics
+from earl_jax.physics.models import import_mjx
+from earl_jax.physics.state import FIELDS, PhysicsState
+
+if TYPE_CHECKING:
+    from earl_jax.physics import Simulator
+
+WARP_CONTACTS, WARP_ROWS = 1 << 15, 256
+"""Warp's capacity: contacts of all lanes together, and constraint rows of one lane. On overflow the state becomes NaN."""
+
+
+@functools.cache
+def _model(simulator: "Simulator") -> tuple[Any, Any]:
+    mjx, host = import_mjx(), simulator.mujoco_model()
+    implementation = "warp" if simulator.engine == "warp" else "jax"
+    budget = {"naconmax": WARP_CONTACTS, "njmax": WARP_ROWS} if implementation == "warp" else {}
+    with jax.ensure_compile_time_eval():
+        model = mjx.put_model(host, impl=implementation)
+        if implementation == "warp":
+            model = model.tree_replace({"opt._impl.warn_overflow": 0})
+        return model, mjx.make_data(host, impl=implementation, **budget)
+
+
+def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
+    """Return what `Simulator.step` returns; the scan carries the integration state, so XLA drops the rest of `Data`."""
+    mjx, (model, blank) = import_mjx(), _model(simulator)
+    if simulator.varied:
+        model = model.tree_replace(simulator.variation(state.constants))
+
+    def substep(carry, _):
+        state = carry[0]
+        ctrl, memory = simulator.controls(jnp, state.qpos, state.qvel, command, state.memory)
+        data = blank.replace(ctrl=ctrl, **{field: getattr(state, field) for field in FIELDS})
+        data = mjx.step(model, data)
+        after = state.replace(memory=memory, **{field: getattr(data, field) for field in FIELDS})
+        if simulator.engine == "warp":
+            after = after.replace(qpos=jnp.where(_warp_overflowed(data), jnp.nan, after.qpos))
+        return (after, data.sensordata), None
+
+    guard_kinematics()
+    with jax.default_matmul_precision("highest"):
+        return jax.lax.scan(substep, (state, blank.sensordata), length=simulator.substeps)[0]
+
+
+def _warp_overflowed(data: Any) -> jax.Array:
+    """Return whether contacts or rows of a Warp step did not fit: Warp drops the rest silently."""
+    return (data._impl.nacon > WARP_CONTACTS).any() | (data._impl.nefc > WARP_ROWS).any()

@@ -1,0 +1,1 @@
+"""Host functions inside jitted programs, through XLA's foreign function interface."""

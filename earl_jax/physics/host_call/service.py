@@ -1,0 +1,107 @@
+"""Work on the host inside a jitted program: rows of a device's memory in, rows out.
+
+`jax.pure_callback` would do the same, but the persistent compilation cache never stores a program with a callback, each call
+takes three times as long, and a GPU stops until the host has answered. XLA knows a foreign function by its name. On a GPU the
+function only queues copies and waits in the stream, so the work of a program between `start` and `finish` runs concurrently.
+"""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.physics.host_call.cuda import Stream
+from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
+
+Serve = Callable[[np.ndarray, int], np.ndarray]
+"""Host work: float32 rows [n, k] and the stream they come from (0 on a CPU) in, float32 rows [n, m] out."""
+TICKET = jax.ShapeDtypeStruct((1,), jnp.int32)
+_SERVICES: dict[str, "Service"] = {}
+_HANDLERS: dict[tuple[str, str], Any] = {}
+"""The handlers that XLA calls; they must outlive every program."""
+
+
+class Service:
+    """Host work in one call (`step`) or in two: `start` takes rows and returns a ticket for each, `finish` takes the tickets and
+    returns the answer."""
+
+    def __init__(self, serve: Serve, width: int):
+        self.serve, self.width = serve, width
+        self.numbers, self.answers = itertools.count(1), dict[int, np.ndarray]()
+        self.streams: dict[int, Stream] = {}
+
+    def step(self, frame: Frame) -> None:
+        """Answer at once, on a CPU."""
+        rows, answer = frame.transfer
+        rows_of(answer)[:] = self.serve(rows_of(rows), 0)
+
+    def start(self, frame: Frame) -> None:
+        """Do the work and store the answer, on a CPU, where two halves gain nothing."""
+        rows, tickets = frame.transfer
+        number = next(self.numbers) & 0x7FFFFFFF
+        self.answers[number] = self.serve(rows_of(rows), 0)
+        tickets.integers[:] = number
+
+    def finish(self, frame: Frame) -> None:
+        """Return the answer stored for the tickets, on a CPU."""
+        tickets, answer = frame.transfer
+        rows_of(answer)[:] = self.answers.pop(int(tickets.integers[0]))
+
+    def start_in_stream(self, frame: Frame) -> None:
+        """Queue the work in the stream, on a GPU."""
+        self._stream(frame).start(*frame.transfer)
+
+    def finish_in_stream(self, frame: Frame) -> None:
+        """Queue the wait for the answer in the stream, on a GPU."""
+        self._stream(frame).finish(*frame.transfer)
+
+    def _stream(self, frame: Frame) -> Stream:
+        stream = frame.stream
+        if stream not in self.streams:
+            self.streams[stream] = Stream(self.serve, self.width, stream)
+        return self.streams[stream]
+
+
+def register(name: str, serve: Serve, width: int) -> None:
+    """Register `serve` with XLA; its answers have `width` columns.
+
+    The targets are `<name>.step` on a CPU, and `<name>.start` and `<name>.finish` on a CPU and on CUDA.
+    """
+    known = name in _SERVICES
+    if not known or _SERVICES[name].serve is not serve:
+        _SERVICES[name] = Service(serve, width)
+    if known:
+        return
+    targets = {
+        ("step", "cpu"): Service.step,
+        ("start", "cpu"): Service.start,
+        ("finish", "cpu"): Service.finish,
+        ("start", "CUDA"): Service.start_in_stream,
+        ("finish", "CUDA"): Service.finish_in_stream,
+    }
+    for (part, platform), work in targets.items():
+        target = handler(lambda frame, work=work: work(_SERVICES[name], frame))
+        _HANDLERS[f"{name}.{part}", platform] = target
+        jax.ffi.register_ffi_target(f"{name}.{part}", jax.ffi.pycapsule(target), platform=platform)
+
+
+def step(name: str, row: jax.Array, width: int) -> jax.Array:
+    """Return the answer [width] of service `name` to one lane's `row [k]`, on a CPU; vmap makes one call for all lanes."""
+    return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
+
+
+def start(name: str, row: jax.Array) -> jax.Array:
+    """Return the ticket [1] of the work that begins on one lane's `row [k]`."""
+    return _call(f"{name}.start", row, TICKET)
+
+
+def finish(name: str, ticket: jax.Array, width: int) -> jax.Array:
+    """Return the answer [width] to the row of `ticket`."""
+    return _call(f"{name}.finish", ticket, jax.ShapeDtypeStruct((width,), jnp.float32))
+
+
+def _call(target: str, operand: jax.Array, answer: jax.ShapeDtypeStruct) -> jax.Array:
+    return jax.ffi.ffi_call(target, answer, vmap_method="broadcast_all")(operand)

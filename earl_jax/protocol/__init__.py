@@ -1,0 +1,19 @@
+"""The ARL formalism around a task: rules of interventions and goals, and the two settings."""
+
+from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
+from earl_jax.protocol.settings import SETTINGS, Continuing, Deployment, Setting, setting_of, split_setting
+
+__all__ = [
+    "SETTINGS",
+    "Attempt",
+    "Continuing",
+    "Deployment",
+    "Protocol",
+    "Rules",
+    "Setting",
+    "StepEnd",
+    "advance_rules",
+    "reset_where",
+    "setting_of",
+    "split_setting",
+]

@@ -1,0 +1,140 @@
+"""The rules of the ARL formalism: when an environment is reset, when its goal changes, and how a step ends.
+
+Source: Sharma et al. 2022, section 3. docs/formalism.md has the equations.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.envs import Env, State
+from earl_jax.envs.state import tree_where
+
+
+class Rules(NamedTuple):
+    """When an environment is reset and its goal changes, as data: lanes of one program may differ in it.
+
+    `horizon []`, int32: steps between hard interventions, 0 for never. `chance []`, float32: probability of one after any
+    step. `goal_change []`, int32: steps between the goals that the environment sets, 0 where every attempt draws its own.
+    """
+
+    horizon: Any
+    chance: Any
+    goal_change: Any
+
+    def intervened(self, step: jax.Array, key: jax.Array) -> jax.Array:
+        """Return whether a hard intervention follows step number `step`, counted from 1, bool []."""
+        return _every(step, self.horizon) | (jax.random.uniform(key) < self.chance)
+
+    def goal_changes(self, step: jax.Array) -> jax.Array:
+        """Return whether the environment sets another goal after step number `step`, counted from 1, bool []."""
+        return _every(step, self.goal_change)
+
+
+class Attempt(NamedTuple):
+    """What an agent is trying when a step begins: the arguments of `advance_rules` that the agent decides.
+
+    bool `is_task []`: the attempt is at the task, not at a return; int32 `age []`: its steps so far; int32 `limit []`: the
+    steps after which it times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets the environment.
+    """
+
+    is_task: Any
+    age: Any
+    limit: Any
+    ends_on_success: Any
+    reset_at_end: Any
+
+
+class StepEnd(NamedTuple):
+    """How one step ended, bool scalars.
+
+    The attempt is `over` where its goal was `reached` or it hit a `timeout`. `fault`: the simulation broke, and nothing of the
+    step is kept. `goal_changes`: the environment sets another goal. `restarts`: the next attempt is at the task, after an
+    intervention or a goal change. `reset`: the environment goes back to s0 ~ rho.
+    """
+
+    fault: jax.Array
+    reached: jax.Array
+    timeout: jax.Array
+    over: jax.Array
+    goal_changes: jax.Array
+    restarts: jax.Array
+    reset: jax.Array
+
+
+def advance_rules(
+    rules: Rules, env: Env, env_state: State, attempt: Attempt, step: jax.Array, key: jax.Array
+) -> StepEnd:
+    """Return how step number `step`, counted from 1, ended in `env_state`: the one rule for the learner and all adapters.
+
+    `key` decides about an intervention by chance. A fault resets this lane alone, as an intervention does.
+    """
+    fault = env.fault(env_state)
+    success = env.sparse & env.success(env_state.obs) & attempt.ends_on_success
+    reached = success & ~fault & (env_state.done == 0)
+    intervened = rules.intervened(step, key) | fault
+    goal_changes = rules.goal_changes(step)
+    restarts = intervened | (goal_changes & attempt.is_task)
+    expired = (attempt.age + 1 >= attempt.limit) | restarts
+    over = reached | expired
+    return StepEnd(
+        fault=fault,
+        reached=reached,
+        timeout=expired & ~reached,
+        over=over,
+        goal_changes=goal_changes,
+        restarts=restarts,
+        reset=intervened | (over & attempt.reset_at_end),
+    )
+
+
+def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) -> State:
+    """Return `env_state`, or the state after a hard intervention where `reset`, bool [].
+
+    This is a select, not a branch: under vmap a branch would compute both sides as well.
+    """
+    return tree_where(reset, env.intervene(key, env_state), env_state)
+
+
+def _every(step: jax.Array, period: jax.Array) -> jax.Array:
+    return (period > 0) & (step % jnp.maximum(period, 1) == 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Protocol:
+    """How an agent is trained and evaluated: interventions, goal changes, and evaluations of the greedy policy from s0 ~ rho."""
+
+    train_horizon: int
+    """H_T: steps between hard interventions, which reset the environment to s0 ~ rho; 0 for never."""
+    eval_horizon: int
+    """H_E: steps of an evaluation episode."""
+    eval_every: int = 10_000
+    """Training steps between deployed evaluations."""
+    eval_episodes: int = 10
+    """Episodes of one deployed evaluation."""
+    intervention_chance: float = 0.0
+    """epsilon: probability that a step is followed by a hard intervention, p~ = (1 - epsilon) p + epsilon rho."""
+    goal_change: int = 0
+    """Steps between goal changes of the continuing setting; 0 where every new attempt draws its goal from p_g."""
+
+    def __post_init__(self):
+        for field in ("eval_horizon", "eval_every", "eval_episodes"):
+            if getattr(self, field) < 1:
+                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+        for field in ("train_horizon", "goal_change"):
+            if getattr(self, field) < 0:
+                raise ValueError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
+        if not 0 <= self.intervention_chance < 1:
+            raise ValueError(f"intervention_chance must lie in [0, 1), not {self.intervention_chance}")
+
+    @property
+    def rules(self) -> Rules:
+        """The part of this that a lane carries as data, scalars."""
+        return Rules(
+            horizon=np.int32(self.train_horizon),
+            chance=np.float32(self.intervention_chance),
+            goal_change=np.int32(self.goal_change),
+        )

@@ -1,0 +1,117 @@
+"""The two settings of the paper, deployment and continuing: which interventions and goals an agent meets.
+
+Source: Sharma et al. 2022, section 3; the numbers follow the released code.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+from earl_jax.envs import Env
+from earl_jax.envs.wrappers.help_budget import HelpBudget
+from earl_jax.options import check
+from earl_jax.protocol.rules import Protocol
+
+HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
+"""The fields that `Setting` and `HelpBudget` have in common."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What an agent is evaluated for, and its interventions; a field that is None takes the task's own number."""
+
+    intervention_chance: float = 0.0
+    """epsilon: probability of a hard intervention after a step, besides the one every H_T steps."""
+    budget: float | None = None
+    """h_max: total cost of interventions. The agent observes the rest and can request help (`HelpBudget`). None: no help."""
+    help_cost: float = 1.0
+    """c(s, a_h): cost of a request for help, where there is a budget."""
+    enforced_cost: float = 1.0
+    """Cost of an intervention that the environment enforces in an irreversible state, where there is a budget."""
+    help_above: float = 0.98
+    """Threshold on the last action component above which the agent requests help, where there is a budget."""
+    absorbed_reward: float = 0.0
+    """Reward of every step after the budget is spent."""
+
+    name: ClassVar[str]
+
+    def wrap(self, task: Env) -> Env:
+        """Return `task`, as a `HelpBudget` where this setting has a budget."""
+        if self.budget is None:
+            return task
+        return HelpBudget(task=task, **{name: getattr(self, name) for name in HELP_FIELDS})
+
+    def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
+        """Return the protocol of a lifetime in `env`."""
+        return Protocol(
+            train_horizon=env.train_horizon,
+            eval_horizon=env.eval_horizon,
+            eval_every=eval_every,
+            eval_episodes=eval_episodes,
+            intervention_chance=self.intervention_chance,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Deployment(Setting):
+    """Deployment: the final policy counts. Every attempt draws its goal; hard interventions come every H_T steps.
+
+    Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 3.1.1 of the paper).
+    """
+
+    name: ClassVar[str] = "deployment"
+
+
+@dataclasses.dataclass(frozen=True)
+class Continuing(Setting):
+    """Continuing: the reward of the lifetime counts. The environment sets one goal after another, whatever the agent does.
+
+    Evaluated by C(A), the reward averaged over the lifetime (section 3.1.2). Goals change as in the released code, and H_T is
+    that of its lifelong configuration. A goal change ends an attempt at the task as a time-out does; a return goes on. The
+    paper's Table 2 was made from deployment runs: its reward rates can only be reached when each success draws a new goal. So
+    `earl-jax reproduce table2` reads C(A) from deployment runs.
+    """
+
+    goal_change: int | None = None
+    """Steps between goal changes; None for the task's own."""
+
+    name: ClassVar[str] = "continuing"
+
+    def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
+        """Return the protocol of a lifetime in `env`.
+
+        A `train_horizon` other than the task's default replaces the lifelong H_T.
+        """
+        task, _ = split_setting(env, self)
+        explicit = task.train_horizon != type(task).train_horizon
+        horizon = task.train_horizon if explicit else task.continuing_horizon or task.train_horizon
+        change = env.goal_change if self.goal_change is None else self.goal_change
+        return Protocol(
+            train_horizon=horizon,
+            eval_horizon=env.eval_horizon,
+            eval_every=eval_every,
+            eval_episodes=eval_episodes,
+            intervention_chance=self.intervention_chance,
+            goal_change=change,
+        )
+
+
+SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Deployment, Continuing)}
+
+
+def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
+    """Return the setting `name` with its `options`.
+
+    Raises:
+        ValueError: the name or an option is unknown or of another kind; the message lists the choices.
+    """
+    if not isinstance(name, str) or name not in SETTINGS:
+        raise ValueError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
+    check(f"setting {name!r}", SETTINGS[name], options)
+    return SETTINGS[name](**options)
+
+
+def split_setting(env: Env, setting: Setting) -> tuple[Env, Setting]:
+    """Return the plain task of `env`, and `setting` with the options of the `HelpBudget` around it, if there is one."""
+    if not isinstance(env, HelpBudget):
+        return env, setting
+    return env.task, dataclasses.replace(setting, **{name: getattr(env, name) for name in HELP_FIELDS})

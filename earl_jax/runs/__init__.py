@@ -1,0 +1,1 @@
+"""Runs on disk: config, folder, checkpoints, logs and progress."""

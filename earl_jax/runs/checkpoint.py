@@ -1,0 +1,234 @@
+"""Checkpoints: the whole train state of a run. A new one replaces an older one only when it is complete.
+
+A checkpoint is a folder named by its step. It holds orbax trees of the lanes and of the filled part of the replay, and a
+manifest with a checksum of every file and of itself. It holds arrays only; nothing is ever unpickled. The two newest are kept,
+so that a damaged one costs only the steps since the one before it.
+
+A train state is any `flax.struct` tree with the fields `lanes`, `replay` and `step`.
+"""
+
+import contextlib
+import hashlib
+import json
+import logging
+import shutil
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.runs.files import DamagedWarning, inside
+from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.snapshot import filled, plain, spread, typed
+
+MANIFEST = "manifest.json"
+KEPT = 2
+SPARE = 1 << 20
+"""Bytes of a checkpoint besides its arrays, with room for the rows that follow."""
+
+
+class DamagedError(ValueError):
+    """A checkpoint is not what was written."""
+
+
+def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
+    """Write lanes `span` of `state` to `folder/<step>` and return that path; of older checkpoints the newest one stays.
+
+    Where lanes are on several hosts, all of them must call this, and the first one writes.
+
+    Raises:
+        OSError: it could not be written; what was there before is untouched.
+    """
+    step = int(gathered(state.step))
+    part, done = folder / f"part-{step}", folder / f"{step:09d}"
+    lanes = gathered(plain(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
+    replay = filled(state.replay, span)
+    if not first_host():
+        return done
+    try:
+        for stale in folder.glob("part-*"):
+            shutil.rmtree(stale)
+        part.mkdir(parents=True)
+        _require_room(part, [*lanes.values(), *replay.values()])
+        _write(part / "lanes", lanes)
+        _write(part / "replay", replay)
+        (part / MANIFEST).write_text(_manifest({"step": step, "lanes": _described(lanes), "files": _checksums(part)}))
+    except Exception as error:  # orbax has its own ways to say that a disk is full
+        shutil.rmtree(part, ignore_errors=True)
+        cause = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
+        raise OSError(f"checkpoint {done} can't be written: {cause}; those before it are untouched") from error
+    older = [path for path in _checkpoints(folder) if path != done]
+    shutil.rmtree(done, ignore_errors=True)
+    part.rename(done)
+    for path in older[: 1 - KEPT]:
+        shutil.rmtree(path)
+    return done
+
+
+def _require_room(folder: Path, arrays: Sequence[np.ndarray]) -> None:
+    """Raise an OSError if the disk has no room: orbax's threads go on for a while after a write has failed."""
+    needed, free = sum(array.nbytes for array in arrays) + SPARE, shutil.disk_usage(folder).free
+    if free < needed:
+        raise OSError(f"it takes up to {needed / 1e6:,.1f} MB and {free / 1e6:,.1f} MB are free")
+
+
+def newest(folder: Path) -> int:
+    """Return the step of the newest checkpoint in `folder`, 0 where there is none."""
+    paths = _checkpoints(folder)
+    return int(paths[-1].name) if paths else 0
+
+
+def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:
+    """Return the newest whole checkpoint in `folder` in the form of `like` (shapes suffice), or None where there is none.
+
+    With `with_replay=False` only the lanes are read and the replay is left as in `like`. Warnings and errors as
+    `restore_together`.
+    """
+    return restore_together([folder], [like.replay.counts.shape[0]], like, with_replay)
+
+
+def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, with_replay: bool = True) -> Any:
+    """Return the newest whole checkpoints of `folders`, of `sizes` lanes, side by side in the form of `like`; None without any.
+
+    One that is damaged is passed over for the one before it, with a `DamagedWarning`.
+
+    Raises:
+        ValueError: none is whole, or they are not of one step or of another experiment; the message names the file.
+    """
+    steps = {newest(folder) for folder in folders}
+    if len(steps) > 1:
+        raise ValueError(f"checkpoints of steps {sorted(steps)} can't go on in one program")
+    if steps == {0}:
+        return None
+    causes = []
+    for paths in _side_by_side(folders):
+        try:
+            manifests = [verified(path) for path in paths]
+        except DamagedError as error:
+            causes.append(str(error))
+            continue
+        state = _joined(paths, manifests, sizes, like, with_replay)
+        if causes:
+            warnings.warn(f"{'; '.join(causes)}; going on from {paths[0].name}", DamagedWarning, stacklevel=2)
+        return state
+    raise ValueError(f"{'; '.join(causes)}; no older one is whole")
+
+
+def _side_by_side(folders: Sequence[Path]) -> list[list[Path]]:
+    """Return the checkpoints of all `folders` at each step that all of them have, newest first."""
+    by_name = [{path.name: path for path in _checkpoints(folder)} for folder in folders]
+    common = set.intersection(*map(set, by_name))
+    return [[paths[name] for paths in by_name] for name in sorted(common, reverse=True)]
+
+
+def _joined(
+    paths: Sequence[Path], manifests: Sequence[dict], sizes: Sequence[int], like: Any, with_replay: bool
+) -> Any:
+    lanes = [_lanes(*each, like) for each in zip(paths, manifests, sizes, strict=True)]
+    replay = like.replay
+    if with_replay:
+        replay = spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
+    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
+    return like.replace(lanes=joined, replay=replay, step=jnp.asarray(int(paths[0].name), jnp.int32))
+
+
+def _lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> Any:
+    """Return the `size` lanes of the checkpoint at `path`."""
+    form = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
+    wanted = plain(form)
+    if manifest["lanes"] != _described(wanted):
+        raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
+    return typed(_read(path / "lanes", wanted), form)
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.glob("*") if path.name.isdigit() and not path.is_symlink())
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
+    return {str(path.relative_to(folder)): _checksum(path) for path in files}
+
+
+def _checksum(path: Path) -> str:
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "blake2b").hexdigest()
+
+
+def _manifest(body: dict[str, Any]) -> str:
+    """Return `body` as text, with a checksum of it."""
+    return json.dumps({**body, "checksum": _sum_of(body)})
+
+
+def _sum_of(body: dict[str, Any]) -> str:
+    return hashlib.blake2b(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def verified(path: Path) -> dict[str, Any]:
+    """Return the manifest of a checkpoint whose every file is as it was written."""
+    try:
+        manifest = json.loads((path / MANIFEST).read_text())
+        if manifest.pop("checksum") != _sum_of(manifest):
+            raise ValueError("it is not what was written")
+        files = dict(manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
+    if manifest["step"] != int(path.name):
+        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} names step {manifest['step']}")
+    for name, expected in files.items():
+        try:
+            file = inside(path, name)
+        except ValueError as error:
+            raise DamagedError(f"checkpoint {path} is damaged: {error}") from error
+        if not file.is_file():
+            raise DamagedError(f"checkpoint {path} is damaged: {name} is missing")
+        if _checksum(file) != expected:
+            raise DamagedError(f"checkpoint {path} is damaged: {name} is not what was written")
+    return manifest
+
+
+def _described(leaves: dict[str, Any]) -> dict[str, str]:
+    return {name: f"{leaf.dtype}{list(leaf.shape)}" for name, leaf in leaves.items()}
+
+
+@contextlib.contextmanager
+def _checkpointer() -> Iterator[Any]:
+    """Yield orbax's checkpointer for arrays on this host alone: the first host writes, every host reads for itself.
+
+    It is the one that blocks; the one in the background gives up when the clock jumps. Its log is silenced, because we report
+    its errors in one line.
+    """
+    import orbax.checkpoint as ocp
+
+    me = jax.process_index()
+    several = {"primary_host": me, "active_processes": {me}, "barrier_sync_key_prefix": f"host{me}"}
+    options = ocp.options.MultiprocessingOptions(**(several if jax.process_count() > 1 else {}))
+    handler = ocp.StandardCheckpointHandler(multiprocessing_options=options)
+    logger = logging.getLogger("absl")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with ocp.Checkpointer(handler, multiprocessing_options=options) as checkpointer:
+            yield checkpointer
+    finally:
+        logger.setLevel(level)
+
+
+def _write(path: Path, tree: Any) -> None:
+    import orbax.checkpoint as ocp
+
+    with _checkpointer() as checkpointer:
+        checkpointer.save(path.resolve(), args=ocp.args.StandardSave(jax.tree.map(np.asarray, tree)))
+
+
+def _read(path: Path, like: Any) -> Any:
+    import orbax.checkpoint as ocp
+
+    with _checkpointer() as checkpointer:
+        return checkpointer.restore(path.resolve(), args=ocp.args.StandardRestore(like))

@@ -1,0 +1,189 @@
+"""A run as data: everything that config.json needs to repeat it."""
+
+import dataclasses
+import numbers
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from earl_jax.algos import Method, list_algos, make_algo
+from earl_jax.envs import Env, list_envs, make
+from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
+
+Row = dict[str, float]
+"""One row of metrics.csv: the metrics of one seed at one evaluation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """Names, options that differ from the defaults, seeds and lengths of a run.
+
+    The objects of a run are resolved once and carried beside this; `build_env` and the other builders serve runs that are read
+    from a folder. `env_class` and `algo_class` name the class of an object that its registered name would not build.
+    """
+
+    env: str
+    env_options: dict[str, Any]
+    algo: str
+    options: dict[str, Any]
+    seeds: tuple[int, ...]
+    steps: int
+    eval_every: int
+    eval_episodes: int
+    checkpoint_every: int
+    setting: dict[str, Any] = dataclasses.field(default_factory=lambda: {"name": Deployment.name})
+    """The name of the setting, and those of its options that differ from the defaults."""
+    env_class: str | None = None
+    algo_class: str | None = None
+
+    def __post_init__(self):
+        kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
+        for field, kind in kinds.items():
+            if not isinstance(getattr(self, field), kind):
+                raise ValueError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
+        if "name" not in self.setting:
+            raise ValueError(f"setting has no name: {self.setting}")
+        self._check_seeds_and_lengths()
+
+    def _check_seeds_and_lengths(self) -> None:
+        whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
+        if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
+            raise ValueError(f"seeds, steps and what is counted in them are whole numbers, not {whole}")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
+        if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
+            raise ValueError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
+        for field in ("steps", "eval_every", "eval_episodes", "checkpoint_every"):
+            if getattr(self, field) < 1:
+                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+        if self.steps % self.eval_every:
+            raise ValueError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
+
+    @classmethod
+    def from_objects(
+        cls,
+        env: Env,
+        method: Method,
+        setting: Setting,
+        *,
+        seeds: Sequence[int],
+        steps: int,
+        eval_every: int,
+        eval_episodes: int,
+        checkpoint_every: int,
+    ) -> "RunConfig":
+        """Return the config of built objects; `eval_every` is shortened to `steps` where a run is shorter than that."""
+        task, setting = split_setting(env, setting)
+        return cls(
+            env=task.name,
+            env_options=_changed_options(task),
+            algo=method.name,
+            options=method_options(method),
+            seeds=tuple(seeds),
+            steps=steps,
+            eval_every=min(eval_every, steps),
+            eval_episodes=eval_episodes,
+            checkpoint_every=checkpoint_every,
+            setting={"name": setting.name, **_changed_options(setting)},
+            env_class=_unregistered_class(task, list_envs(), make),
+            algo_class=_unregistered_class(method, list_algos(), make_algo),
+        )
+
+    def build_setting(self) -> Setting:
+        """Return the setting with its options."""
+        return setting_of(**self.setting)
+
+    def build_env(self) -> Env:
+        """Return the task, as a `HelpBudget` where the setting has a budget.
+
+        Raises:
+            ValueError: the run was trained on an object whose class its name does not build; the message says what to register.
+        """
+        if self.env_class:
+            _require_registered("env", self.env, self.env_class, list_envs(), make)
+        return self.build_setting().wrap(make(self.env, **self.env_options))
+
+    def build_method(self) -> Method:
+        """Return the method with its hyper-parameters. Errors as `build_env`."""
+        if self.algo_class:
+            _require_registered("algo", self.algo, self.algo_class, list_algos(), make_algo)
+        return make_algo(self.algo, **self.options)
+
+    @property
+    def deployed_metric(self) -> str:
+        """The name of the metric that judges the task: deployed success for sparse rewards, return for dense ones."""
+        return deployed_metric(self.build_env())
+
+    def protocol(self, env: Env) -> Protocol:
+        """Return the protocol: the task's horizons, the setting's rules, this run's evaluations."""
+        return self.build_setting().protocol(env, self.eval_every, self.eval_episodes)
+
+    def checkpoint_due(self, step: int) -> bool:
+        """Return whether a checkpoint follows the evaluation at `step`: at least `checkpoint_every` apart, and at the end."""
+        passed = step // self.checkpoint_every > (step - self.eval_every) // self.checkpoint_every
+        return passed or step == self.steps
+
+    def rows(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
+        """Return one row a seed of `metrics [N]`."""
+        return [
+            {"step": step, "seed": seed, **{name: values[i].item() for name, values in metrics.items()}}
+            for i, seed in enumerate(self.seeds)
+        ]
+
+    def curves(self, rows: list[Row]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return evaluation steps [E] and metrics [N, E] of `rows`."""
+        steps = np.array(sorted({int(row["step"]) for row in rows}))
+        if not rows:
+            return steps, {}
+        names = [name for name in rows[0] if name not in ("step", "seed")]
+        table = {(int(row["step"]), int(row["seed"])): row for row in rows}
+        return steps, {
+            name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds])
+            for name in names
+        }
+
+
+def deployed_metric(env: Env) -> str:
+    """Return the name of the metric that judges `env`: deployed success for sparse rewards, return for dense ones."""
+    return "deployed/success" if env.sparse else "deployed/return"
+
+
+def method_options(method: Method) -> dict[str, Any]:
+    """Return the hyper-parameters of `method` that differ from its class's defaults, as plain values."""
+    default, options = type(method)(), {}
+    for part, other in ((method.sac, default.sac), (method, default)):
+        for field in dataclasses.fields(part):
+            value = getattr(part, field.name)
+            plain = np.asarray(value).tolist() if hasattr(value, "shape") else value
+            if field.name != "sac" and plain != getattr(other, field.name):
+                options[field.name] = plain
+    return options
+
+
+def _changed_options(options: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that differ from its defaults."""
+    fields = {field.name: field.default for field in dataclasses.fields(options)}
+    return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
+
+
+def _class_name(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _unregistered_class(thing: Any, names: Sequence[str], build: Any) -> str | None:
+    """Return the class of `thing` where its name is not registered, or registered for another class; else None."""
+    registered = thing.name in names and type(build(thing.name)) is type(thing)
+    return None if registered else _class_name(type(thing))
+
+
+def _require_registered(kind: str, name: str, wanted: str, names: Sequence[str], build: Any) -> None:
+    """Raise a ValueError unless `name` builds an object of the class `wanted`."""
+    if name in names and _class_name(type(build(name))) == wanted:
+        return
+    cls = wanted.rpartition(":")[2].rpartition(".")[2]
+    raise ValueError(
+        f"this run was trained with {kind} {name!r} as an object of {wanted}, which no registered name builds here; "
+        f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
+        f"earl_jax.resume(folder, {kind}=...)"
+    )

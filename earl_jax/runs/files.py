@@ -1,0 +1,58 @@
+"""Files that survive a kill, a full disk and other processes."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+LOCK, PART = ".lock", ".part"
+
+
+class DamagedWarning(UserWarning):
+    """Something on the disk is damaged, and an older copy of it is used."""
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write `text` to `path` so that a kill or a full disk leaves either the old file or the new one."""
+    part = path.with_name(path.name + PART)
+    try:
+        with part.open("w") as handle:
+            handle.write(text)
+            handle.flush()
+            os.fsync(handle.fileno())
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OSError(f"{path} can't be written: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock `folder` for this process; the system releases the lock when the process ends, however it ends.
+
+    Raises:
+        ValueError: another process has it.
+        OSError: nothing can be written there.
+    """
+    lock = FileLock(folder / LOCK, blocking=False, fallback_to_soft=False)
+    try:
+        with contextlib.suppress(NotImplementedError):  # a file system without locks
+            lock.acquire()
+    except Timeout:
+        raise ValueError(f"{folder} is in use by another process") from None
+    except OSError as error:
+        raise OSError(f"{folder} can't be written to: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return `folder/name`, which may not exist yet; one that leads out of `folder` is a ValueError."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{path} leads out of {folder}")
+    return path

@@ -1,0 +1,175 @@
+"""The folder of a run: config.json, metrics.csv, checkpoints."""
+
+import contextlib
+import csv
+import dataclasses
+import json
+import os
+import uuid
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from earl_jax.runs.config import Row, RunConfig
+from earl_jax.runs.files import LOCK, PART, inside, locked, write_atomically
+from earl_jax.runs.hosts import first_host
+from earl_jax.runs.provenance import provenance
+
+CONFIG, METRICS, CHECKPOINTS = "config.json", "metrics.csv", "checkpoints"
+LEFTOVERS = (LOCK, CONFIG + PART)
+"""Files that a kill during the creation of a folder leaves there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFolder:
+    """A folder that belongs to one run."""
+
+    path: Path
+    config: RunConfig
+    logs: tuple[str, ...] = ()
+    """Additional logs of its metrics, names of `logging.LOGS`."""
+
+    @property
+    def metrics(self) -> Path:
+        """The table: a row per seed and evaluation."""
+        return self.path / METRICS
+
+    @property
+    def checkpoints(self) -> Path:
+        """The folder of checkpoints, named by step."""
+        return self.path / CHECKPOINTS
+
+    @property
+    def config_file(self) -> Path:
+        """The config, with versions, commit and machine."""
+        return self.path / CONFIG
+
+    @property
+    def id(self) -> str:
+        """A name that no other run has, the same after the folder has moved."""
+        return json.loads(self.config_file.read_text())["id"]
+
+    @classmethod
+    def create(cls, path: Path, config: RunConfig, engine: str, logs: Sequence[str] = ()) -> "RunFolder":
+        """Return a new run folder with its config.json; `engine` is the physics engine that the run uses.
+
+        Raises:
+            ValueError: the folder holds anything, which is left alone, or the config has options that JSON cannot hold.
+        """
+        if (path / CONFIG).is_file():
+            raise ValueError(f"{path} holds another run; choose another folder, or go on with: earl-jax resume {path}")
+        if path.exists() and (not path.is_dir() or any(entry.name not in LEFTOVERS for entry in path.iterdir())):
+            raise ValueError(f"{path} exists and is not an empty folder; choose another")
+        text = _config_text(config, engine, logs)
+        path.mkdir(parents=True, exist_ok=True)
+        folder = cls(path, config, tuple(logs))
+        with folder.claimed():
+            if folder.config_file.is_file():
+                raise ValueError(f"{path} holds another run that another process has just begun; choose another folder")
+            write_atomically(folder.config_file, text)
+        return folder
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """Return the run folder at `path`.
+
+        Raises:
+            ValueError: its config is missing, unreadable or not one of a run, or a path in the folder leads out of it.
+        """
+        file = path / CONFIG
+        if not file.is_file():
+            raise ValueError(f"{path} is no run folder: it has no {CONFIG}")
+        for name in (CONFIG, METRICS, CHECKPOINTS):
+            inside(path, name)
+        try:
+            values = json.loads(file.read_text())
+            known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
+            config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
+            return cls(path, config, tuple(map(str, values.get("logs", ()))))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            cause = str(error) if type(error) is ValueError else repr(error)
+            raise ValueError(f"{file} is damaged: {cause}") from error
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Lock this folder for this process; of several hosts the first one locks it for all.
+
+        Raises:
+            ValueError: another process is writing here.
+            OSError: nothing can be written here.
+        """
+        with locked(self.path) if first_host() else contextlib.nullcontext():
+            yield
+
+    def extended(self, steps: int) -> "RunFolder":
+        """Return the same folder with its run made `steps` long; a run that is longer already is refused."""
+        reached = max((int(row["step"]) for row in self.rows()), default=0)
+        if steps < reached:
+            raise ValueError(f"{self.path} has {reached} steps already, more than {steps}")
+        config = dataclasses.replace(self.config, steps=steps)
+        if first_host():
+            with self.claimed():
+                values = json.loads(self.config_file.read_text())
+                write_atomically(self.config_file, json.dumps({**values, "steps": steps}, indent=2) + "\n")
+        return dataclasses.replace(self, config=config)
+
+    def append(self, rows: list[Row]) -> None:
+        """Add rows to metrics.csv and flush them to the disk."""
+        try:
+            new = not self.metrics.exists() or not self.metrics.stat().st_size
+            with self.metrics.open("a", newline="") as handle:
+                writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
+                if new:
+                    writer.writeheader()
+                writer.writerows(rows)
+                handle.flush()
+                os.fsync(handle.fileno())
+        except OSError as error:
+            cause, remedy = error.strerror or error, f"earl-jax resume {self.path} goes on from the last checkpoint"
+            raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error
+
+    def _lines(self) -> list[str]:
+        """Return the complete lines of metrics.csv, header first; a last line that a kill cut short is left out."""
+        text = self.metrics.read_bytes().decode(errors="replace") if self.metrics.exists() else ""
+        return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
+    def rows(self) -> list[Row]:
+        """Return the complete rows of metrics.csv; one that is not of numbers is a ValueError that names its line."""
+        rows = []
+        for number, texts in enumerate(csv.DictReader(self._lines()), 2):
+            try:
+                rows.append(_row(texts))
+            except (ValueError, AttributeError):
+                raise ValueError(f"{self.metrics} is damaged: line {number} is not a row of numbers") from None
+        return rows
+
+    def rows_until(self, step: int) -> list[Row]:
+        """Drop rows later than `step`, which a resumed run writes again, and return the rest."""
+        rows, lines = self.rows(), self._lines()
+        kept = [line for line, row in zip(lines[1:], rows, strict=True) if row["step"] <= step]
+        text = "".join(lines[:1] + kept) if kept else ""
+        if self.metrics.exists() and self.metrics.read_bytes() != text.encode():
+            write_atomically(self.metrics, text)
+        return rows[: len(kept)]
+
+
+def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
+    """Return the text of config.json."""
+    more = {"id": uuid.uuid4().hex, "engine": engine, "logs": list(logs), "provenance": provenance()}
+    try:
+        return json.dumps({**dataclasses.asdict(config), **more}, indent=2) + "\n"
+    except TypeError as error:
+        raise ValueError(
+            f"the options of {config.env} or {config.algo} can't be written to {CONFIG} ({error}); "
+            "train without a folder, or give them as numbers, text and lists"
+        ) from error
+
+
+def _row(texts: dict[str, str]) -> Row:
+    row = {name: _number(text) for name, text in texts.items()}
+    if not {"step", "seed"} <= set(row):
+        raise ValueError("no step or no seed")
+    return row
+
+
+def _number(text: str) -> float:
+    return int(text) if text.lstrip("-").isdigit() else float(text)

@@ -1,0 +1,43 @@
+"""Several hosts that run one program: who they are, who writes, and arrays that live on all of them."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+
+def gathered(tree: Any) -> Any:
+    """Return the arrays of `tree` as NumPy arrays, also those on other hosts; every host must call this."""
+
+    def gather(leaf):
+        if isinstance(leaf, jax.Array) and not leaf.is_fully_addressable:
+            if leaf.is_fully_replicated:
+                return np.asarray(leaf.addressable_data(0))
+            return np.asarray(multihost_utils.process_allgather(leaf, tiled=True))
+        return np.asarray(leaf)
+
+    return jax.tree.map(gather, tree)
+
+
+def join_hosts(hosts: str | None) -> None:
+    """Make this process one of several that run one program; None does nothing.
+
+    `hosts` is `auto` on a cluster that jax knows (SLURM, Open MPI), else ADDRESS:PORT,HOSTS,NUMBER, where NUMBER counts from 0.
+
+    Raises:
+        ValueError: `hosts` has another form.
+    """
+    if hosts is None:
+        return
+    parts = hosts.split(",")
+    if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
+        raise ValueError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
+    if hosts == "auto":
+        return jax.distributed.initialize()
+    jax.distributed.initialize(parts[0], int(parts[1]), int(parts[2]))
+
+
+def first_host() -> bool:
+    """Return whether this process is the one that writes files."""
+    return jax.process_index() == 0

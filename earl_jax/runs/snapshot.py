@@ -1,0 +1,92 @@
+"""A train state as plain numbered arrays on the host, and back."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos.learner.replay import Replay
+from earl_jax.runs.hosts import gathered
+
+PIECE = 1 << 28
+"""Bytes of the replay that leave a device at a time."""
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def plain(tree: Any) -> Any:
+    """Return `tree` as numbered arrays or shapes, keys as their words, without empty leaves, which orbax refuses."""
+
+    def convert(leaf):
+        if not _is_key(leaf):
+            return leaf
+        is_shape = isinstance(leaf, jax.ShapeDtypeStruct)
+        return jax.eval_shape(jax.random.key_data, leaf) if is_shape else jax.random.key_data(leaf)
+
+    return {f"{number:03d}": convert(leaf) for number, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
+
+
+def typed(leaves: dict[str, Any], like: Any) -> Any:
+    """Return the `plain` arrays `leaves` as a tree of the structure of `like`."""
+    wanted, structure = jax.tree.flatten(like)
+
+    def restore_leaf(number, want):
+        if not want.size:
+            return jnp.zeros(want.shape, want.dtype)
+        leaf = leaves[f"{number:03d}"]
+        return jax.random.wrap_key_data(leaf) if _is_key(want) else jnp.asarray(leaf)
+
+    return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(wanted)])
+
+
+def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
+    """Return the written part of lanes `span` of the replay; index rows of both controllers, counted from their ends."""
+    row, capacity, counts = int(gathered(replay.row)), replay.capacity, gathered(replay.counts)[span]
+    mine, other = (int(count) for count in counts.max(axis=0))
+    rows = {
+        "state": _rows(replay.state, 0, row + 1, span),
+        "action": _rows(replay.action, 0, row, span),
+        "flags": _rows(replay.flags, 0, row, span),
+        "reward": _rows(replay.reward, 0, row, span),
+        "mine": _rows(replay.index, 0, mine, span),
+        "other": _rows(replay.index, capacity - other, capacity, span),
+        "counts": counts,
+        "demos": gathered(replay.demos),
+        "row": np.asarray(row, np.int32),
+    }
+    return {name: array for name, array in rows.items() if array.size}
+
+
+def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
+    """Return rows `start` to `stop` of lanes `span` on the host, by pieces: a slice of it all would double a full device."""
+    stop = min(stop, len(array))
+    step = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
+    pieces = [gathered(array[first : min(first + step, stop), span]) for first in range(start, stop, step)]
+    return np.concatenate(pieces) if pieces else gathered(array[:0, span])
+
+
+def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
+    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had.
+
+    It stays on the host; the caller places it on devices.
+    """
+    names = ("state", "action", "flags", "reward", "index", "counts")
+    buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
+    places = {"mine": buffers["index"], "other": buffers["index"][::-1]}
+    start = 0
+    for saved, size in zip(parts, sizes, strict=True):
+        span = slice(start, start := start + size)
+        buffers["counts"][span] = saved["counts"]
+        for name in names[:4]:
+            if name in saved:
+                buffers[name][: len(saved[name]), span] = saved[name]
+        for name, place in places.items():
+            if name in saved:
+                rows = saved[name] if name == "mine" else saved[name][::-1]
+                place[: len(rows), span] = rows
+    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
+    return Replay(**arrays)

@@ -1,0 +1,126 @@
+"""The planner of sweeps: runs that fit one program are grouped, each with its own folder."""
+
+import dataclasses
+import json
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import Any
+
+from earl_jax.algos import method_for
+from earl_jax.algos.mixed import program_signature
+from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import CONFIG, RunFolder
+from earl_jax.sweeps import grid
+from earl_jax.training import memory, split_options
+from earl_jax.training.demo_rows import demo_rows
+from earl_jax.training.runner import Run
+from earl_jax.training.state import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class PlannedRun:
+    """A run of a sweep: its `name` in the sweep, its objects, and the step of its newest checkpoint."""
+
+    name: str
+    run: Run
+    step: int
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes, one a seed."""
+        return len(self.run.config.seeds)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has reached its last step."""
+        return self.step == self.run.config.steps
+
+    def group_key(self) -> Hashable:
+        """Return what runs must have in common to share one program."""
+        config, env = self.run.config, self.run.env
+        lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
+        task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
+        return task, lengths, program_signature(self.run.method)
+
+    def replay_bytes(self) -> int:
+        """Return the memory of the replays of all lanes."""
+        problem = Problem(self.run.env, self.run.protocol)
+        return self.lanes * memory.replay_bytes(problem, self.run.method, self.run.config.steps)
+
+
+def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:
+    """Return unfinished runs in groups, one program each, of at most `max_lanes` lanes where that is given.
+
+    Raises:
+        ValueError: a run alone has more lanes than that.
+    """
+    by_key: dict[Hashable, list[list[PlannedRun]]] = {}
+    for entry in planned:
+        if entry.finished:
+            continue
+        if max_lanes is not None and entry.lanes > max_lanes:
+            raise ValueError(f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split")
+        groups = by_key.setdefault(entry.group_key(), [[]])
+        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+            groups.append([])
+        groups[-1].append(entry)
+    return [group for groups in by_key.values() for group in groups]
+
+
+def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
+    """Return the runs of a grid and the groups of those that are not finished, as plain values; nothing is written.
+
+    Raises:
+        ValueError: a run that is not possible, or whose folder holds something else; the message names it.
+    """
+    planned = [_planned_run(spec, out) for spec in grid.read(path)]
+    cells = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
+    groups = [
+        {
+            "cells": [entry.name for entry in group],
+            "lanes": sum(entry.lanes for entry in group),
+            "step": group[0].step,
+            "steps": group[0].run.config.steps,
+            "replay_bytes": sum(entry.replay_bytes() for entry in group),
+        }
+        for group in program_groups(planned, max_lanes)
+    ]
+    return {"out": str(out), "cells": cells, "groups": groups}
+
+
+def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
+    """Return a run of a grid; everything that is wrong with it is an error here, before anything starts."""
+    path = out / spec.name
+    try:
+        env, setting, options = split_options(spec.env, spec.options)
+        config = RunConfig.from_objects(
+            env,
+            method_for(env, spec.algo, **options),
+            setting,
+            seeds=spec.seeds,
+            steps=spec.steps,
+            eval_every=spec.eval_every,
+            eval_episodes=spec.eval_episodes,
+            checkpoint_every=spec.checkpoint_every,
+        )
+        run = Run.resolve(config, env, method_for(env, spec.algo, **options))
+        demo_rows(Problem(env, run.protocol), run.method)
+        if (path / CONFIG).is_file():
+            open_folder(path, config)
+    except ValueError as error:
+        raise ValueError(f"{spec.name}: {error}") from error
+    return PlannedRun(name=spec.name, run=run, step=newest(path / "checkpoints"))
+
+
+def open_folder(path: Path, config: RunConfig) -> RunFolder:
+    """Return the folder at `path` if it belongs to the run `config`; a folder of another run is a ValueError."""
+    folder = RunFolder.open(path)
+    existing, wanted = (json.loads(json.dumps(dataclasses.asdict(each))) for each in (folder.config, config))
+    differing = [name for name in wanted if existing[name] != wanted[name]]
+    if differing:
+        differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
+        raise ValueError(
+            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
+        )
+    return dataclasses.replace(folder, config=config)

@@ -1,0 +1,137 @@
+"""The worker of a sweep: it trains program groups and reports what becomes of each run.
+
+`python -m earl_jax.sweeps.worker plan GRID --out DIR` prints the plan as JSON. `python -m earl_jax.sweeps.worker work` reads its
+runs as one line of JSON from stdin, prints events as lines of JSON, and ends when stdin closes, so that it ends with its launcher.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.files import inside
+from earl_jax.runs.folder import CONFIG, RunFolder
+from earl_jax.sweeps.planner import PlannedRun, open_folder, plan, program_groups
+from earl_jax.training.runner import Run, plan_runs, run_program
+
+SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
+Emit = Callable[..., None]
+"""Receives an event: `emit(cell, state, **more)`; states are started, resumed, done and failed."""
+
+
+@contextlib.contextmanager
+def claimed(path: Path, config: RunConfig, logs: Sequence[str] = ()) -> Iterator[RunFolder]:
+    """Lock the folder at `path` for this process, creating it where there is none."""
+    if not (path / CONFIG).is_file():
+        RunFolder.create(path, config, config.build_env().engine, logs)
+    folder = open_folder(path, config)
+    with folder.claimed():
+        yield folder
+
+
+def config_of(fields: dict[str, Any]) -> RunConfig:
+    """Return the config of plain values, as a plan has them."""
+    return RunConfig(**{**fields, "seeds": tuple(fields["seeds"])})
+
+
+def work(
+    out: Path,
+    configs: dict[str, RunConfig],
+    emit: Emit,
+    progress: bool = True,
+    devices: int | None = None,
+    logs: Sequence[str] = (),
+) -> bool:
+    """Return whether every run of `configs`, by name in the sweep at `out`, is finished in the end.
+
+    Runs are grouped anew by the steps that they have reached. `emit` receives every event.
+    """
+    planned, succeeded = [], True
+    with contextlib.ExitStack() as stack:
+        for name, config in configs.items():
+            try:
+                run = Run.resolve(config)
+                run.folder = stack.enter_context(claimed(inside(out, name), config, logs))
+                planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
+            except (ValueError, OSError) as error:
+                succeeded = False
+                emit(name, "failed", why=str(error))
+        for entry in planned:
+            if entry.finished:
+                emit(entry.name, "done")
+        for group in program_groups(planned):
+            succeeded &= _train_group(group, emit, progress, devices)
+    return succeeded
+
+
+def _train_group(group: list[PlannedRun], emit: Emit, progress: bool, devices: int | None) -> bool:
+    """Return whether one program with all runs of `group` came to its end."""
+    for entry in group:
+        emit(entry.name, "resumed" if entry.step else "started", step=entry.step)
+    try:
+        runs = [entry.run for entry in group]
+        run_program(plan_runs(runs, devices), runs, progress)
+    except Exception as error:  # the next group may still succeed
+        if not isinstance(error, ValueError | OSError):
+            traceback.print_exc()
+        for entry in group:
+            emit(entry.name, "failed", why=f"{type(error).__name__}: {error}".splitlines()[0])
+        return False
+    for entry in group:
+        emit(entry.name, "done")
+    return True
+
+
+def _serve(stdin: IO[str]) -> int:
+    """Do the work that one line of `stdin` describes, and exit at once when `stdin` closes."""
+    task = json.loads(stdin.readline())
+    configs = {name: config_of(fields) for name, fields in task["cells"].items()}
+    threading.Thread(target=_exit_with, args=(stdin.fileno(),), daemon=True).start()
+    if "SLURM_JOB_ID" in os.environ:  # submitit handles them, and resubmits before this process ends
+        for number in SCHEDULER_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def emit(cell: str, state: str, **more: Any) -> None:
+        print(json.dumps({"cell": cell, "state": state, **more}), flush=True)
+
+    succeeded = work(Path(task["out"]), configs, emit, devices=task.get("devices"), logs=task.get("logs", ()))
+    return 0 if succeeded else 1
+
+
+def _exit_with(descriptor: int) -> None:
+    while os.read(descriptor, 1):
+        pass
+    os._exit(1)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one of the worker's two commands and return the exit code: 2 with one line on stderr for invalid input."""
+    parser = argparse.ArgumentParser(prog="python -m earl_jax.sweeps.worker", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    planning = commands.add_parser("plan")
+    planning.add_argument("grid", type=Path)
+    planning.add_argument("--out", type=Path, required=True)
+    planning.add_argument("--max-lanes", type=int)
+    commands.add_parser("work")
+    options = parser.parse_args(arguments)
+    try:
+        if options.command == "work":
+            return _serve(sys.stdin)
+        print(json.dumps(plan(options.grid, options.out, options.max_lanes)))
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,21 @@
+"""Training: the loop, its state, the programs that run it, and their results."""
+
+from earl_jax.training.api import Result, resume, select_seed, split_options, train
+from earl_jax.training.evaluation import evaluate
+from earl_jax.training.lifetime import lifetime
+from earl_jax.training.loading import load_lanes
+from earl_jax.training.policy import Policy
+from earl_jax.training.state import Problem
+
+__all__ = [
+    "Policy",
+    "Problem",
+    "Result",
+    "evaluate",
+    "lifetime",
+    "load_lanes",
+    "resume",
+    "select_seed",
+    "split_options",
+    "train",
+]

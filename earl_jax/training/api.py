@@ -1,0 +1,211 @@
+"""Training by name or by object, and its result."""
+
+import contextlib
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from earl_jax.algos import Method, method_for
+from earl_jax.envs import Env, make
+from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
+from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.hosts import first_host
+from earl_jax.runs.logging import Log, check_logs
+from earl_jax.training.plan import Plan
+from earl_jax.training.policy import Policy
+from earl_jax.training.runner import Run, plan_runs, run_program
+from earl_jax.training.state import TrainState
+
+RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": "config"}
+"""Earlier names of the fields of a `Result`."""
+
+
+@dataclasses.dataclass
+class Result:
+    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`."""
+
+    config: RunConfig
+    env: Env
+    method: Method
+    seeds: tuple[int, ...]
+    steps: np.ndarray
+    metrics: dict[str, np.ndarray]
+    train_state: TrainState
+
+    def __getattr__(self, name: str) -> Any:
+        if name in RENAMED_RESULTS:
+            return getattr(self, RENAMED_RESULTS[name])
+        raise AttributeError(f"Result has no attribute {name!r}")
+
+    @property
+    def scores(self) -> Scores:
+        """The paper's scores of the lifetimes: J_D, D(A), C(A)."""
+        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
+
+    def policy(self, seed: int = 0) -> Policy:
+        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o]."""
+        return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
+
+
+def select_seed(state: Any, i: int) -> Any:
+    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
+
+    Raises:
+        IndexError: there is no such lane.
+    """
+    lanes = state.lanes if isinstance(state, TrainState) else state
+    count = jax.tree.leaves(lanes)[0].shape[0]
+    if not -count <= i < count:
+        raise IndexError(f"no lane {i}: there are {count}")
+    return jax.tree.map(lambda leaf: leaf[i], lanes)
+
+
+def train(
+    env: str | Env,
+    algo: str | Method,
+    *,
+    setting: str | Setting = Deployment.name,
+    seeds: int | Sequence[int] = 5,
+    steps: int = 100_000,
+    eval_every: int = 10_000,
+    eval_episodes: int = 10,
+    out: str | Path | None = None,
+    checkpoint_every: int = 100_000,
+    logs: Sequence[str | Log] = (),
+    progress: bool = False,
+    devices: int | None = None,
+    **options: Any,
+) -> Result:
+    """Return the curves and the final state of `algo` on `env`, all seeds in one jitted program.
+
+    Args:
+        env: a name of `list_envs()` or an `Env`, which need not be registered.
+        algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
+        setting: `deployment`, `continuing`, or one of their objects with its own interventions and budget (`protocol`).
+        seeds: how many seeds (0, 1, ...) or which.
+        steps: training steps of each seed.
+        eval_every: steps between evaluations; the last one is at `steps`.
+        eval_episodes: greedy episodes of each deployed evaluation.
+        out: a folder for config, metrics and checkpoints; without it nothing is written.
+        checkpoint_every: steps between checkpoints, where `out` is given.
+        logs: where metrics go besides metrics.csv: `tensorboard` or `wandb` (kept in `out`), or an object with `log` and `close`.
+        progress: show a bar, or on a plain stream a line per evaluation.
+        devices: how many devices share the lanes; by default one, or those of all hosts where jax runs on several.
+        options: hyper-parameters by name; a list gives each lane its own value.
+
+    Raises:
+        ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
+    """
+    setting = setting_of(setting) if isinstance(setting, str) else setting
+    task, setting = split_setting(make(env) if isinstance(env, str) else env, setting)
+    wrapped = setting.wrap(task)
+    method = method_for(wrapped, algo, **options) if isinstance(algo, str) else _without_options(algo, options)
+    config = RunConfig.from_objects(
+        wrapped,
+        method,
+        setting,
+        seeds=range(seeds) if isinstance(seeds, int) else [int(seed) for seed in seeds],
+        steps=steps,
+        eval_every=eval_every,
+        eval_episodes=eval_episodes,
+        checkpoint_every=checkpoint_every,
+    )
+    run = Run.resolve(config, wrapped, method)
+    run.protocol = setting.protocol(wrapped, config.eval_every, config.eval_episodes)
+    plan = plan_runs([run], devices)  # an impossible plan leaves no folder behind
+    run.folder = _create_folder(out, run, logs)
+    run.listeners = [log for log in logs if not isinstance(log, str)]
+    return _execute(plan, run, progress)
+
+
+def resume(
+    folder: str | Path,
+    *,
+    env: Env | None = None,
+    algo: Method | None = None,
+    steps: int | None = None,
+    progress: bool = False,
+    devices: int | None = None,
+) -> Result:
+    """Return the result of the run in `folder`, trained from its newest whole checkpoint to its end.
+
+    On a CPU the end is bit-identical to that of a run that was never stopped.
+
+    Args:
+        folder: a run folder.
+        env: the task of a run that was trained on an object whose class is not registered.
+        algo: its method, likewise.
+        steps: a new length of the run.
+        progress: show a bar, or on a plain stream a line per evaluation.
+        devices: how many devices share the lanes.
+
+    Raises:
+        ValueError: not a run folder, a damaged one, or one whose objects must be registered or passed.
+    """
+    opened = RunFolder.open(Path(folder))
+    opened = opened if steps is None else opened.extended(steps)
+    wrapped = None if env is None else opened.config.build_setting().wrap(env)
+    run = Run.resolve(opened.config, wrapped, algo)
+    run.folder = opened
+    return _execute(plan_runs([run], devices), run, progress)
+
+
+def _execute(plan: Plan, run: Run, progress: bool) -> Result:
+    with run.folder.claimed() if run.folder else contextlib.nullcontext():
+        train_state = run_program(plan, [run], progress)
+    steps, metrics = run.config.curves(run.rows)
+    return Result(
+        config=run.config,
+        env=run.env,
+        method=run.method,
+        seeds=run.config.seeds,
+        steps=steps,
+        metrics=metrics,
+        train_state=train_state,
+    )
+
+
+def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log]) -> RunFolder | None:
+    """Return the new folder of a run, if it has one; logs that can't be opened are refused before."""
+    check_logs(logs)
+    names = tuple(log for log in logs if isinstance(log, str))
+    if out is None:
+        if names:
+            raise ValueError(f"the log {names[0]} writes into a run folder: name one with out=")
+        return None
+    path = Path(out)
+    if not first_host():
+        return RunFolder(path, run.config, names)
+    return RunFolder.create(path, run.config, run.env.engine, names)
+
+
+def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
+    """Return the environment of the task `env`, its setting (`setting=NAME` in `options`) and the method's options.
+
+    Raises:
+        ValueError: an unknown task or setting, or options of theirs that don't fit.
+    """
+    rest = dict(options)
+    name = rest.pop("setting", Deployment.name)
+    known = {field.name for field in dataclasses.fields(setting_of(name))}
+    of_setting = {option: rest.pop(option) for option in list(rest) if option in known}
+    for other, setting in SETTINGS.items():
+        strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
+        if strays:
+            raise ValueError(f"{strays.pop()} is an option of the setting {other!r}, and this is {name!r}")
+    fields = {field.name for field in dataclasses.fields(make(env))}
+    task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
+    setting = setting_of(name, **of_setting)
+    return setting.wrap(task), setting, rest
+
+
+def _without_options(method: Method, options: dict[str, Any]) -> Method:
+    if options:
+        raise ValueError(f"options {', '.join(options)} go with an algo's name; this one is built: use .replace(...)")
+    return method

@@ -1,0 +1,97 @@
+"""Demonstrations as the first rows of the replay."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos.goals import trajectories
+from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner.replay import Replay, TransitionFlags
+from earl_jax.algos.method import Method
+from earl_jax.training.state import Problem
+
+
+class DemoRows(NamedTuple):
+    """Demonstrations in the layout of replay rows: R states, and T transitions with row, controller and copies of each."""
+
+    states: np.ndarray
+    rows: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    controllers: np.ndarray
+    copies: np.ndarray
+
+    def listed(self, controller: int) -> np.ndarray:
+        """Return the rows that `controller` samples from, each as often as the replay lists it."""
+        mine = self.controllers == controller
+        return np.repeat(self.rows[mine], self.copies[mine])
+
+
+def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
+    """Return the demonstrations that the replay of `method` starts with, or None where the task has none.
+
+    Raises:
+        ValueError: the method cannot work without demonstrations and the task has none, or none whose states could be goals.
+    """
+    if not problem.env.has_demos:
+        if method.needs_demos:
+            raise ValueError(f"{method.name} needs demonstrations, and {problem.env.name} has none")
+        return None
+    if method.needs_demos and problem.env.state_size != problem.env.goal_size:
+        raise ValueError(
+            f"{method.name} needs demonstrated states that can be goals: here a state of {problem.env.name} is "
+            f"{problem.env.state_size} numbers, a goal {problem.env.goal_size}"
+        )
+    parts, first = [], 0
+    for number, direction in enumerate(method.demo_directions):
+        demos = problem.env.demos(direction)
+        states, last = trajectories(demos)
+        rows = np.flatnonzero(np.arange(len(states)) < last)
+        controllers = np.full(len(rows), min(number, method.controllers - 1))
+        goals, copies = _goal_indices(problem, demos.goals), method.demo_copies(last[rows] - rows)
+        parts.append(DemoRows(states, first + rows, demos.actions, goals, controllers, copies))
+        first += len(states)
+    return DemoRows(*[np.concatenate(field) for field in zip(*parts, strict=True)])
+
+
+def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
+    """Return the table entries [T] of demonstrated goals [T, g], which are task goals or initial states."""
+    known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
+    distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
+    if distance.min(axis=1).max() > 1e-6:
+        raise ValueError(
+            f"a demonstration of {problem.env.name} has a goal that is neither a task goal nor an initial state"
+        )
+    return distance.argmin(axis=1)
+
+
+def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
+    """Return the replay rows that `steps` and the demonstrations take; nothing is ever evicted."""
+    demos = demo_rows(problem, method)
+    return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
+
+
+def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
+    """Return the replay of `lanes` lanes with `capacity` rows, the demonstrations of `method` first."""
+    env, demos = problem.env, demo_rows(problem, method)
+    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse)
+    if demos is None:
+        return replay
+    obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
+    reached = env.success(obs) & env.sparse
+    no = jnp.zeros_like(reached)
+    words = replay_lib.pack(TransitionFlags(jnp.asarray(demos.goals), reached, no, no, no))
+    mine, other = demos.listed(0), demos.listed(1)
+    index = replay.index.at[: len(mine)].set(mine[:, None])
+    index = index.at[capacity - len(other) :].set(other[::-1, None])
+    return replay.replace(
+        state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
+        action=replay.action.at[demos.rows].set(demos.actions[:, None]),
+        flags=replay.flags.at[demos.rows].set(words[:, None]),
+        reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
+        index=index,
+        counts=jnp.broadcast_to(jnp.array([len(mine), len(other)], jnp.int32), (lanes, 2)),
+        demos=jnp.array([len(mine), len(other)], jnp.int32),
+        row=jnp.asarray(len(demos.states), jnp.int32),
+    )

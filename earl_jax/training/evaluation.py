@@ -1,0 +1,67 @@
+"""Both of the paper's evaluations of a lane in training, and the deployed evaluation of a run folder."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos import Method
+from earl_jax.envs import with_physics
+from earl_jax.metrics.continuing import continuing
+from earl_jax.metrics.deployed import deployed
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.loading import load_lanes
+from earl_jax.training.policy import Policy
+from earl_jax.training.state import LaneState, Problem, TrainState
+
+STARTS = ("initial", "uniform")
+EVALUATION_KEY = 2
+"""Folded into a lane's key, so that an evaluation neither shifts nor repeats the randomness of training."""
+
+
+def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Return the state with its reward window closed, and every metric [N] under both of the paper's protocols."""
+    window, step = jnp.asarray(problem.protocol.eval_every, jnp.float32), state.step.astype(jnp.float32)
+    deployed_metrics = jax.vmap(lambda m, lane: deployed_lane(problem, m, lane, state.step))(method, state.lanes)
+    counters, continuing_metrics = jax.vmap(lambda lane: continuing(lane.counters, lane.env_state, step, window))(
+        state.lanes
+    )
+    metrics = {**deployed_metrics, **continuing_metrics, **counters.diagnostics}
+    return state.replace(lanes=state.lanes.replace(counters=counters)), metrics
+
+
+def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
+    """Return the deployed evaluation of one lane's task controller after `step` steps, under the problem's protocol."""
+    env, protocol = problem.env, problem.protocol
+    key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
+    return deployed(env, Policy.of(env, method, lane), key, protocol.eval_horizon, protocol.eval_episodes)
+
+
+def evaluate(
+    folder: str | Path, episodes: int = 100, seed: int = 0, physics: str | None = None, starts: str = "initial"
+) -> dict[str, np.ndarray]:
+    """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, over fresh episodes.
+
+    Args:
+        folder: a run folder with a checkpoint.
+        episodes: greedy episodes of H_E steps for each seed's policy.
+        seed: of starts and goals; all policies meet the same episodes.
+        physics: an engine other than the run's own.
+        starts: `initial`, s0 ~ rho, or `uniform`, over the whole workspace (figure 5 of the paper), where the task has that.
+
+    Raises:
+        ValueError: not a run folder, or a missing or damaged checkpoint, or no such starts.
+    """
+    if starts not in STARTS:
+        raise ValueError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, not {episodes}")
+    env, method, lanes = load_lanes(RunFolder.open(Path(folder)))
+    env = with_physics(env, physics)
+
+    def evaluate_lane(m, lane):
+        start = env.reset_uniform if starts == "uniform" else env.reset
+        return deployed(env, Policy.of(env, m, lane), jax.random.key(seed), env.eval_horizon, episodes, start)
+
+    return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_lane))(method, lanes).items()}

@@ -1,0 +1,53 @@
+"""A whole lifetime as one pure function, for `jit`, `vmap` or a notebook."""
+
+import jax
+import jax.numpy as jnp
+
+from earl_jax.algos import Method
+from earl_jax.training.evaluation import evaluate_lanes
+from earl_jax.training.init import init_train_state
+from earl_jax.training.loop import run_steps
+from earl_jax.training.plan import Plan, Span, per_lane, prepare
+from earl_jax.training.state import Problem, TrainState
+
+
+def lifetime(problem: Problem, method: Method, keys: jax.Array, steps: int) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Return the final train state and the metrics [N, E] of whole lifetimes of `steps` steps, without side effects.
+
+    Args:
+        problem: the environment and its protocol (static).
+        method: the method, with scalar leaves or leaves [N].
+        keys: typed PRNG keys [N], one a seed.
+        steps: training steps, a multiple of the protocol's `eval_every`.
+
+    Raises:
+        ValueError: the numbers don't fit together.
+    """
+    lanes, every = keys.shape[0], problem.protocol.eval_every
+    method = per_lane(method, lanes)
+    plan = prepare(problem, method, lanes, steps)
+    state = init_train_state(problem, method, keys, plan.capacity)
+    exploring = -(-min(plan.random_steps, steps) // every) * every
+    early = []
+    for start in range(0, exploring, every):
+        state, metrics = _window(plan, method, state, start)
+        early.append(metrics)
+    state, rest = jax.lax.scan(
+        lambda carry, _: _window(plan, method, carry, exploring), state, length=(steps - exploring) // every
+    )
+    curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
+    return state, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
+
+
+def _window(plan: Plan, method: Method, state: TrainState, start: int) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Return the state after the steps from `start` to the next evaluation, and its metrics [N]."""
+    for span in plan.spans(start):
+        state = _scan_chunks(plan, method, state, span)
+    return evaluate_lanes(plan.problem, method, state)
+
+
+def _scan_chunks(plan: Plan, method: Method, state: TrainState, span: Span) -> TrainState:
+    def body(carry, _):
+        return run_steps(plan.problem, method, carry, plan.chunk, span.explore), None
+
+    return jax.lax.scan(body, state, length=span.chunks)[0]

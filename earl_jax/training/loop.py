@@ -1,0 +1,242 @@
+"""The one reset-free training step: act, step, store, sample, update, for every method and all lanes at once.
+
+`act_and_start`, `update` and `finish_and_store` are written for one lane and vmapped. Between them the replay is read and
+written unbatched, because it is one buffer. The gradient step of a control step samples what was stored before that step, so
+that a host can simulate while the accelerator learns. The release samples as late, through a prefetched dataset.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos.goals import GoalIndices
+from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner import sac
+from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
+from earl_jax.algos.method import TASK, Method
+from earl_jax.envs.state import tree_where
+from earl_jax.physics import PendingStep
+from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
+from earl_jax.training.ordering import after
+from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, step_keys
+
+
+def train_step(problem: Problem, method: Method, state: TrainState, explore: bool = False) -> TrainState:
+    """Return all lanes one step later: act, store and, unless exploring, one gradient step a lane on what was stored before.
+
+    `method`'s float leaves have a leading lane axis.
+    """
+    step, lanes, replay = state.step, state.lanes, state.replay
+    controller = controller_of(method, lanes.phase)
+    keys = jax.vmap(step_keys, (0, None))(lanes.key, step)
+    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore))
+    action, pending = act(method, lanes, keys.act)
+    if not explore:
+        sampled_for = after(controller, pending.ticket)  # the host starts before the device samples
+        demo_share = jnp.asarray(method.sac.demo_share)
+        batch = replay_lib.sample(replay, keys.sample, sampled_for, method.sac.batch_size, demo_share)
+        batch = jax.lax.optimization_barrier(batch)
+        replay = replay.replace(row=after(replay.row, batch))  # else XLA copies the whole buffer before it is written
+        updated = jax.vmap(lambda *each: update(problem, *each))(method, lanes, keys, batch, lanes.phase)
+        lanes = _unless_ended(lanes, updated) if problem.env.ends else updated
+        pending = pending if pending.ticket is None else pending._replace(ticket=after(pending.ticket, lanes.agent))
+    finish = jax.vmap(lambda m, *lane: finish_and_store(problem, m, *lane, step=step))
+    lanes, transition, listed = finish(method, lanes, action, pending, keys)
+    return TrainState(lanes, replay_lib.write(replay, transition, listed, controller), step + 1)
+
+
+@jax.named_scope("act")
+def act_and_start(
+    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: bool
+) -> tuple[jax.Array, PendingStep]:
+    """Return the action [a] of one lane, uniform with `explore`, and the control step that it starts."""
+    action = _act(problem, method, lane, key, explore)
+    return action, problem.env.start_step(lane.env_state, action)
+
+
+def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: bool) -> jax.Array:
+    size = problem.env.action_size
+    if explore:
+        return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+    actor = _controller(lane.agent.actor, controller_of(method, lane.phase))
+    return sac.act(method.sac, actor, lane.env_state.obs, key, size)
+
+
+@jax.named_scope("physics")
+def finish_and_store(
+    problem: Problem,
+    method: Method,
+    lane: LaneState,
+    action: jax.Array,
+    pending: PendingStep,
+    keys: StepKeys,
+    step: jax.Array,
+) -> tuple[LaneState, Transition, jax.Array]:
+    """Return the lane after its `pending` control step, the transition, and whether replay lists it, bool [].
+
+    `step []` counts from 0.
+    """
+    env, table = problem.env, jnp.asarray(problem.goals.table)
+    env_state = env.finish_step(lane.env_state, pending)
+    end = _step_end(problem, method, lane, env_state, keys, step)
+    earned = env.goal_reward(env_state, table[lane.goal_indices.task])
+    counters = lane.counters.replace(
+        window_reward=lane.counters.window_reward + jnp.where(end.fault, 0.0, earned),
+        interventions=lane.counters.interventions + end.reset,
+        faults=lane.counters.faults + end.fault,
+        reached=lane.counters.reached + (end.reached & (lane.phase == TASK)),
+    )
+    phase = jnp.where(end.restarts, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
+    goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)
+    following = env.with_goal(reset_where(end.reset, env, keys.reset, env_state), table[goal_indices.goal])
+    transition = _transition(problem, method, lane, action, env_state, following, end)
+    moved = lane.replace(
+        env_state=following,
+        phase=phase,
+        phase_step=jnp.where(end.over, 0, lane.phase_step + 1),
+        goal_indices=goal_indices,
+        counters=counters,
+        visits=None if lane.visits is None else _count_visit(problem, lane.visits, env_state.obs),
+    )
+    return moved, transition, _is_listed(method, lane, end)
+
+
+def _step_end(
+    problem: Problem, method: Method, lane: LaneState, env_state: Any, keys: StepKeys, step: jax.Array
+) -> StepEnd:
+    attempt = Attempt(
+        is_task=lane.phase == TASK,
+        age=lane.phase_step,
+        limit=method.phase_length(problem.env, lane.phase),
+        ends_on_success=method.ends_on_success(lane.phase),
+        reset_at_end=method.resets,
+    )
+    return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
+
+
+def _transition(
+    problem: Problem, method: Method, lane: LaneState, action: jax.Array, env_state: Any, following: Any, end: StepEnd
+) -> Transition:
+    """Return what replay stores of a step to `env_state`, after which training goes on from `following`."""
+    absorbed = env_state.done > 0
+    flags = TransitionFlags(
+        goal=lane.goal_indices.goal,
+        reached=end.reached,
+        timeout=end.timeout,
+        no_successor=end.reset,
+        absorbed=absorbed,
+    )
+    forever = jnp.where(absorbed, 1.0 / (1.0 - method.sac.discount), 1.0)
+    reward = jnp.where(end.fault, 0.0, env_state.reward * forever)
+    return Transition(action, following.obs[: problem.env.state_size], reward, flags)
+
+
+def _is_listed(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
+    """Return whether a transition may be sampled: not after a fault or the end, nor where its target needs a lost successor."""
+    bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
+    return ~(end.reset & bootstrapped) & ~end.fault & ~(lane.env_state.done > 0)
+
+
+def _next_goals(
+    problem: Problem, method: Method, lane: LaneState, phase: jax.Array, key: jax.Array, end: StepEnd
+) -> GoalIndices:
+    """Return the goals after a step. Where the environment sets goals, a method draws no other task goal than that one."""
+    env_sets = lane.rules.goal_change > 0
+    drawn = problem.goals.draw_task(jax.random.fold_in(key, 1))
+    requested = jnp.where(end.goal_changes, drawn, lane.goal_indices.task)
+    goals = problem.goals._replace(requested=jnp.where(env_sets, requested, -1))
+    current = lane.goal_indices._replace(task=requested)
+    fresh = method.next_goal(key, goals, phase, current, lane.method_state)
+    goal_indices = tree_where(end.over, fresh, lane.goal_indices)
+    return goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
+
+
+def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Array:
+    low, high = np.asarray(problem.env.map_bounds)
+    share = (problem.env.map_position(obs) - low) / (high - low)
+    x, y = jnp.clip(jnp.floor(share * MAP_BINS), 0, MAP_BINS - 1).astype(jnp.int32)
+    return visits.at[x, y].add(1)
+
+
+@jax.named_scope("update")
+def update(
+    problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, phase: jax.Array
+) -> LaneState:
+    """Return the lane after one SAC step of the controller that acted in `phase`, on `sampled` transitions [B]."""
+    table = jnp.asarray(problem.goals.table)
+    sampled = method.relabel(keys.relabel, problem.env, problem.goals, sampled)
+    goal = table[sampled.flags.goal]
+    batch = sac.Batch(
+        obs=jnp.concatenate([sampled.state, goal], axis=-1),
+        action=sampled.action,
+        reward=method.reward(sampled, phase, lane.method_state),
+        terminal=method.terminal(sampled),
+        next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
+    )
+    controller = controller_of(method, phase)
+    agent, diagnostics = sac.update(method.sac, _controller(lane.agent, controller), batch, keys.update)
+    return lane.replace(
+        agent=_with_controller(lane.agent, agent, controller),
+        method_state=method.update_state(lane.method_state, sampled, phase),
+        counters=lane.counters.replace(diagnostics=diagnostics),
+    )
+
+
+def controller_of(method: Method, phase: jax.Array) -> jax.Array:
+    """Return which controller acts in `phase`: with one controller always 0."""
+    return jnp.minimum(phase, method.controllers - 1)
+
+
+def _controller(stacked: Any, index: jax.Array) -> Any:
+    """Return one controller of a stacked tree; a stack of one needs no gather."""
+    return jax.tree.map(lambda leaf: leaf[0] if leaf.shape[0] == 1 else leaf[index], stacked)
+
+
+def _with_controller(stacked: Any, single: Any, index: jax.Array) -> Any:
+    def put(leaf, value):
+        return value[None] if leaf.shape[0] == 1 else leaf.at[index].set(value)
+
+    return jax.tree.map(put, stacked, single)
+
+
+def _unless_ended(lanes: LaneState, updated: LaneState) -> LaneState:
+    """Return `updated` lanes, but with the old agent where the environment has come to its end: no more is learnt there."""
+    ended = lanes.env_state.done > 0
+
+    def keep(old, new):
+        return jnp.where(ended.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+
+    agent = jax.tree.map(keep, lanes.agent, updated.agent)
+    return updated.replace(agent=agent, method_state=jax.tree.map(keep, lanes.method_state, updated.method_state))
+
+
+def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: bool = False) -> TrainState:
+    """Return all lanes `steps` later in one scan; k calls of whole blocks equal one call of k times the steps, bit for bit.
+
+    A method's `refresh` runs at the start of every block of `refresh_every` steps counted from the call, or of the
+    largest common divisor with `steps` where that is smaller.
+    """
+    block = math.gcd(method.refresh_every, steps)
+
+    def body(carry, _):
+        return train_step(problem, method, carry, explore), None
+
+    def refreshed_block(carry, _):
+        return jax.lax.scan(body, refresh(problem, method, carry), length=block)[0], None
+
+    if method.refresh_every == 0 or explore:
+        return jax.lax.scan(body, state, length=steps)[0]
+    return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
+
+
+def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
+    """Return the lanes with their method's state updated from the agent."""
+
+    def one_lane(m, lane):
+        key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
+        return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state)
+
+    return state.replace(lanes=state.lanes.replace(method_state=jax.vmap(one_lane)(method, state.lanes)))

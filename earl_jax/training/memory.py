@@ -1,0 +1,110 @@
+"""The memory of a run, known before it starts."""
+
+import dataclasses
+import math
+import os
+from typing import Any
+
+import jax
+from jax.sharding import Mesh
+
+from earl_jax.algos import Method
+from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.init import init_train_state
+from earl_jax.training.state import Problem, TrainState
+
+ACTIVATIONS = 16
+"""Hidden activations of a batch that are alive at once in a gradient step, measured as 11 to 14 of them (temporary_mb of
+benchmarks/results/speed)."""
+GIGABYTE = 1e9
+FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
+
+
+@dataclasses.dataclass(frozen=True)
+class Need:
+    """Bytes a lane: its `replay`, the `agent` with the rest of its state, and `work` inside a gradient step."""
+
+    lanes: int
+    replay: int
+    agent: int
+    work: int
+
+    @property
+    def lane(self) -> int:
+        """Bytes of one lane."""
+        return self.replay + self.agent + self.work
+
+    @property
+    def total(self) -> int:
+        """Bytes of all lanes."""
+        return self.lanes * self.lane
+
+    def __str__(self) -> str:
+        return (
+            f"{self.lanes} lanes take {self.total / GIGABYTE:.3g} GB: "
+            f"{self.replay / 1e6:.0f} MB of replay, {self.agent / 1e6:.0f} MB of agent and {self.work / 1e6:.0f} MB of work each"
+        )
+
+
+def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
+    """Return the bytes of one lane's replay after `steps` steps; nothing is ever evicted."""
+    env, rows = problem.env, replay_capacity(problem, method, steps)
+    return rows * replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
+
+
+def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
+    """Return the memory of `lanes` lanes of `steps` steps."""
+    sac = method.sac
+    capacity = replay_capacity(problem, method, steps)
+    shape = jax.eval_shape(
+        lambda key: init_train_state(problem, _single(method), key[None], 1 + capacity - steps), jax.random.key(0)
+    )
+    networks = (1 + method.critics) * sum(sac.hidden_sizes)
+    return Need(
+        lanes,
+        replay=replay_bytes(problem, method, steps),
+        agent=_bytes(shape.lanes),
+        work=4 * ACTIVATIONS * sac.batch_size * networks // 3,
+    )
+
+
+def _single(method: Method) -> Method:
+    """Return `method` with leaves [1]: their values do not change a size."""
+    return jax.tree.map(lambda leaf: jax.numpy.zeros((1,), jax.numpy.result_type(leaf)), method)
+
+
+def _bytes(tree: TrainState) -> int:
+    return sum(math.prod(leaf.shape) * (leaf.dtype.itemsize or 8) for leaf in jax.tree.leaves(tree))
+
+
+def free_bytes(device: Any) -> int | None:
+    """Return the bytes that programs on `device` may still take, or None where nothing says so."""
+    stats = device.memory_stats()
+    if stats and "bytes_limit" in stats:
+        return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
+    if device.platform == "cpu" and "SC_AVPHYS_PAGES" in os.sysconf_names:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def require(needed: Need, mesh: Mesh | None = None) -> None:
+    """Raise a ValueError for a program that cannot fit on one device, or on those of `mesh`.
+
+    Raises:
+        ValueError: the lanes of one device need more than it has free; the message says how many would fit.
+    """
+    devices = [jax.devices()[0]] if mesh is None else mesh.local_devices
+    count = 1 if mesh is None else mesh.size
+    free = min((free for device in devices if (free := free_bytes(device)) is not None), default=None)
+    if free is None or needed.total <= free * count:
+        return
+    available = (
+        f"the device has {free / GIGABYTE:.3g} GB"
+        if count == 1
+        else f"{count} devices have {free / GIGABYTE:.3g} GB each"
+    )
+    raise ValueError(
+        f"{needed}, and {available} free: {free // needed.lane * count} lanes would fit. Take fewer seeds or steps, "
+        f"more devices, or on a GPU a larger {FRACTION}, such as 0.95"
+    )

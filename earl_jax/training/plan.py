@@ -1,0 +1,88 @@
+"""What a program needs before it starts: its problem, devices, memory, and the schedule of its jitted calls."""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh
+
+from earl_jax.algos import Method
+from earl_jax.training import memory
+from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.devices import lane_mesh
+from earl_jax.training.state import Problem
+
+
+class Span(NamedTuple):
+    """Consecutive chunks of a program that act alike: uniformly at random with `explore`, else by the policy."""
+
+    chunks: int
+    explore: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A program of `lanes` lanes and `steps` steps, in jitted calls of `chunk` steps.
+
+    `capacity`: rows of the replay; `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices that
+    share the lanes, None for one device; `memory`: what the program occupies.
+    """
+
+    problem: Problem
+    lanes: int
+    steps: int
+    capacity: int
+    chunk: int
+    random_steps: int
+    mesh: Mesh | None
+    memory: memory.Need
+
+    def spans(self, start: int) -> list[Span]:
+        """Return the chunks from step `start` to the next evaluation, which `eval_every` steps later."""
+        stop = start + self.problem.protocol.eval_every
+        middle = min(max(self.random_steps, start), stop)
+        parts = ((start, middle, True), (middle, stop, False))
+        return [Span((end - begin) // self.chunk, explore) for begin, end, explore in parts if begin < end]
+
+
+def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
+    """Return the plan of a program with `lanes` lanes on so many `devices` (`lane_mesh`).
+
+    Raises:
+        ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method needs,
+            the lanes don't divide over the devices, or the program does not fit into their memory.
+    """
+    every = problem.protocol.eval_every
+    if steps < 1 or steps % every:
+        raise ValueError(f"steps {steps} is not a multiple of eval_every {every}")
+    mesh, need = lane_mesh(devices, lanes), memory.need(problem, method, lanes, steps)
+    memory.require(need, mesh)
+    return Plan(
+        problem=problem,
+        lanes=lanes,
+        steps=steps,
+        capacity=replay_capacity(problem, method, steps),
+        chunk=math.gcd(method.sac.random_steps, every),
+        random_steps=method.sac.random_steps,
+        mesh=mesh,
+        memory=need,
+    )
+
+
+def per_lane(method: Method, lanes: int) -> Method:
+    """Return `method` with every float leaf as an array [lanes]; a leaf that is one already keeps its values.
+
+    Raises:
+        ValueError: a leaf is neither a scalar nor of length `lanes`.
+    """
+
+    def spread(leaf):
+        shape = jnp.shape(leaf)
+        if shape not in ((), (lanes,)):
+            raise ValueError(f"a hyper-parameter has shape {shape}; give one value, or one for each of {lanes} lanes")
+        dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
+        return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
+
+    return jax.tree.map(spread, method)

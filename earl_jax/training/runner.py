@@ -1,0 +1,189 @@
+"""One jitted program and the runs that share it: chunks of the loop, with evaluations, logs and checkpoints between."""
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from earl_jax.algos import Method
+from earl_jax.algos.mixed import together
+from earl_jax.envs import Env
+from earl_jax.protocol import Protocol, Rules
+from earl_jax.runs.checkpoint import restore_together, save
+from earl_jax.runs.config import Row, RunConfig, deployed_metric
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.logging import Log, open_logs
+from earl_jax.runs.progress import Progress
+from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
+from earl_jax.training.evaluation import evaluate_lanes
+from earl_jax.training.init import init_train_state
+from earl_jax.training.loop import run_steps
+from earl_jax.training.plan import Plan, per_lane, prepare
+from earl_jax.training.program_cache import keep_programs
+from earl_jax.training.state import Problem, TrainState, seed_keys
+
+
+@dataclasses.dataclass
+class Run:
+    """One run among those of a program, with the objects that its config stands for.
+
+    `method` has leaves [n]. `folder` and `listeners` receive its metrics, if there are any; `rows` are those so far.
+    """
+
+    config: RunConfig
+    env: Env
+    method: Method
+    protocol: Protocol
+    folder: RunFolder | None = None
+    listeners: Sequence[Log] = ()
+    rows: list[Row] = dataclasses.field(default_factory=list)
+
+    @classmethod
+    def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
+        """Return the run of `config`, with objects built from it where none are given."""
+        env, method = env or config.build_env(), method or config.build_method()
+        method = per_lane(method, len(config.seeds))
+        return cls(config=config, env=env, method=method, protocol=config.protocol(env))
+
+    @property
+    def rules(self) -> Rules:
+        """The rules of this run's lanes, leaves [n]."""
+        return jax.tree.map(lambda rule: jnp.full(len(self.config.seeds), rule), self.protocol.rules)
+
+    @contextlib.contextmanager
+    def logged(self, step: int) -> Iterator[None]:
+        """Open the logs of this run at `step`; what was logged after it is dropped and logged again."""
+        self.rows = self.folder.rows_until(step) if self.folder and first_host() else []
+        unfinished = step < self.config.steps and first_host()
+        self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
+        try:
+            yield
+        finally:
+            for log in self._logs:
+                log.close()
+
+    def add(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
+        """Return the rows of `metrics [n]` at `step`, after writing them to every log."""
+        fresh = self.config.rows(step, metrics)
+        self.rows += fresh
+        for log in self._logs:
+            log.log(step, metrics)
+        return fresh
+
+
+@functools.partial(jax.jit, static_argnames=("problem", "capacity", "mesh"))
+def _init(
+    problem: Problem, method: Method, keys: jax.Array, rules: Rules, capacity: int, mesh: Mesh | None
+) -> TrainState:
+    init = mapped(
+        lambda m, k, r: init_train_state(problem, m, k, capacity, r), mesh, (LANES, LANES, LANES), TRAIN_STATE
+    )
+    return init(method, keys, rules)
+
+
+@functools.partial(jax.jit, static_argnames=("problem", "steps", "explore", "mesh"), donate_argnames="state")
+def _advance(
+    problem: Problem, method: Method, state: TrainState, steps: int, explore: bool, mesh: Mesh | None
+) -> TrainState:
+    run = mapped(lambda m, s: run_steps(problem, m, s, steps, explore), mesh, (LANES, TRAIN_STATE), TRAIN_STATE)
+    return run(method, state)
+
+
+@functools.partial(jax.jit, static_argnames=("problem", "mesh"), donate_argnames="state")
+def _evaluate(
+    problem: Problem, method: Method, state: TrainState, mesh: Mesh | None
+) -> tuple[TrainState, dict[str, jax.Array]]:
+    evaluate = functools.partial(evaluate_lanes, problem)
+    return mapped(evaluate, mesh, (LANES, TRAIN_STATE), (TRAIN_STATE, LANES))(method, state)
+
+
+def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
+    """Return the plan of one program for all lanes of `runs`, one after the other. Errors as `prepare`.
+
+    The runs have env, lengths, the `program_signature` of their methods and the step of their newest checkpoint in common.
+    Their rules (H_T, settings) may differ, because lanes carry them as data.
+    """
+    first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
+    problem = Problem(first.env.for_lanes(lanes), first.protocol)
+    return prepare(problem, together([run.method for run in runs]), lanes, first.config.steps, devices)
+
+
+def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> TrainState:
+    """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
+
+    The metrics of each run are added to its own `rows` and to its folder, with checkpoints of its own lanes.
+    """
+    keep_programs()
+    method = placed(together([run.method for run in runs]), plan.mesh)
+    state = _restore_or_init(plan, method, runs)
+    step = int(gathered(state.step))
+    with contextlib.ExitStack() as stack:
+        for run in runs:
+            stack.enter_context(run.logged(step))
+        bar = stack.enter_context(_progress(plan, runs, step, progress))
+        bar.message(str(plan.memory))
+        while step < plan.steps:
+            state = _train_to_evaluation(plan, method, state, step, bar)
+            step += plan.problem.protocol.eval_every
+            state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
+            _record(runs, step, gathered(metrics), bar)
+            for run, span in zip(runs, _lane_spans(runs), strict=True):
+                if run.folder and run.config.checkpoint_due(step):
+                    save(run.folder.checkpoints, state, span)
+    return state
+
+
+def _train_to_evaluation(plan: Plan, method: Method, state: TrainState, step: int, bar: Progress) -> TrainState:
+    for span in plan.spans(step):
+        for _ in range(span.chunks):
+            began = time.perf_counter()
+            state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
+            state.step.block_until_ready()
+            bar.advance(plan.chunk, time.perf_counter() - began)
+    return state
+
+
+def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar: Progress) -> None:
+    """Add `metrics [N]` of all lanes to the runs that they belong to."""
+    fresh = [
+        run.add(step, {name: values[span] for name, values in metrics.items()})
+        for run, span in zip(runs, _lane_spans(runs), strict=True)
+    ]
+    bar.report(step, list(itertools.chain(*fresh)))
+
+
+def _progress(plan: Plan, runs: Sequence[Run], step: int, show: bool) -> Progress:
+    config = runs[0].config
+    algos = "+".join(dict.fromkeys(run.config.algo for run in runs))
+    return Progress(
+        label=f"{algos} x {plan.lanes} on {config.env}",
+        lanes=plan.lanes,
+        steps=plan.steps,
+        done=step,
+        metric=deployed_metric(plan.problem.env),
+        show=show and first_host(),
+    )
+
+
+def _lane_spans(runs: Sequence[Run]) -> list[slice]:
+    ends = np.cumsum([len(run.config.seeds) for run in runs]).tolist()
+    return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+
+
+def _restore_or_init(plan: Plan, method: Method, runs: Sequence[Run]) -> TrainState:
+    keys = placed(jnp.concatenate([seed_keys(run.config.seeds) for run in runs]), plan.mesh)
+    rules = placed(jax.tree.map(lambda *each: jnp.concatenate(each), *[run.rules for run in runs]), plan.mesh)
+    init = functools.partial(_init, plan.problem, method, keys, rules, plan.capacity, plan.mesh)
+    folders = [run.folder.checkpoints for run in runs if run.folder]
+    sizes = [len(run.config.seeds) for run in runs]
+    if folders and (saved := restore_together(folders, sizes, jax.eval_shape(init))) is not None:
+        return placed(saved, plan.mesh, TRAIN_STATE)
+    return init()

@@ -1,0 +1,80 @@
+"""The state of training: lanes with their replay, the randomness of a step, and the problem that they learn."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from earl_jax.algos.goals import GoalIndices, Goals, goal_table
+from earl_jax.algos.learner.replay import Replay
+from earl_jax.algos.learner.sac import Agent
+from earl_jax.envs import Env, State
+from earl_jax.metrics.continuing import Counters
+from earl_jax.protocol import Protocol, Rules
+
+MAP_BINS = 64
+"""Bins along a side of the map of visited positions."""
+
+
+class LaneState(struct.PyTreeNode):
+    """The state of one lane, which trains one seed.
+
+    `visits [MAP_BINS, MAP_BINS]`, int32, counts visited positions, first axis x; None where the task has no map.
+    """
+
+    key: jax.Array
+    env_state: State
+    phase: jax.Array
+    phase_step: jax.Array
+    goal_indices: GoalIndices
+    agent: Agent
+    method_state: Any
+    counters: Counters
+    rules: Rules
+    visits: jax.Array | None
+
+
+class TrainState(struct.PyTreeNode):
+    """All lanes (leading axis N), their replay, and the number of steps that each has made."""
+
+    lanes: LaneState
+    replay: Replay
+    step: jax.Array
+
+
+class StepKeys(NamedTuple):
+    """A lane's randomness of one step, a function of its seed and the step alone."""
+
+    act: jax.Array
+    goal: jax.Array
+    reset: jax.Array
+    sample: jax.Array
+    relabel: jax.Array
+    update: jax.Array
+
+
+def step_keys(key: jax.Array, step: jax.Array) -> StepKeys:
+    """Return the randomness of one lane at `step`."""
+    parts = jax.random.split(jax.random.fold_in(key, step), len(StepKeys._fields))
+    return StepKeys(*[parts[number] for number in range(len(StepKeys._fields))])
+
+
+def seed_keys(seeds: Sequence[int]) -> jax.Array:
+    """Return the PRNG keys [N] of the lanes of `seeds`."""
+    return jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """The static half of a program: the environment and the protocol of its training."""
+
+    env: Env
+    protocol: Protocol
+
+    @property
+    def goals(self) -> Goals:
+        """The goal table that replay's indices refer to."""
+        return goal_table(self.env)
