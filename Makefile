@@ -1,4 +1,4 @@
-# Two commands on a fresh machine: make quickstart, make test.
+# On a fresh machine: `make quickstart` trains a small agent, `make test` runs the tests. Both install into .venv first.
 comma := ,
 PYTHON ?= python3
 VENV := .venv
@@ -38,11 +38,13 @@ check: $(TOOLS)
 test: check
 	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --durations=10
 
-# What takes long or needs much: PyTorch's learners, notebooks, a browser, a clean environment, kills. Runs after make test.
+# Slow tests and tests that need more packages: PyTorch learners, notebooks, a browser, a clean environment, killed processes.
+# Run make test before.
 test-slow: $(MORE)
 	$(BIN)/pytest -m slow -n 2 --dist loadfile --durations=10
 
-# Exact versions for every supported Python, without an index address; PyTorch's own CUDA is left out, since jax has another.
+# Exact versions for every supported Python, without the address of an index. The CUDA packages of PyTorch are left out, because
+# jax needs another version.
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 $(addprefix --extra ,$(subst $(comma), ,$(ALL))) \

@@ -23,7 +23,7 @@ RUN = [
     "--seeds", "2", "--steps", "800", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40",
     "--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=40",
 ]  # fmt: skip
-CLI = [sys.executable, "-m", "earl_jax.cli.main"]
+CLI = [sys.executable, "-m", "earl_jax.cli"]
 FIELDS = ["run", "command", "seconds", "rows", "newest", "writing"]
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from benchmarks.output import tell
 from earl_jax.algos import make_algo
-from earl_jax.algos.mixed import together
+from earl_jax.algos.mixed import mix_methods
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.training import init as birth
@@ -24,7 +24,7 @@ from earl_jax.training.state import Problem
 
 def prepared(problem: Problem, algos: list[str], lanes: int, steps: int, options: dict) -> dict:
     """Return a compiled program of `lanes` lanes of each of `algos`, and the lives that it takes."""
-    method = together([per_lane(make_algo(algo, **options), lanes) for algo in algos])
+    method = mix_methods([per_lane(make_algo(algo, **options), lanes) for algo in algos])
     keys = jax.vmap(jax.random.key)(jnp.tile(jnp.arange(lanes), len(algos)))
     capacity = birth.capacity_for(problem, method, 100_000)
     lives = jax.jit(lambda m, k: birth.begin(problem, m, k, capacity))(method, keys)

@@ -29,7 +29,7 @@ ALREADY_THERE = 1e-5
 """Metres of hand position that need no correction."""
 
 
-def begin(env: Sawyer, first: np.ndarray) -> State:
+def start_state(env: Sawyer, first: np.ndarray) -> State:
     """Return the state in which a recording with the first observation `first [14]` began."""
     seen, goal = first[4:7], jnp.asarray(first[7:])
     if isinstance(env, SawyerDoor):
@@ -73,7 +73,7 @@ def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
     actions = np.stack(
         [episode.actions[np.minimum(np.arange(longest), len(episode.actions) - 1)] for episode in episodes]
     )
-    starts = [begin(env, episode.observations[0]) for episode in episodes]
+    starts = [start_state(env, episode.observations[0]) for episode in episodes]
     state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
 
     def one(state: State, actions: jax.Array) -> jax.Array:

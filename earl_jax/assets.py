@@ -1,4 +1,4 @@
-"""Finds what ships beside the code, in a checkout and in a wheel: models, demonstrations, the paper's tables."""
+"""Access to the files that ship with the code, in a checkout and in a wheel: models, demonstrations, the paper's tables."""
 
 import csv
 import functools
@@ -11,8 +11,11 @@ DIRECTIONS = ("forward", "backward")
 
 
 class Demos(NamedTuple):
-    """Demonstrations of one direction, concatenated: float32 `states [T, s]`, `goals [T, g]`, `actions [T, a]`,
-    `next_states [T, s]`, `rewards [T]` and bool `ends [T]`, true on the last transition of each demonstration."""
+    """Transitions of the demonstrations of one direction, concatenated.
+
+    Float32 `states [T, s]`, `goals [T, g]`, `actions [T, a]`, `next_states [T, s]`, `rewards [T]`, and bool `ends [T]`, which is
+    true on the last transition of each demonstration.
+    """
 
     states: np.ndarray
     goals: np.ndarray
@@ -23,7 +26,11 @@ class Demos(NamedTuple):
 
 
 def root() -> Path:
-    """Return the folder of assets: beside the package in a checkout, inside it in a wheel."""
+    """Return the folder of assets: beside the package in a checkout, inside it in a wheel.
+
+    Raises:
+        FileNotFoundError: the installation has no such folder.
+    """
     package = Path(__file__).resolve().parent
     for folder in (package / "assets", package.parent / "assets"):
         if (folder / "mjcf").is_dir():
@@ -32,6 +39,7 @@ def root() -> Path:
 
 
 def _file(kind: str, name: str, suffix: str) -> Path:
+    """Return the file of `name` in the assets of `kind`, or the file at the path `name`."""
     path = root() / kind / f"{name}{suffix}"
     if name.endswith(suffix) and Path(name).is_file():
         return Path(name)
@@ -42,16 +50,20 @@ def _file(kind: str, name: str, suffix: str) -> Path:
 
 
 def mjcf(name: str) -> Path:
-    """Return the path of a task's MJCF; an unknown name is a ValueError that lists the choices."""
+    """Return the path of the MJCF file of task `name`.
+
+    Raises:
+        ValueError: the task has no such file; the message lists the choices.
+    """
     return _file("mjcf", name, ".xml")
 
 
 @functools.cache
 def demos(name: str, direction: str) -> Demos:
-    """Return the demonstrations of task `name` (or of an npz file), `direction` forward or backward, as read-only arrays.
+    """Return the forward or backward demonstrations of task `name`, or of the npz file at that path, as read-only arrays.
 
     Raises:
-        ValueError: the task has no demonstrations, or the direction is unknown; the message lists the choices.
+        ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
     """
     if direction not in DIRECTIONS:
         raise ValueError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
@@ -66,7 +78,7 @@ def demos(name: str, direction: str) -> Demos:
 
 
 def demo_directions(name: str) -> tuple[str, ...]:
-    """Return which of `DIRECTIONS` the demonstrations of task `name` (or an npz file) have; none where there are none."""
+    """Return the directions of the demonstrations of task `name`, or of the npz file at that path; () without demonstrations."""
     path = Path(name) if name.endswith(".npz") else root() / "demos" / f"{name}.npz"
     if not path.is_file():
         return ()
@@ -81,10 +93,10 @@ def has_demos(name: str) -> bool:
 
 @functools.cache
 def starts(name: str) -> dict[str, np.ndarray]:
-    """Return the settled starts of task `name` as read-only float32 arrays [N, ...], by the field of the physics state.
+    """Return initial states of task `name` after settling, as read-only float32 arrays [N, ...] by field of the physics state.
 
     Raises:
-        ValueError: no starts ship for the task; the message lists those for which they do.
+        ValueError: the task has no such file; the message lists the choices.
     """
     with np.load(_file("starts", name, ".npz"), allow_pickle=False) as stored:
         arrays = dict(stored)
@@ -95,11 +107,15 @@ def starts(name: str) -> dict[str, np.ndarray]:
 
 @functools.cache
 def published(table: str) -> list[dict[str, str]]:
-    """Return a table of the paper (`table1`, `table2`, `crossings`, ...) as rows of column to text."""
+    """Return a table of published results (`table1`, `table2`, `crossings`, ...) as rows of text by column.
+
+    Raises:
+        ValueError: there is no such table; the message lists the choices.
+    """
     with _file("published", table, ".csv").open(newline="") as handle:
         return list(csv.DictReader(handle))
 
 
 def published_row(table: str, **where: str) -> dict[str, str]:
-    """Return the first row of a table of the paper that holds `where`, column by column; an empty one where none does."""
+    """Return the first row of a published table with the values `where` by column, or {} without such a row."""
     return next((row for row in published(table) if where.items() <= row.items()), {})

@@ -1,4 +1,4 @@
-"""Names to dataclasses: a table in the package, entry points of other packages, and what a program registers."""
+"""Registries from names to dataclasses: the package's own table, entry points of other packages, registered classes."""
 
 import dataclasses
 import functools
@@ -9,9 +9,9 @@ from earl_jax import options as options_lib
 
 
 class Registry:
-    """A table of names for one kind of thing (`env`, `algo`), open to the entry-point group `earl_jax.<kind>s`.
+    """The names of one kind (`env`, `algo`) and their classes, extended by the entry-point group `earl_jax.<kind>s`.
 
-    Listing names imports nothing, so a package that is broken is only told of where its name is asked for.
+    Listing names imports nothing. A broken package therefore raises an error only when its name is used.
     """
 
     def __init__(self, kind: str, table: dict[str, str]):
@@ -22,8 +22,8 @@ class Registry:
         return list(metadata.entry_points(group=f"earl_jax.{self.kind}s"))
 
     @functools.cached_property
-    def _claims(self) -> list[metadata.EntryPoint]:
-        """Entry points that claim a name of the table, looked for once: that reads the metadata of every package."""
+    def _conflicting_entry_points(self) -> list[metadata.EntryPoint]:
+        """Entry points with a name of the table. Cached, because a search reads the metadata of every package."""
         return [point for point in self._entry_points() if point.name in self._table]
 
     def names(self) -> list[str]:
@@ -31,20 +31,25 @@ class Registry:
         return sorted({*self._table, *(point.name for point in self._entry_points())})
 
     def register(self, name: str, factory: type) -> None:
-        """Add `factory` under `name`; a taken name, or one that `factory` does not call itself, is a ValueError."""
-        if name in self.names():
-            raise ValueError(f"{self.kind} {name!r} exists already")
-        self._table[name] = self._checked(name, factory, "what is registered")
-
-    def get(self, name: str) -> type:
-        """Return the dataclass behind `name`.
+        """Add the dataclass `factory` under `name`.
 
         Raises:
-            ValueError: the name is unknown (the message lists the choices), claimed twice, or what another package has
-                under it cannot be loaded.
+            ValueError: the name is taken, `factory` is not a dataclass, or its `name` differs.
+        """
+        if name in self.names():
+            raise ValueError(f"{self.kind} {name!r} exists already; choose another name")
+        self._table[name] = self._checked(name, factory, "the registered class")
+
+    def get(self, name: str) -> type:
+        """Return the dataclass of `name`.
+
+        Raises:
+            ValueError: the name is unknown (the message lists the choices), claimed by several packages, or its entry point
+                cannot be loaded.
         """
         known = name in self._table
-        points = [point for point in (self._claims if known else self._entry_points()) if point.name == name]
+        candidates = self._conflicting_entry_points if known else self._entry_points()
+        points = [point for point in candidates if point.name == name]
         owners = ["earl_jax"] * known + [_owner(point) for point in points]
         if len(owners) > 1:
             raise ValueError(
@@ -58,24 +63,31 @@ class Registry:
         return metadata.EntryPoint(name, target, self.kind).load() if isinstance(target, str) else target
 
     def _loaded(self, point: metadata.EntryPoint) -> type:
-        """Return what another package has under its name; whatever goes wrong there is a ValueError that says whose it is."""
+        """Return the class of an entry point. Any error in its package becomes a ValueError that names the package."""
         try:
-            found = point.load()
+            factory = point.load()
         except Exception as error:
             cause = f"{type(error).__name__}: {error}"
             raise ValueError(f"{self.kind} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
-        return self._checked(point.name, found, f"{point.value} of {_owner(point)}")
+        return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
-    def _checked(self, name: str, factory: Any, what: str) -> type:
+    def _checked(self, name: str, factory: Any, source: str) -> type:
+        """Return `factory`, which comes from `source`, if it is a dataclass with the name `name`."""
         if not isinstance(factory, type) or not dataclasses.is_dataclass(factory):
-            raise ValueError(f"{self.kind} {name!r}: {what} is no dataclass but {factory!r}")
+            raise ValueError(f"{self.kind} {name!r}: {source} must be a dataclass, not {factory!r}")
         own = getattr(factory, "name", None)
         if own != name:
-            raise ValueError(f"{self.kind} {name!r}: {what} calls itself {own!r}, the name that run folders would keep")
+            raise ValueError(
+                f"{self.kind} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
+            )
         return factory
 
     def build(self, name: str, options: dict[str, Any]) -> Any:
-        """Return `name` built with `options`; one that is unknown, or of another kind than the default, is a ValueError."""
+        """Return an object of the class of `name` with `options`.
+
+        Raises:
+            ValueError: as `get`; or an option is unknown or has the wrong type.
+        """
         factory = self.get(name)
         options_lib.check(f"{self.kind} {name!r}", factory, options)
         return factory(**options)

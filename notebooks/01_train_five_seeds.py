@@ -15,11 +15,12 @@
 """
 # Five seeds in one program
 
-A gripper carries a mug to one of four coasters, and nobody ever puts the mug back. Five agents live through that,
-each in its own world, all in one jitted program on this machine. About five minutes on two CPU cores.
+A gripper carries a mug to one of four coasters, and the environment is not reset between attempts.
+Five agents train on this task, each in its own copy of the environment, all in one jitted program on
+this machine. The page takes about five minutes on two CPU cores.
 
-To open this page: `pip install 'earl-jax[notebook]'`. VS Code runs the file as it is; for Jupyter, `jupytext --to
-ipynb 01_train_five_seeds.py`.
+To open this page, `pip install 'earl-jax[notebook]'`. VS Code runs this file directly. For Jupyter,
+convert it with `jupytext --to ipynb 01_train_five_seeds.py`.
 """
 
 # %%
@@ -37,26 +38,25 @@ import earl_jax
 from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
 from earl_jax.metrics.statistics import summarise
-from earl_jax.protocol import Protocol
 from earl_jax.report.plots import plot_runs
-from earl_jax.training.state import Problem
 
 # %matplotlib inline
 
 # %% tags=["parameters"]
-TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # how the tests run this page
+TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 SEEDS = 5
 STEPS, EVERY = (200, 100) if TINY else (150_000, 10_000)
 OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
-RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # name a folder of your own to keep the runs
+RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]
 """
-## The world
+## The environment
 
-The state is where gripper and mug are and whether the mug is held; the observation adds the goal, a state too. The
-reward is 1 where gripper and mug are where the goal has them, else 0. An action moves the gripper by up to 0.2 an
-axis and closes it. The world never resets itself: `train_horizon` steps pass between two interventions.
+The state contains the positions of gripper and mug and whether the mug is held. The observation adds
+the goal, which is a state too. The reward is 1 when gripper and mug are at their goal positions, else
+0. An action moves the gripper by up to 0.2 on each axis and closes it. The environment never resets
+itself: `train_horizon` steps pass between two interventions.
 """
 
 # %%
@@ -70,11 +70,13 @@ print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")
 """
 ## Train
 
-Forward-backward RL: one controller carries the mug to its goal, another brings everything back, and they take turns
-for ever. `PRESET` is what the quickstart trains with: smaller networks than the paper's and three tricks that make
-minutes enough (`earl_jax/quickstart.py` names them). Leave it out, and this is the paper's agent.
+In forward-backward RL, one controller carries the mug to its goal, another brings everything back, and
+they alternate forever. `PRESET` holds the hyper-parameters of the quickstart: smaller networks than the
+paper's and three changes that reduce training to minutes (`earl_jax/cli/quickstart.py` names them).
+Without it, this is the paper's agent.
 
-The seeds are lanes of one program. They share its code and nothing else: a lane's life depends on its seed alone.
+The seeds are lanes of one program. They share its code and nothing else: the training of a lane depends
+on its seed alone.
 """
 
 # %%
@@ -92,9 +94,9 @@ result = earl_jax.train(
 
 # %% [markdown]
 """
-Left, the policy set down at a fresh start every 10,000 steps, without learning: the deployed setting. Right, what the
-agent earned while it lived: the continuing one. The line is the mean over seeds, the band the 95 % bootstrap interval
-of the interquartile mean.
+Left, the deployed setting: every 10,000 steps the policy is evaluated from fresh starts, without
+learning. Right, the continuing setting: the reward that the agent earned during training. The line is
+the mean over seeds, the band the 95 % bootstrap interval of the interquartile mean.
 """
 
 # %%
@@ -104,8 +106,8 @@ Image(plot_runs([RUNS / "fbrl"], RUNS / "curves.png"), width=900)
 """
 ## Read the numbers
 
-A single evaluation of a young policy swings, so look at the mean of the last few. Seeds differ more than one would
-like: that is why there are five, and why an interval stands beside every mean.
+Single evaluations of a young policy vary a lot, so look at the mean of the last few. Seeds differ a lot
+too, which is why we train five of them and print an interval beside every mean.
 """
 
 # %%
@@ -121,16 +123,17 @@ print(f"interventions: {result.metrics['interventions'][:, -1].astype(int).tolis
 
 # %% [markdown]
 """
-## Where have they been?
+## Visited positions
 
-Every lane keeps a map of the places where its gripper was. In a reset-free life the map is a diary: the walls, where
-young policies end up, then the ways between mug, coasters and home.
+Every lane counts the positions that its gripper visited. In reset-free training this map shows the
+whole history: first the walls, where young policies end up, then the paths between mug, coasters and
+home.
 """
 
 # %%
 figure, axes = plt.subplots(1, SEEDS, figsize=(2.3 * SEEDS, 2.6), sharey=True, layout="constrained")
 for seed, axis in zip(range(SEEDS), axes, strict=True):
-    visits = np.asarray(earl_jax.select_seed(result.lives, seed).visits)
+    visits = np.asarray(earl_jax.select_seed(result.train_state, seed).visits)
     axis.imshow(np.log1p(visits.T), origin="lower", extent=(-LIMIT, LIMIT, -LIMIT, LIMIT), cmap="magma")
     axis.plot(*COASTERS.T, "o", color="white", markersize=4)
     axis.set(title=f"seed {seed}", xlabel="x")
@@ -141,8 +144,9 @@ plt.show()
 """
 ## Watch a policy
 
-`result.policy(seed)` is the greedy task policy, a pure function of an observation. Four episodes of the best seed,
-one a goal: the gripper's way in blue, the mug's in orange, the coaster it is for as a circle.
+`result.policy(seed)` is the greedy task policy, a pure function of an observation. The figure shows four
+episodes of the best seed, one for each goal: the gripper's path in blue, the mug's in orange, and the
+goal's coaster as a circle.
 """
 
 # %%
@@ -177,19 +181,21 @@ plt.show()
 """
 ## The same as one pure function
 
-`train` calls a jitted program in chunks, so that it can log and save. Where you want a life inside a program of your
-own, it is a pure function of its keys, and `jit` takes it whole. Here five short ones.
+`train` calls a jitted program in chunks, so that it can log and save between them. To run whole
+lifetimes inside a program of your own, use `lifetime`. It is a pure function of its keys, which `jit`
+compiles as a whole. Here are five short lifetimes.
 """
 
 # %%
-problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon, eval_every=100, eval_episodes=2))
+protocol = earl_jax.Protocol(env.train_horizon, env.eval_horizon, eval_every=100, eval_episodes=2)
+problem = earl_jax.Problem(env, protocol)
 method = earl_jax.make_algo("fbrl", **{**OPTIONS, "random_steps": 100})
 keys = jax.random.split(jax.random.key(0), SEEDS)
-lives, metrics = jax.jit(lambda keys: earl_jax.lifetime(problem, method, keys, 200))(keys)
+train_state, metrics = jax.jit(lambda keys: earl_jax.lifetime(problem, method, keys, 200))(keys)
 print({name: values.shape for name, values in metrics.items()})
 
 # %% [markdown]
 """
-Next: [compare two methods](02_compare_two_methods.py), [write one](03_write_a_method.py), [run fifty seeds on a
-GPU](04_run_on_a_gpu.py).
+Next: [compare two methods](02_compare_two_methods.py), [write a method](03_write_a_method.py),
+[run fifty seeds on a GPU](04_run_on_a_gpu.py).
 """

@@ -15,11 +15,12 @@
 """
 # Is one method better than another?
 
-Naive RL and forward-backward RL on tabletop organization, five seeds each: what their difference is, how sure one can
-be of it, and what five seeds cannot tell. About ten minutes on two CPU cores.
+This page trains naive RL and forward-backward RL (FBRL) on tabletop organization with five seeds each. It
+estimates their difference and its uncertainty, and shows the limits of five seeds. It takes about ten
+minutes on two CPU cores.
 
-To open this page: `pip install 'earl-jax[notebook]'`. VS Code runs the file as it is; for Jupyter, `jupytext --to
-ipynb 02_compare_two_methods.py`.
+To open this page, `pip install 'earl-jax[notebook]'`. VS Code runs this file directly. For Jupyter,
+convert it with `jupytext --to ipynb 02_compare_two_methods.py`.
 """
 
 # %%
@@ -42,20 +43,21 @@ from earl_jax.report.tables import markdown, tabulate
 # %matplotlib inline
 
 # %% tags=["parameters"]
-TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # how the tests run this page
+TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 METHODS = ["fbrl", "naive"]
 SEEDS = 5
 STEPS, EVERY = (200, 100) if TINY else (200_000, 10_000)
 OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
-RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # name a folder of your own to keep the runs
+RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]
 """
 ## Train both
 
-Same task, same seeds, same learner, same number of steps. Only the method differs: naive RL draws a new goal wherever
-it is; FBRL goes home in between, and spends about half of its life on that. From here on all is read from the run
-folders, so a comparison never needs the training process again. Runs of a sweep are folders like these.
+Task, seeds, learner and number of steps are the same; only the method differs. Naive RL draws a new goal
+wherever it is. FBRL returns home in between, which takes about half of its training steps. The rest of
+this page reads the run folders, so a comparison does not need the training process. The runs of a sweep
+are folders like these.
 """
 
 # %%
@@ -78,9 +80,9 @@ Image(plot_runs(folders, RUNS / "curves.png"), width=900)
 """
 ## The paper's tables
 
-The last evaluation and the reward a step over the lifetime, beside the published figures. These runs are far from the
-paper's (small networks, a fraction of the steps), so the columns are there to show where published numbers go, not to
-be compared.
+The table has the last evaluation and the reward per step over the lifetime, beside the published values.
+These runs are far from the paper's (small networks, a fraction of the steps), so do not compare the
+columns. They only show where published values appear.
 """
 
 # %%
@@ -88,45 +90,45 @@ Markdown(markdown(tabulate(folders)))
 
 # %% [markdown]
 """
-## A number a seed
+## One score per seed
 
-Single evaluations are noisy: 20 episodes of a policy that succeeds half of the time have a standard error of 0.11
-before seeds differ at all. So a seed's score is the mean of its last five evaluations. Summaries: mean, standard
-error as the paper prints it, and the interquartile mean, which one unlucky seed cannot drag, with its bootstrap
-interval over seeds.
+Single evaluations are noisy: 20 episodes of a policy that succeeds half of the time have a standard error
+of 0.11, even if all seeds are equal. So a seed's score is the mean of its last five evaluations. The
+summaries are the mean, the standard error as the paper prints it, and the interquartile mean with its
+bootstrap interval over seeds. The interquartile mean does not depend much on one unlucky seed.
 """
 
 # %%
 curves = {algo: read(RUNS / algo) for algo in METHODS}
-success = {algo: found.metrics["deployed/success"] for algo, found in curves.items()}
+success = {algo: curves[algo].metrics["deployed/success"] for algo in METHODS}
 scores = {algo: values[:, -5:].mean(axis=1) for algo, values in success.items()}
 for algo, values in scores.items():
-    one = summarise(values)
-    print(
-        f"{algo:6} mean {one.mean:.2f} ({one.stderr:.2f}), IQM {one.iqm:.2f} [{one.low:.2f}, {one.high:.2f}]", end="  "
-    )
-    print("seeds", values.round(2).tolist())
+    summary = summarise(values)
+    mean = f"mean {summary.mean:.2f} ({summary.stderr:.2f})"
+    interval = f"IQM {summary.iqm:.2f} [{summary.low:.2f}, {summary.high:.2f}]"
+    print(f"{algo:6} {mean}, {interval}  seeds", values.round(2).tolist())
 
 # %% [markdown]
 """
 ## The difference
 
-Two intervals that overlap do not say that two methods are equal, and two that do not overlap say more than 95 %. What
-is asked is the difference, so that is what is resampled: seeds of either method, with replacement, 2,000 times. If
-its interval holds 0, these runs do not tell the methods apart.
+Overlapping intervals do not show that two methods are equal, and requiring disjoint intervals is stricter
+than 95 %. The question is about the difference, so we resample the difference: seeds of either method,
+with replacement, 2,000 times. If its interval contains 0, these runs do not distinguish the
+methods.
 """
 
 # %%
 gap = difference(*(scores[algo] for algo in METHODS))
-verdict = "not told apart" if gap.low <= 0 <= gap.high else "told apart"
+verdict = "not distinguished" if gap.low <= 0 <= gap.high else "distinguished"
 print(
     f"{METHODS[0]} minus {METHODS[1]}: {gap.value:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}]: {verdict} by {SEEDS} seeds each"
 )
 
 # %% [markdown]
 """
-The same at every evaluation. Where the band leaves zero, the methods differ at that step; one excursion among twenty
-evaluations is what chance alone would give.
+The same at every evaluation. Where the band does not contain zero, the methods differ at that step. One
+such step among twenty evaluations is expected by chance.
 """
 
 # %%
@@ -150,15 +152,15 @@ plt.show()
 
 # %% [markdown]
 """
-## Judged while they live
+## The continuing setting
 
-Deployed success says what a policy can do from a fresh start. The continuing setting asks what was earned on the way,
-and the two may disagree: naive RL earns a reward wherever it happens to stand near a goal, FBRL pays for its way
-home.
+Deployed success measures a policy from a fresh start. The continuing setting measures the reward earned
+during training, and the two may disagree: naive RL earns a reward whenever it happens to be near a goal,
+while FBRL spends steps on the way home.
 """
 
 # %%
-earned = {algo: found.metrics["continuing/reward"][:, -1] for algo, found in curves.items()}
+earned = {algo: curves[algo].metrics["continuing/reward"][:, -1] for algo in METHODS}
 for algo, values in earned.items():
     estimate = mean_of(values)
     print(f"{algo:6} C(A) {estimate.value:.4f} [{estimate.low:.4f}, {estimate.high:.4f}]")
@@ -169,15 +171,16 @@ print(f"difference {gap.value:+.4f} [{gap.low:+.4f}, {gap.high:+.4f}]")
 """
 ## How many seeds?
 
-The interval narrows with the root of their number. Resampling the seeds at hand to other numbers shows what more of
-them would buy, if they are like these. On a GPU fifty cost little more than five ([04](04_run_on_a_gpu.py)).
+The interval narrows with the square root of the number of seeds. Resampling the present seeds to other
+numbers estimates the gain from more seeds like these. On a GPU fifty cost little more than five
+([04](04_run_on_a_gpu.py)).
 """
 
 # %%
 counts, rng = np.array([2, 3, 5, 10, 20, 50]), np.random.default_rng(0)
 figure, axis = plt.subplots(figsize=(5, 3.2), layout="constrained")
 means = [[rng.choice(scores[algo], size=(2000, count)).mean(axis=1) for algo in METHODS] for count in counts]
-widths = [np.subtract(*np.quantile(one - other, [0.975, 0.025])) for one, other in means]
+widths = [np.subtract(*np.quantile(first - second, [0.975, 0.025])) for first, second in means]
 axis.plot(counts, widths, "o-", color="black")
 axis.set(xscale="log", ylim=(0, None), xlabel="seeds of each method", ylabel="width of the difference's interval")
 axis.set_xticks(counts, labels=counts)

@@ -15,12 +15,12 @@
 """
 # A method in forty lines
 
-What if one controller did both ways, there and back, and learnt from every transition as if it had been asked for
-something else? Below is that method, a look at whether it does what it says, and a training run beside the same
-method without its idea. About five minutes on two CPU cores.
+This page defines a new method: one controller goes to the goal and back, and learns from a share of its
+transitions under other goals. The page tests the method's functions and trains it beside the same method
+without relabelling. It takes about five minutes on two CPU cores.
 
-To open this page: `pip install 'earl-jax[notebook]'`. VS Code runs the file as it is; for Jupyter, `jupytext --to
-ipynb 03_write_a_method.py`.
+To open this page, `pip install 'earl-jax[notebook]'`. VS Code runs this file directly. For Jupyter,
+convert it with `jupytext --to ipynb 03_write_a_method.py`.
 """
 
 # %%
@@ -44,27 +44,27 @@ from earl_jax.report.style import step_axis
 # %matplotlib inline
 
 # %% tags=["parameters"]
-TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # how the tests run this page
+TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 SEEDS = 2 if TINY else 3  # of each of two settings
 STEPS, EVERY = (200, 100) if TINY else (150_000, 10_000)
 OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
-RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # name a folder of your own to keep the runs
+RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]
 """
-## The questions
+## The hooks
 
-The loop of every method is the same: act, store, sample, learn. A method answers a few questions about it, and what
-it does not answer is naive RL's answer (`earl_jax/algos/method.py` has them all). Ours answers two.
+All methods share one loop: act, store, sample, update. A method overrides the hooks in which it differs
+from naive RL (`earl_jax/algos/method.py` has them all). This method overrides two.
 
-**Which goal next?** (`next_goal`) When a task phase begins, a task goal; when a phase back begins, an initial state.
+**`next_goal`** returns the next goal. A task phase gets a task goal; a return phase gets an initial state.
 Goals are indices into one table: task goals, initial states, then every state of the demonstrations.
 
-**Under which goal is a sampled transition learnt from?** (`relabel`) Mostly its own. But a share of them gets another
-one of the table, and reward and end are recomputed, as if that had been asked for. A transition whose successor was
-lost at an intervention keeps its goal.
+**`relabel`** returns the sampled transitions with the goals to learn them under. Most keep their own goal.
+A share of them gets another goal from the table, with reward and success recomputed for it. A transition
+without a successor, whose next state was overwritten by a reset, keeps its goal.
 
-`share` is a float field, so it is a leaf: every lane of a program may have its own.
+`share` is a float field, so it is a leaf: every lane of a program can have its own value.
 """
 
 
@@ -78,26 +78,26 @@ class AsIf(Method):
     phases: ClassVar[int] = 2
     demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
 
-    def next_goal(self, key, goals, phase, lane, method_state):
-        """Return the goal commanded now and the task that the world rewards, as indices."""
+    def next_goal(self, key, goals, phase, current, method_state):
+        """Return the goal for the policy and the task that the environment rewards, as indices."""
         task_key, home_key = jax.random.split(key)
         task = goals.draw_task(task_key)
         home = goals.tasks + jax.random.randint(home_key, (), 0, goals.initials)
         back = phase == RETURN
-        return GoalIndices(goal=jnp.where(back, home, task), task=jnp.where(back, lane.task, task))
+        return GoalIndices(goal=jnp.where(back, home, task), task=jnp.where(back, current.task, task))
 
-    def relabel(self, key, env, goals, rows):
-        """Return sampled transitions, `rows [B]`, a share of them under another goal."""
+    def relabel(self, key, env, goals, batch):
+        """Return the sampled transitions `batch [B]`, a share of them under another goal."""
         share_key, goal_key = jax.random.split(key)
-        other = jax.random.randint(goal_key, rows.reward.shape, 0, len(goals.table))
-        chosen = jax.random.bernoulli(share_key, self.share, other.shape) & ~rows.marks.lost
-        obs = jnp.concatenate([rows.next_state, jnp.asarray(goals.table)[other]], axis=-1)
+        other = jax.random.randint(goal_key, batch.reward.shape, 0, len(goals.table))
+        chosen = jax.random.bernoulli(share_key, self.share, other.shape) & ~batch.flags.no_successor
+        obs = jnp.concatenate([batch.next_state, jnp.asarray(goals.table)[other]], axis=-1)
         reached = env.success(obs) & env.sparse
-        marks = rows.marks._replace(
-            goal=jnp.where(chosen, other, rows.marks.goal),
-            reached=jnp.where(chosen, reached, rows.marks.reached),
+        flags = batch.flags._replace(
+            goal=jnp.where(chosen, other, batch.flags.goal),
+            reached=jnp.where(chosen, reached, batch.flags.reached),
         )
-        return rows._replace(reward=jnp.where(chosen, env.reward(obs), rows.reward), marks=marks)
+        return batch._replace(reward=jnp.where(chosen, env.reward(obs), batch.reward), flags=flags)
 
 
 if AsIf.name not in earl_jax.list_algos():  # a cell may run twice
@@ -105,32 +105,33 @@ if AsIf.name not in earl_jax.list_algos():  # a cell may run twice
 
 # %% [markdown]
 """
-A name makes it one of the methods here: `train`, plots and tables take it. To have it in other processes too (the
-command line, sweeps, `resume`), put the class in a package with an entry point: docs/extending.md, one page.
+With a registered name, `train`, plots and tables accept the method like any other. To use it in other
+processes too (the command line, sweeps, `resume`), put the class in a package with an entry point, as in
+[docs/extending.md](../docs/extending.md).
 
-## Ask it
+## Test it before training
 
-A method is pure functions, so it can be asked before anything is trained. A thousand task phases and a thousand
-phases back, on the real goal table:
+A method consists of pure functions, so you can call them before anything is trained. Here are the goals of
+a thousand task phases and a thousand return phases, on the real goal table:
 """
 
 # %%
 env = earl_jax.make("tabletop_organization")
-goals, method, before = goal_table(env), AsIf(), GoalIndices(jnp.asarray(2), jnp.asarray(2))
+goals, method, current = goal_table(env), AsIf(), GoalIndices(jnp.asarray(2), jnp.asarray(2))
 print(
     f"goal table: {goals.tasks} task goals, {goals.initials} initial state, {len(goals.candidates):,} demonstrated states"
 )
-for name, phase in (("task", TASK), ("back", RETURN)):
-    ask = jax.vmap(lambda key, phase=phase: method.next_goal(key, goals, jnp.asarray(phase), before, ()))
-    commands = ask(jax.random.split(jax.random.key(0), 1000))
-    print(f"{name}: goals {np.unique(commands.goal).tolist()}, rewarded tasks {np.unique(commands.task).tolist()}")
+keys = jax.random.split(jax.random.key(0), 1000)
+for name, phase in (("task", TASK), ("return", RETURN)):
+    drawn = jax.vmap(lambda key, phase=phase: method.next_goal(key, goals, jnp.asarray(phase), current, ()))(keys)
+    print(f"{name}: goals {np.unique(drawn.goal).tolist()}, rewarded tasks {np.unique(drawn.task).tolist()}")
 
 # %% [markdown]
 """
-## Train it beside itself
+## Train it with and without relabelling
 
-Half of the lanes have `share = 0`, which is forward-backward RL with one controller; the others 0.5. It is one
-program, so nothing else can differ between them.
+Half of the lanes have `share = 0`, which is forward-backward RL with one controller; the others have 0.5.
+All lanes run in one program, so nothing else differs between them.
 """
 
 # %%
@@ -168,7 +169,8 @@ print(f"difference {gap.value:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}]")
 
 # %% [markdown]
 """
-Whether it is a good idea is not settled by three seeds of a small preset: [02](02_compare_two_methods.py) says how to
-settle it, [04](04_run_on_a_gpu.py) how to afford it. Methods that learn something of their own answer three more
-questions, `init_extra`, `learn_extra` and `refresh`; `earl_jax/algos/r3l.py` is an example of 79 lines.
+Three seeds of a small preset do not show whether the method is good. [02](02_compare_two_methods.py) shows
+how to decide it, [04](04_run_on_a_gpu.py) how to train enough seeds. Methods that learn something of their
+own override three more hooks: `init_state`, `update_state` and `refresh`. `earl_jax/algos/r3l.py` is an
+example of fewer than 90 lines.
 """

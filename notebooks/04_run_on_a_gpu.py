@@ -15,12 +15,12 @@
 """
 # Fifty seeds on a GPU
 
-One lane leaves most of a GPU idle; fifty share one program and its kernels. This page asks the machine what it has,
-what a run would need, how many lanes pay, and trains as many as fit. On an H200 the fifty seeds below take six
-minutes. It runs on a CPU too, with small numbers.
+One lane leaves most of a GPU idle; fifty lanes share one program and its kernels. This page lists the
+devices, computes the memory of a run, measures the speed by number of lanes, and trains fifty seeds. On
+an H200 that training takes six minutes. The page runs on a CPU too, with small numbers.
 
-To open this page: `pip install 'earl-jax[cuda,notebook]'`, without `cuda` on a CPU. VS Code runs the file as it is;
-for Jupyter, `jupytext --to ipynb 04_run_on_a_gpu.py`.
+To open this page, `pip install 'earl-jax[cuda,notebook]'`, without `cuda` on a CPU. VS Code runs this file
+directly. For Jupyter, convert it with `jupytext --to ipynb 04_run_on_a_gpu.py`.
 """
 
 # %%
@@ -29,7 +29,7 @@ import tempfile
 import time
 from pathlib import Path
 
-os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")  # before jax is imported: replays are what fills a GPU
+os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")  # before jax is imported; replays fill a GPU
 
 import jax
 import matplotlib.pyplot as plt
@@ -38,26 +38,24 @@ from IPython.display import Image, Markdown
 
 import earl_jax
 from earl_jax.metrics.statistics import summarise
-from earl_jax.protocol import Protocol
 from earl_jax.report.plots import plot_runs
 from earl_jax.training.memory import free_bytes, need
-from earl_jax.training.state import Problem
 
 # %matplotlib inline
 
 # %% tags=["parameters"]
-TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # how the tests run this page
+TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 GPU = jax.default_backend() == "gpu"
-NETWORK = {} if GPU else {"hidden_sizes": [32, 32], "batch_size": 32}  # the paper's, or what a CPU can bear
+NETWORK = {} if GPU else {"hidden_sizes": [32, 32], "batch_size": 32}  # the paper's, or a small one for a CPU
 LANES = [1, 5, 20, 50] if GPU else [1, 4] if TINY else [1, 2, 5, 10]
 PRECISIONS = ["tf32", "bf16"] if GPU else ["tf32"]  # a CPU computes either in float32
 MEASURED = 2000 if GPU else 40 if TINY else 2000  # steps of a measurement
 SEEDS, STEPS, EVERY = (50, 500_000, 10_000) if GPU else (4, 40, 40) if TINY else (10, 20_000, 5000)
-RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # name a folder of your own to keep the runs
+RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]
 """
-## What is here
+## Devices
 """
 
 # %%
@@ -67,11 +65,11 @@ for device in jax.devices():
 
 # %% [markdown]
 """
-## What a run needs
+## Memory of a run
 
-Nothing that a lane has lived through is ever evicted, so memory is known before a run starts: a row of the replay a
-step, the agent, the activations of a gradient step. A run that cannot fit is refused with the number of lanes that
-would. Here the paper's networks and lengths.
+No transition is ever evicted, so the memory is known before a run starts: one row of the replay per step,
+the agent, and the activations of a gradient step. A run that cannot fit is refused, and the message gives
+the number of lanes that would fit. The table is for the paper's networks and lengths.
 """
 
 # %%
@@ -79,18 +77,19 @@ PUBLISHED = {"tabletop_organization": 2_500_000, "sawyer_door": 4_000_000, "mini
 rows = ["| task | steps | GB of 5 lanes | of 50 | of 100 |", "| --- | --- | --- | --- | --- |"]
 for name, steps in PUBLISHED.items():
     env = earl_jax.make(name)
-    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
+    problem = earl_jax.Problem(env, earl_jax.Protocol(env.train_horizon, env.eval_horizon))
     needs = [need(problem, earl_jax.method_for(env, "fbrl"), lanes, steps).total / 1e9 for lanes in (5, 50, 100)]
     rows.append(f"| {name} | {steps:,} | " + " | ".join(f"{gigabytes:.1f}" for gigabytes in needs) + " |")
 Markdown("\n".join(rows))
 
 # %% [markdown]
 """
-## How many lanes pay?
+## Speed by number of lanes
 
-Steps a second of all lanes together, each with a control step and a gradient step. The first call of a program
-compiles it (kept in `~/.cache/earl_jax`, so that a second start does not); the second is timed, one evaluation
-included. `precision="bf16"` computes the networks' products in bfloat16 and everything else in float32.
+The speed is in steps per second of all lanes together, each step with a control step and a gradient step.
+The first call compiles the program and stores it in `~/.cache/earl_jax`, so that a later start does not
+compile. The second call is timed, including one evaluation. `precision="bf16"` computes the networks'
+products in bfloat16 and everything else in float32.
 """
 
 
@@ -114,9 +113,9 @@ def speed(lanes, precision):
 
 figure, axis = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
 for precision in PRECISIONS:
-    found = [speed(lanes, precision) for lanes in LANES]
-    axis.plot(LANES, found, "o-", label=precision)
-    print(precision, {lanes: f"{value:,.0f}" for lanes, value in zip(LANES, found, strict=True)})
+    rates = [speed(lanes, precision) for lanes in LANES]
+    axis.plot(LANES, rates, "o-", label=precision)
+    print(precision, {lanes: f"{rate:,.0f}" for lanes, rate in zip(LANES, rates, strict=True)})
 axis.set(xscale="log", yscale="log", xlabel="lanes", ylabel="steps a second, all lanes")
 axis.set_xticks(LANES, labels=[str(lanes) for lanes in LANES])
 axis.minorticks_off()
@@ -130,8 +129,8 @@ plt.show()
 
 ## Train
 
-Lanes spread over several GPUs of a host with `devices`; they share nothing, so that costs nothing. Over hosts:
-`earl-jax train --hosts auto`, the same command on each.
+`devices` spreads the lanes over several GPUs of a host. Lanes share nothing, so they do not communicate.
+For several hosts, start `earl-jax train --hosts auto`, the same command on each.
 """
 
 # %%
@@ -154,10 +153,10 @@ Image(plot_runs([RUNS / "vaprl"], RUNS / "curves.png"), width=900)
 
 # %% [markdown]
 """
-## What more seeds say
+## More seeds
 
-Five seeds give a mean. Fifty show what is behind it: whether most agents are alike, or some learn and some never do.
-The interval is that of the interquartile mean.
+Five seeds give a mean. Fifty seeds show the distribution behind it: whether most agents are alike, or some
+learn and others never do. The interval is that of the interquartile mean.
 """
 
 # %%
@@ -174,6 +173,7 @@ plt.show()
 
 # %% [markdown]
 """
-From the shell the same run is `earl-jax train tabletop_organization --algo vaprl --seeds 50 --steps 500000 --out
-runs/fifty --set precision=bf16`; grids of runs, packed into few programs, are [sweeps](../docs/sweeps.md).
+From the shell, the same run is `earl-jax train tabletop_organization --algo vaprl --seeds 50
+--steps 500000 --out runs/fifty --set precision=bf16`. For grids of runs, grouped into few programs, see
+[sweeps](../docs/sweeps.md).
 """

@@ -1,4 +1,4 @@
-"""What ships: demonstrations that their command reproduces, and the paper's tables."""
+"""Tests of the shipped files: demonstrations that the demos command reproduces, and the paper's tables."""
 
 import dataclasses
 
@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from earl_jax import assets
-from earl_jax.demos import scripted as demos
+from earl_jax.demos import scripted
 from earl_jax.envs import make
 
 
-def test_twelve_demonstrations_a_direction_three_a_goal(env):
+def test_tabletop_ships_twelve_demonstrations_per_direction_and_three_per_goal(env):
     for direction in assets.DIRECTIONS:
-        found = assets.demos(env.name, direction)
-        assert found.ends.sum() == 12
-        np.testing.assert_array_equal(found.rewards > 0, found.ends)
-        lengths = np.diff(np.flatnonzero(np.append(True, found.ends)))
+        shipped = assets.demos(env.name, direction)
+        assert shipped.ends.sum() == 12
+        np.testing.assert_array_equal(shipped.rewards > 0, shipped.ends)
+        lengths = np.diff(np.flatnonzero(np.append(True, shipped.ends)))
         assert lengths.min() >= 80
         assert lengths.max() <= 130
     forward = assets.demos(env.name, "forward")
@@ -26,39 +26,39 @@ def test_twelve_demonstrations_a_direction_three_a_goal(env):
     assert (backward.goals == env.initial_states[0]).all()
 
 
-def test_the_command_reproduces_the_shipped_file(env):
-    made = demos.make(env, seed=0)
+def test_demos_command_reproduces_the_shipped_file(env):
+    recorded = scripted.make(env, seed=0)
     for direction in assets.DIRECTIONS:
         shipped = assets.demos(env.name, direction)
-        for name, value in made[direction]._asdict().items():
+        for name, value in recorded[direction]._asdict().items():
             np.testing.assert_allclose(value, getattr(shipped, name), atol=1e-5, err_msg=name)
-    other = demos.make(env, seed=1)["forward"].actions
-    assert len(other) != len(made["forward"].actions) or np.abs(other - made["forward"].actions).max() > 0.01
+    actions, other = recorded["forward"].actions, scripted.make(env, seed=1)["forward"].actions
+    assert len(other) != len(actions) or np.abs(other - actions).max() > 0.01
 
 
-def test_a_grasp_is_demonstrated_on_demand_though_none_ships(tmp_path):
-    grasp = make("dhand_lightbulb", physics="c")
-    assert not grasp.has_demos
-    start = grasp.reset(jax.random.key(0))
-    rows, ended = demos.record(grasp, start, np.random.default_rng(0), steps=120)
-    assert bool(grasp.success(ended.obs))
-    found = demos.stacked(rows)
-    assert np.flatnonzero(found.ends).tolist() == [119]
-    assert found.rewards[-20:].all(), "it goes on holding"
-    demos.save({"forward": found}, tmp_path / "grasp.npz")
-    given = dataclasses.replace(grasp, demo_file=str(tmp_path / "grasp.npz"))
-    assert given.demo_directions == ("forward",)
-    np.testing.assert_array_equal(given.demos("forward").actions, found.actions)
+def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
+    env = make("dhand_lightbulb", physics="c")
+    assert not env.has_demos
+    start = env.reset(jax.random.key(0))
+    rows, last = scripted.record(env, start, np.random.default_rng(0), steps=120)
+    assert bool(env.success(last.obs))
+    recorded = scripted.stacked(rows)
+    assert np.flatnonzero(recorded.ends).tolist() == [119]
+    assert recorded.rewards[-20:].all(), "the hand must hold the bulb until the end"
+    scripted.save({"forward": recorded}, tmp_path / "grasp.npz")
+    with_demos = dataclasses.replace(env, demo_file=str(tmp_path / "grasp.npz"))
+    assert with_demos.demo_directions == ("forward",)
+    np.testing.assert_array_equal(with_demos.demos("forward").actions, recorded.actions)
     with pytest.raises(RuntimeError, match="missed"):
-        demos.record(grasp, start, np.random.default_rng(0), steps=5)
+        scripted.record(env, start, np.random.default_rng(0), steps=5)
 
 
-def test_shipped_arrays_cannot_be_written_to(env):
+def test_shipped_arrays_are_read_only(env):
     with pytest.raises(ValueError, match="read-only"):
         assets.demos(env.name, "forward").states[0] = 0
 
 
-def test_what_is_not_there_names_what_is():
+def test_missing_files_and_directions_are_refused_with_the_choices():
     with pytest.raises(ValueError, match="choose from forward, backward"):
         assets.demos("tabletop_organization", "sideways")
     with pytest.raises(ValueError, match=r"no demos for 'cheetah'.*tabletop_organization"):
@@ -67,7 +67,7 @@ def test_what_is_not_there_names_what_is():
         assets.mjcf("cheetah")
 
 
-def test_the_published_tables():
+def test_published_tables_contain_the_numbers_of_the_paper():
     first = {(row["env"], row["algo"]): row for row in assets.published("table1")}
     assert len(first) == 27
     assert first["tabletop_organization", "vaprl"]["mean"] == "0.98"

@@ -128,8 +128,8 @@ def test_a_package_brings_its_names(distribution):
         ("theirs:Meadow", "import shepherds", "Their_Package 0.1.0 cannot be loaded: ModuleNotFoundError: No module named 'shep"),
         ("theirs:Meadow", "1 / 0", "cannot be loaded: ZeroDivisionError"),
         ("theirs:Meadow", "", "cannot be loaded: AttributeError.*Meadow"),
-        ("theirs:Meadow", GOOD.replace('"meadow"', '"lawn"'), "theirs:Meadow of Their_Package 0.1.0 calls itself 'lawn'"),
-        ("theirs:Meadow", "def Meadow(): ...", "is no dataclass but <function Meadow"),
+        ("theirs:Meadow", GOOD.replace('"meadow"', '"lawn"'), "theirs:Meadow of Their_Package 0.1.0 has the name 'lawn'"),
+        ("theirs:Meadow", "def Meadow(): ...", "must be a dataclass, not <function Meadow"),
     ],
     ids=["no import", "an error", "no class", "another name", "no dataclass"],
 )  # fmt: skip
@@ -154,7 +154,7 @@ def test_a_name_claimed_twice_is_nobodys(distribution):
 
 def test_what_is_registered_answers_to_its_name():
     registry = Registry("env", {})
-    with pytest.raises(ValueError, match="what is registered calls itself 'tabletop_organization'"):
+    with pytest.raises(ValueError, match="the registered class has the name 'tabletop_organization'"):
         registry.register("table", type(envs.make("tabletop_organization")))
     assert registry.names() == []
 

@@ -1,6 +1,7 @@
-"""Options are known and of the kind of their defaults, or the message says what they may be."""
+"""Tests of option checks: known names, values of the default's type, and messages with the valid choices."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from earl_jax.options import check
 
 
 @dataclasses.dataclass
-class Knobs:
+class Example:
     rate: float = 0.5
     size: int = 8
     fast: bool = False
@@ -25,14 +26,14 @@ class Knobs:
         {"layers": (4, 4)}, {"limit": None}, {"limit": 2.0}, {"word": "b"},
     ],
 )  # fmt: skip
-def test_what_is_of_the_kind_is_taken(options):
-    check("knobs", Knobs, options)
+def test_values_of_the_right_type_are_accepted(options):
+    check("example", Example, options)
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
-        ({"speed": 1}, "knobs has no option 'speed'; choose from rate, size, fast, word, layers, limit"),
+        ({"speed": 1}, "example has no option 'speed'; choose from rate, size, fast, word, layers, limit"),
         ({"rate": "fast"}, "rate must be a finite number, not 'fast'"),
         ({"rate": float("nan")}, "rate must be a finite number"),
         ({"rate": True}, "rate must be a finite number"),
@@ -45,6 +46,6 @@ def test_what_is_of_the_kind_is_taken(options):
         ({"limit": "much"}, "limit must be a finite number, not 'much'"),
     ],
 )
-def test_what_is_not_is_told(options, words):
-    with pytest.raises(ValueError, match=words.replace("(", r"\(")):
-        check("knobs", Knobs, options)
+def test_unknown_options_and_wrong_types_are_refused(options, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        check("example", Example, options)

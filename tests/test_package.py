@@ -1,4 +1,4 @@
-"""The public face: light to import, complete to list."""
+"""Tests of the public names: light imports, documentation, earlier names, entry points."""
 
 import subprocess
 import sys
@@ -11,22 +11,22 @@ from earl_jax.envs.tabletop import TabletopOrganization
 HEAVY = ("brax", "gymnasium", "matplotlib", "mujoco", "orbax", "flax", "jax")
 
 
-def test_importing_loads_no_simulator_no_plotting_no_learner():
+def test_import_loads_no_simulator_plotting_or_learner():
     code = f"import sys, earl_jax; print([name for name in {HEAVY} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
-def test_making_a_task_needs_no_learner_and_no_xml():
+def test_making_a_task_loads_no_learner_or_simulator():
     code = (
         "import sys, earl_jax; earl_jax.make('tabletop_organization');"
         "print([name for name in ('brax', 'mujoco', 'gymnasium', 'matplotlib') if name in sys.modules])"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
-def test_every_public_name_is_there_and_documented():
+def test_every_public_name_is_documented():
     for name in earl_jax.__all__:
         assert getattr(earl_jax, name).__doc__, name
         assert name in dir(earl_jax)
@@ -34,22 +34,26 @@ def test_every_public_name_is_there_and_documented():
         _ = earl_jax.nonsense
 
 
-class Theirs(TabletopOrganization):
+def test_earlier_names_still_work():
+    assert earl_jax.Helped is earl_jax.HelpBudget
+
+
+class ExternalTask(TabletopOrganization):
     """A task of another package."""
 
-    name = "theirs"
+    name = "external"
 
 
-def test_an_env_of_another_package_is_found(monkeypatch):
+def test_env_of_another_package_is_listed_and_built(monkeypatch):
     from importlib import metadata
 
     from earl_jax.envs import list_envs, make
 
     before = list_envs()
-    point = metadata.EntryPoint("theirs", "tests.test_package:Theirs", "earl_jax.envs")
+    point = metadata.EntryPoint("external", "tests.test_package:ExternalTask", "earl_jax.envs")
     real = metadata.entry_points
     monkeypatch.setattr(
         metadata, "entry_points", lambda **kind: [point] if kind == {"group": "earl_jax.envs"} else real(**kind)
     )
-    assert set(list_envs()) == {*before, "theirs"}
-    assert make("theirs", wide=True).wide
+    assert set(list_envs()) == {*before, "external"}
+    assert make("external", wide=True).wide

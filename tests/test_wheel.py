@@ -1,4 +1,4 @@
-"""The wheel holds everything: assets inside, the command installed, usable outside the checkout."""
+"""Tests of the wheel: its assets, and its use outside the checkout."""
 
 import os
 import subprocess
@@ -24,19 +24,19 @@ earl-jax render sawyer_door --out door.png --steps 20
 earl-jax report run --out report.html
 python -c "import gymnasium as g; print(g.make('earl_jax.adapters.gymnasium:earl_jax/SawyerDoor-v0').reset(seed=0)[0].shape)"
 """
-"""What a user would try first, in a folder of their own."""
+"""The commands that a new user would try first, in their own folder."""
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     out = tmp_path_factory.mktemp("dist")
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)]
-    built = subprocess.run(command, capture_output=True, text=True)
-    assert built.returncode == 0, built.stdout + built.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout + process.stderr
     return next(out.glob("*.whl"))
 
 
-def test_assets_travel_inside(wheel):
+def test_wheel_contains_every_asset(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "assets").rglob("*"):
         if path.is_file():
@@ -44,7 +44,7 @@ def test_assets_travel_inside(wheel):
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "assets/"))]
 
 
-def test_it_works_outside_the_checkout(wheel, tmp_path):
+def test_wheel_works_outside_the_checkout(wheel, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
     code = (
@@ -52,14 +52,16 @@ def test_it_works_outside_the_checkout(wheel, tmp_path):
         "print(earl_jax.__file__, assets.root(), len(assets.demos(env.name, 'forward').ends), earl_jax.list_algos())"
     )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "JAX_PLATFORMS": "cpu"}
-    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
-    assert str(tmp_path / "site" / "earl_jax" / "assets") in found.stdout
-    assert "1241" in found.stdout
+    process = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert process.returncode == 0, process.stderr
+    assert str(tmp_path / "site" / "earl_jax" / "assets") in process.stdout
+    assert "1241" in process.stdout
 
 
 @pytest.mark.slow
-def test_a_clean_environment_outside_the_checkout_has_all_of_it(wheel, tmp_path):
+def test_every_command_works_in_a_clean_environment(wheel, tmp_path):
     venv, work = tmp_path / "venv", tmp_path / "work"
     subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
     pip = [str(venv / "bin/python"), "-m", "pip", "install", "--quiet", "-c", str(ROOT / "requirements.lock")]
@@ -70,10 +72,10 @@ def test_a_clean_environment_outside_the_checkout_has_all_of_it(wheel, tmp_path)
     }
     environment |= {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "JAX_PLATFORMS": "cpu"}
     environment |= {"EARL_JAX_CACHE": str(tmp_path / "programs")}
-    found = subprocess.run(["bash", "-c", SMOKE], cwd=work, env=environment, capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "(14,)" in found.stdout
+    process = subprocess.run(["bash", "-c", SMOKE], cwd=work, env=environment, capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "(14,)" in process.stdout
     pictures = ["curves.png", "door.png", "run/video.mp4"]
-    made = ["run/metrics.csv", "run/tensorboard", "table.md", "demos.npz", "report.html", *pictures]
-    assert [name for name in made if not (work / name).exists()] == []
+    outputs = ["run/metrics.csv", "run/tensorboard", "table.md", "demos.npz", "report.html", *pictures]
+    assert [name for name in outputs if not (work / name).exists()] == []
     assert "data:video/mp4" in (work / "report.html").read_text()

@@ -1,1 +1,1 @@
-"""The tasks in the conventions of other libraries: `gymnasium`, `brax` and the original benchmark's `EARLEnvs` (`earl`)."""
+"""The tasks with the interfaces of `gymnasium`, of `brax`, and of the original benchmark (`earl_benchmark`)."""

@@ -1,7 +1,8 @@
-"""The tasks in brax's Env convention: `wrap("sawyer_door")` for brax's wrappers, trainers and whatever else takes such envs.
+"""The tasks as brax environments: `wrap("sawyer_door")` for brax's wrappers and trainers, and other users of its Env.
 
-Written for brax 0.14.2. On jax 0.10 and later its own trainers stop with `AttributeError: jax.device_put_replicated`, which jax
-removed; on jax 0.9.2 its SAC and PPO train through this adapter (docs/adapters.md has the commands).
+Written for brax 0.14.2. On jax 0.10 and later brax's own trainers stop with `AttributeError:
+jax.device_put_replicated`, which jax removed. On jax 0.9.2 its SAC and PPO train through this adapter (docs/adapters.md
+has the commands).
 """
 
 import dataclasses
@@ -13,88 +14,99 @@ from brax.envs.base import Env as BraxEnv
 from brax.envs.base import State as BraxState
 from brax.envs.wrappers import training
 
-from earl_jax.adapters._world import Moment, World
+from earl_jax.adapters._session import EarlierNames, Session, StepResult
 from earl_jax.envs import Env
 
-UNCUT = 2**30
-"""More steps than anything lives in float32, in which brax counts them."""
+NO_TIME_LIMIT = 2**30
+"""More steps than any lifetime has, and exact in float32, in which brax counts steps."""
 
 
-def wrap(task: str | Env, mode: str = "train", **options: Any) -> "LifeEnv":
-    """Return `task` as a brax env, one life (`train`) or episodes (`eval`), which `adapters.gymnasium.LifeEnv` describes.
+def wrap(task: str | Env, mode: str = "train", **options: Any) -> "ResetFreeEnv":
+    """Return `task` as a brax env with the modes of `adapters.gymnasium.ResetFreeEnv`: a lifetime or episodes.
 
     Args:
         task: a name of `list_envs()` or an `Env`.
-        mode: `train`, or `eval`, where brax's `EpisodeWrapper` ends the episodes.
-        options: `setting`, `attempt_steps`, and the task's own.
+        mode: `train` for one lifetime, or `eval` for episodes that brax's `EpisodeWrapper` ends.
+        options: `setting`, `attempt_steps`, and options of the task.
 
     Raises:
         ValueError: an unknown mode, setting, option or name; the message lists the choices.
     """
-    return LifeEnv(World.of(task, mode=mode, **options))
+    return ResetFreeEnv(Session.of(task, mode=mode, **options))
 
 
 def wrap_for_training(
     env: BraxEnv, episode_length: int, action_repeat: int = 1, randomization_fn: Any = None
 ) -> BraxEnv:
-    """Return `env` as brax's `training.wrap` does, but a life uncut: the `wrap_env_fn` of brax's trainers for such envs."""
-    living = isinstance(env, LifeEnv) and env.world.living
-    return training.wrap(env, UNCUT if living else episode_length, action_repeat, randomization_fn)
+    """Return `env` as brax's `training.wrap` does, but without a time limit on a lifetime.
+
+    This is the `wrap_env_fn` for brax's trainers.
+    """
+    is_lifetime = isinstance(env, ResetFreeEnv) and env.session.is_training
+    return training.wrap(env, NO_TIME_LIMIT if is_lifetime else episode_length, action_repeat, randomization_fn)
 
 
-class LifeEnv(BraxEnv):
-    """A `World` whose `pipeline_state` is the whole life, so that a wrapper that puts it back puts back the goal as well.
+class ResetFreeEnv(EarlierNames, BraxEnv):
+    """A `Session` with its whole state in `pipeline_state`, so that a wrapper that restores it restores the goal too.
 
-    brax's `AutoResetWrapper` returns a lane to the very state that it first had: the same start, goal and randomness each time.
-    Its `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`) only; `reset` alone takes typed ones as well.
+    brax's `AutoResetWrapper` returns a lane to its very first state: the same start, goal and randomness each time.
+    brax's `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`) only; `reset` takes typed keys as well.
     """
 
-    def __init__(self, world: World):
-        self.world = world
+    def __init__(self, session: Session):
+        self.session = session
 
     def reset(self, rng: jax.Array) -> BraxState:
         """Return a state with s0 ~ rho and a task goal drawn uniformly, from a raw or a typed key `rng`."""
         typed = jnp.issubdtype(rng.dtype, jax.dtypes.prng_key)
-        life = self.world.born(rng if typed else jax.random.wrap_key_data(rng))
-        moment = self.world.first(life)
-        pipeline_state: Any = life
+        state = self.session.start_from_key(rng if typed else jax.random.wrap_key_data(rng))
+        result = self.session.reset_result(state)
+        pipeline_state: Any = state
         return BraxState(
-            pipeline_state, moment.obs, moment.reward, self._done(moment), _metrics(moment, life.interventions)
+            pipeline_state=pipeline_state,
+            obs=result.obs,
+            reward=result.reward,
+            done=self._done(result),
+            metrics=_metrics(result, state.interventions),
         )
 
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
-        """Return the state after one control step with `action [a]`; metrics are of this step, so that brax's sums count."""
-        before: Any = state.pipeline_state
-        life, moment = self.world.step(before, action)
+        """Return the state after one control step with `action [a]`; its metrics are of this step, for brax to sum."""
+        previous: Any = state.pipeline_state
+        session_state, result = self.session.step(previous, action)
         return dataclasses.replace(
             state,
-            pipeline_state=life,
-            obs=moment.obs,
-            reward=moment.reward,
-            done=self._done(moment),
-            metrics={**state.metrics, **_metrics(moment, before.interventions)},
+            pipeline_state=session_state,
+            obs=result.obs,
+            reward=result.reward,
+            done=self._done(result),
+            metrics={**state.metrics, **_metrics(result, previous.interventions)},
         )
 
-    def _done(self, moment: Moment) -> jax.Array:
-        over = moment.ended if self.world.living else moment.ended | moment.fault
-        return over.astype(jnp.float32)
+    def _done(self, result: StepResult) -> jax.Array:
+        done = result.terminated if self.session.is_training else result.terminated | result.fault
+        return done.astype(jnp.float32)
 
     @property
     def observation_size(self) -> int:
         """Length s + g of `obs`."""
-        return self.world.env.obs_size
+        return self.session.env.obs_size
 
     @property
     def action_size(self) -> int:
         """Length of an action."""
-        return self.world.env.action_size
+        return self.session.env.action_size
 
     @property
     def backend(self) -> str:
-        """What moves this world: a physics engine's name, or `kinematic`."""
-        return self.world.env.engine
+        """The physics engine's name, or `kinematic`."""
+        return self.session.env.engine
 
 
-def _metrics(moment: Moment, before: jax.Array) -> dict[str, jax.Array]:
-    interventions = moment.interventions - before
-    return {"success": moment.success.astype(jnp.float32), "interventions": interventions.astype(jnp.float32)}
+LifeEnv = ResetFreeEnv
+"""The earlier name of the class."""
+
+
+def _metrics(result: StepResult, interventions_before: jax.Array) -> dict[str, jax.Array]:
+    interventions = result.interventions - interventions_before
+    return {"success": result.success.astype(jnp.float32), "interventions": interventions.astype(jnp.float32)}

@@ -1,4 +1,4 @@
-"""The methods by name. Adding one is a file here and a line in the table, or `register_algo` from outside."""
+"""The registry of methods. To add one, add a file and a line to the table below; other packages use `register_algo`."""
 
 import dataclasses
 from typing import Any
@@ -31,14 +31,19 @@ def list_algos() -> list[str]:
 
 
 def register_algo(name: str, method: type[Method]) -> None:
-    """Make `make_algo(name)` build `method`, a `Method` subclass; a name that is taken is refused."""
+    """Register `method`, a `Method` subclass, as `name` for `make_algo`.
+
+    Raises:
+        ValueError: the name is taken.
+    """
     _ALGOS.register(name, method)
 
 
 def make_algo(name: str, **options) -> Method:
     """Return the method `name`; options are its own fields and those of `SAC`.
 
-    A float field takes a list too, a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two lanes.
+    A float field also takes a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
+    lanes.
 
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
@@ -56,7 +61,7 @@ def make_algo(name: str, **options) -> Method:
 
 
 def method_for(env: Env, name: str, **options) -> Method:
-    """Return `make_algo(name)` with the reward scale that goes with the rewards of `env`, unless `options` say otherwise.
+    """Return `make_algo(name, **options)`, by default with the reward scale of `env`.
 
     Raises:
         ValueError: as `make_algo`.
@@ -65,7 +70,7 @@ def method_for(env: Env, name: str, **options) -> Method:
 
 
 def _leaf(option: str, value: Any) -> Any:
-    """Return a list, which JSON and the command line give, as what the field holds: layer sizes, or a value a lane."""
+    """Return `value` in the type of its field; a JSON or CLI list is layer sizes or one value per lane."""
     if not isinstance(value, list | tuple):
         return value
     if option == "hidden_sizes":

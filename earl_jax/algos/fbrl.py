@@ -1,4 +1,4 @@
-"""Forward-backward RL: one controller does the task, another brings the world back to where it began."""
+"""Forward-backward RL: one controller does the task, a second one returns the environment to an initial state."""
 
 from typing import Any, ClassVar
 
@@ -12,8 +12,9 @@ from earl_jax.algos.method import RETURN, Method
 class FBRL(Method):
     """Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
 
-    Source: Han et al. 2015 and Eysenbach et al. 2018 as run by Sharma et al. 2022. Both phases end on success or after H_E
-    steps; only the acting controller learns (the released variants differ; this one has the published cycle of 92 steps).
+    Source: Han et al. 2015 and Eysenbach et al. 2018, as run by Sharma et al. 2022. Both phases end on success or after
+    H_E steps, and only the acting controller learns. The released variants differ; this one has the published cycle of
+    92 steps.
     """
 
     name: ClassVar[str] = "fbrl"

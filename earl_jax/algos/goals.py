@@ -13,10 +13,11 @@ from earl_jax.envs import Env
 
 
 class Goals(NamedTuple):
-    """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, then demo states.
+    """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, demonstrated states.
 
-    Demo states are in the order of the replay's first rows; `ends [C]` is the index of the last state of each one's
-    demonstration. `requested []` is the task goal that the environment sets, negative (or None) where a method draws its own.
+    Demonstrated states have the order of the replay's first rows; `ends [C]` is, for each of them, the index of the
+    last state of its demonstration. `requested []` is the task goal that the environment sets, negative (or None) if
+    the method draws its own.
     """
 
     table: np.ndarray
@@ -27,17 +28,17 @@ class Goals(NamedTuple):
 
     @property
     def candidates(self) -> np.ndarray:
-        """Demonstration states [C, g], the subgoals a curriculum chooses from."""
+        """Demonstrated states [C, g], the subgoals of a curriculum."""
         return self.table[self.tasks + self.initials :]
 
     def draw_task(self, key: jax.Array) -> jax.Array:
-        """Return the index of a task goal: the one that the environment sets, or uniform over all of them."""
+        """Return the index of a task goal: the one that the environment sets, or a uniform draw."""
         drawn = jax.random.randint(key, (), 0, self.tasks)
         return drawn if self.requested is None else jnp.where(self.requested >= 0, self.requested, drawn)
 
 
 class GoalIndices(NamedTuple):
-    """Indices into the goal table: the `goal` that the policy is conditioned on and the `task` that the environment rewards."""
+    """Indices into the goal table: the policy's `goal`, and the `task` goal that the environment rewards."""
 
     goal: jax.Array
     task: jax.Array
@@ -45,7 +46,7 @@ class GoalIndices(NamedTuple):
 
 @functools.cache
 def goal_table(env: Env) -> Goals:
-    """Return the goals of `env`; without demonstrations they are task goals and initial states only."""
+    """Return the goals of `env`; without demonstrations, these are its task goals and initial states only."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.has_demos and env.state_size == env.goal_size:
         for direction in env.demo_directions:
@@ -54,13 +55,13 @@ def goal_table(env: Env) -> Goals:
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
     if len(table) > 1 << GOAL_BITS:
-        raise ValueError(f"{env.name} has {len(table)} goals, replay packs at most {1 << GOAL_BITS}")
+        raise ValueError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
     return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
 
 
 def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:
-    """Return every state [T + D, s] of D demonstrations in order, final ones included, and each one's last index."""
-    pieces = np.split(np.arange(len(demos.ends)), np.flatnonzero(demos.ends)[:-1] + 1)
-    states = [np.vstack([demos.states[piece], demos.next_states[piece[-1:]]]) for piece in pieces]
+    """Return all states [T + D, s] of D demonstrations, and for each the index of its demonstration's last state."""
+    spans = np.split(np.arange(len(demos.ends)), np.flatnonzero(demos.ends)[:-1] + 1)
+    states = [np.vstack([demos.states[span], demos.next_states[span[-1:]]]) for span in spans]
     lengths = np.array([len(part) for part in states])
     return np.concatenate(states), np.repeat(np.cumsum(lengths) - 1, lengths)

@@ -1,4 +1,4 @@
-"""What a method is: a few pure functions that the training loop calls, with naive RL's answers as defaults."""
+"""The base class of methods: a few pure functions that the training loop calls. The defaults are naive RL's."""
 
 from typing import Any, ClassVar
 
@@ -14,26 +14,27 @@ from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.envs import Env
 
 TASK, RETURN = 0, 1
-"""The two phases: reach the task goal, then do whatever the method does to be able to try again."""
+"""The two phases: reach the task goal, then prepare the next attempt."""
 RENAMED_HOOKS = {"init_extra": "init_state", "learn_extra": "update_state"}
-"""Old names of hooks, which a subclass would define in vain."""
+"""Former and current names of hooks; a subclass that defines a former one is refused."""
 
 
 class Method(struct.PyTreeNode):
-    """A way to learn without resets. Subclasses override what differs from naive RL; float fields are vmappable leaves."""
+    """A reset-free learning method. Subclasses override parts of naive RL; float fields are vmappable leaves."""
 
     sac: SAC = SAC()
 
     name: ClassVar[str]
     controllers: ClassVar[int] = 1
-    """Number of separate actor-critics, one a phase, each with its own share of the replay."""
+    """Number of separate actor-critics, one for each phase, each with its own part of the replay."""
     phases: ClassVar[int] = 1
     critics: ClassVar[int] = sac_lib.SOFT_CRITICS
     resets: ClassVar[bool] = False
-    """Whether the end of a phase also resets the environment; only the oracle does that."""
+    """Whether the end of a phase also resets the environment; only the oracle does this."""
     needs_demos: ClassVar[bool] = False
     demo_directions: ClassVar[tuple[str, ...]] = ("forward",)
-    """Demonstrations that the replay starts with; with two controllers, backward ones go to the second."""
+    """Directions of the demonstrations in the initial replay; with two controllers, the second samples the backward
+    ones."""
     refresh_every: ClassVar[int] = 0
     """Steps between calls of `refresh`; 0 for never."""
 
@@ -43,14 +44,14 @@ class Method(struct.PyTreeNode):
             raise TypeError(f"{cls.__name__}.{name} is called {RENAMED_HOOKS[name]} now; rename it")
 
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
-        """Return how often [T] the replay lists each demonstrated transition.
+        """Return the number of times [T] that the replay lists each demonstrated transition.
 
         `steps_left [T]` are the steps to the end of its demonstration.
         """
         return np.ones_like(steps_left)
 
     def phase_length(self, env: Env, phase: jax.Array) -> jax.Array | int:
-        """Return the steps after which `phase` times out; H_E unless a method says otherwise."""
+        """Return the number of steps after which `phase` times out, H_E by default."""
         del phase
         return env.eval_horizon
 
@@ -62,23 +63,26 @@ class Method(struct.PyTreeNode):
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
-        """Return the goals of the phase that begins; by default a task goal drawn anew, which may be the `current` one again."""
+        """Return the goals of a new `phase`, by default a random task goal, which can equal the `current` one."""
         del phase, current, method_state
         task = goals.draw_task(key)
         return GoalIndices(goal=task, task=task)
 
     def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
-        """Return the sampled transitions of one lane, `batch [B]`, with the goals to learn them under."""
+        """Return the sampled transitions of one lane, `batch [B]`, with the goals to learn from."""
         del key, env, goals
         return batch
 
     def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
-        """Return the rewards [B] of sampled transitions; the task's by default."""
+        """Return the rewards [B] of sampled transitions, by default the task's."""
         del phase, method_state
         return batch.reward
 
     def terminal(self, batch: TransitionBatch) -> jax.Array:
-        """Return where [B] the target stops: at success, at the end of a lifetime and, unless bootstrapped, at time-outs."""
+        """Return the transitions, bool [B], whose TD target does not bootstrap.
+
+        These are successes, the end of a lifetime and, without `SAC.timeout_bootstrap`, time-outs.
+        """
         return (
             batch.flags.reached
             | batch.flags.absorbed
@@ -86,16 +90,16 @@ class Method(struct.PyTreeNode):
         )
 
     def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Any:
-        """Return the method's own state, a pytree of what it learns or remembers; empty by default."""
+        """Return the initial state of the method itself, a pytree of learnt or remembered values; empty by default."""
         del key, env, goals
         return ()
 
     def update_state(self, method_state: Any, batch: TransitionBatch, phase: jax.Array) -> Any:
-        """Return `extra` after a step on the batch that the active controller just learnt from."""
+        """Return `method_state` after an update on the batch that the active controller has just learnt from."""
         del batch, phase
         return method_state
 
     def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any) -> Any:
-        """Return `extra` brought up to date with `agent` (leading controller axis) every `refresh_every` steps."""
+        """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps."""
         del key, env, goals, agent
         return method_state

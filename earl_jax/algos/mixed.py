@@ -1,4 +1,4 @@
-"""Several methods in one program: lanes of the same shapes that answer the loop's questions differently."""
+"""Several methods in one program: their lanes have the same shapes and differ in the hooks of `Method`."""
 
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, ClassVar
@@ -13,10 +13,11 @@ from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 
 
-class Mixed(Method):
-    """Lanes of several methods: all `members` answer every question, and a lane keeps the answer of its own `member`.
+class MixedMethod(Method):
+    """Lanes of several methods: every hook calls all `members`, and each lane uses the result of its own `member`.
 
-    Members agree in their `program_signature`; what that fixes is asked of the first one.
+    `member [N]` is the index of each lane's method in `members`. The members have the same `program_signature`, so the
+    properties that it covers are those of the first one.
     """
 
     members: tuple[Method, ...] = ()
@@ -46,89 +47,95 @@ class Mixed(Method):
 
     @property
     def resets(self) -> jax.Array:
-        return self._own(lambda member: member.resets)
+        return self._select(lambda member: member.resets)
 
-    def _own(self, ask: Callable[[Method], Any]) -> Any:
-        answer = ask(self.members[0])
+    def _select(self, hook: Callable[[Method], Any]) -> Any:
+        """Return the result of `hook` on this lane's own member."""
+        result = hook(self.members[0])
         for number, other in enumerate(self.members[1:], 1):
-            mine = self.member == number
-            answer = jax.tree.map(lambda new, old, mine=mine: jnp.where(mine, new, old), ask(other), answer)
-        return answer
+            own = self.member == number
+            result = jax.tree.map(lambda new, old, own=own: jnp.where(own, new, old), hook(other), result)
+        return result
 
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         return self.members[0].demo_copies(steps_left)
 
     def phase_length(self, env: Env, phase: jax.Array) -> jax.Array:
-        return self._own(lambda member: member.phase_length(env, phase))
+        return self._select(lambda member: member.phase_length(env, phase))
 
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
-        return self._own(lambda member: member.ends_on_success(phase))
+        return self._select(lambda member: member.ends_on_success(phase))
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
-        return self._own(lambda member: member.next_goal(key, goals, phase, current, method_state))
+        return self._select(lambda member: member.next_goal(key, goals, phase, current, method_state))
 
     def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
-        return self._own(lambda member: member.relabel(key, env, goals, batch))
+        return self._select(lambda member: member.relabel(key, env, goals, batch))
 
     def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
-        return self._own(lambda member: member.reward(batch, phase, method_state))
+        return self._select(lambda member: member.reward(batch, phase, method_state))
 
     def terminal(self, batch: TransitionBatch) -> jax.Array:
-        return self._own(lambda member: member.terminal(batch))
+        return self._select(lambda member: member.terminal(batch))
 
 
 def program_signature(method: Method) -> Hashable:
-    """Return what methods have to agree in to share one program.
+    """Return the properties of `method` that all methods of one program must share.
 
-    Float hyper-parameters are free. A method that learns or remembers something of its own shares with its class alone.
+    Float hyper-parameters may differ. A method with a `method_state` of its own can share a program with its own class
+    only.
     """
-    kind = type(method)
-    if any(getattr(kind, part) is not getattr(Method, part) for part in ("init_state", "update_state", "refresh")):
-        return _kind(method)
+    method_class = type(method)
+    state_hooks = ("init_state", "update_state", "refresh")
+    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in state_hooks):
+        return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
-    return jax.tree.structure(method.sac), shapes, kind.demo_copies
+    return jax.tree.structure(method.sac), shapes, method_class.demo_copies
 
 
-def together(methods: Sequence[Method]) -> Method:
-    """Return one method for the lanes of all `methods`, whose leaves have a leading lane axis, in their order.
+def mix_methods(methods: Sequence[Method]) -> Method:
+    """Return one method for the lanes of all `methods`, in their order; every leaf has a leading lane axis.
 
     Raises:
-        ValueError: the methods differ in what one program fixes.
+        ValueError: the methods have different program signatures.
     """
     if len({program_signature(method) for method in methods}) > 1:
         names = ", ".join(sorted({method.name for method in methods}))
         raise ValueError(f"these methods can't share a program, their shapes differ: {names}")
-    kinds = list(dict.fromkeys(_kind(method) for method in methods))
-    which = [kinds.index(_kind(method)) for method in methods]
-    if len(kinds) == 1:
-        return _joined(methods)
+    structures = list(dict.fromkeys(_structure(method) for method in methods))
+    indices = [structures.index(_structure(method)) for method in methods]
+    if len(structures) == 1:
+        return _concatenate(methods)
     members = []
-    for number in range(len(kinds)):
-        example = methods[which.index(number)]
+    for number in range(len(structures)):
+        example = methods[indices.index(number)]
         parts = [
-            method if own == number else _like(example, method) for method, own in zip(methods, which, strict=True)
+            method if index == number else _placeholder(example, method)
+            for method, index in zip(methods, indices, strict=True)
         ]
-        members.append(_joined(parts))
-    sizes = [_lanes(method) for method in methods]
-    return Mixed(members[0].sac, tuple(members), jnp.repeat(jnp.asarray(which), jnp.asarray(sizes)))
+        members.append(_concatenate(parts))
+    sizes = [_lane_count(method) for method in methods]
+    member = jnp.repeat(jnp.asarray(indices), jnp.asarray(sizes))
+    return MixedMethod(members[0].sac, tuple(members), member)
 
 
-def _kind(method: Method) -> Hashable:
-    # Tree structures of two classes compare equal where their static fields do.
+def _structure(method: Method) -> Hashable:
+    """Return the class and tree structure of `method`; the structures of two classes can be equal."""
     return type(method), jax.tree.structure(method)
 
 
-def _joined(methods: Sequence[Method]) -> Method:
+def _concatenate(methods: Sequence[Method]) -> Method:
+    """Return `methods` of one structure as one method, joined along the lane axis."""
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *methods)
 
 
-def _lanes(method: Method) -> int:
+def _lane_count(method: Method) -> int:
     return jax.tree.leaves(method)[0].shape[0]
 
 
-def _like(example: Method, method: Method) -> Method:
-    """Return a method of the kind of `example` for the lanes of `method`, where its answers go unused."""
-    lanes = _lanes(method)
+def _placeholder(example: Method, method: Method) -> Method:
+    """Return a method of the class of `example` for the lanes of `method`, which never use its results."""
+    lanes = _lane_count(method)
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:1], (lanes,)), example).replace(sac=method.sac)

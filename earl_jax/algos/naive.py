@@ -1,4 +1,4 @@
-"""Naive RL: SAC in one endless life, with the biased TD update every 1000 steps."""
+"""Naive RL: SAC in one endless episode, with the biased TD update every 1000 steps."""
 
 from typing import ClassVar
 
@@ -11,10 +11,10 @@ BIASED_TD_STEPS = 1000
 
 
 class Naive(Method):
-    """Keep the task goal until it is reached or 1000 steps have passed, then draw the next; the world stays as it is.
+    """Keep the task goal until it is reached or 1000 steps have passed, then draw the next one without a reset.
 
-    Source: Sharma et al. 2022, section 5.1. That success also draws a new goal is not in the text; the published reward rate
-    of one reward in 30.7 steps on tabletop can only be earned that way.
+    Source: Sharma et al. 2022, section 5.1. The text does not say that success also draws a new goal, but the published
+    reward rate of one reward in 30.7 steps on tabletop requires it.
     """
 
     name: ClassVar[str] = "naive"

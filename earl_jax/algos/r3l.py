@@ -1,4 +1,4 @@
-"""R3L: a perturbation controller, rewarded for novelty, scatters the world between attempts at the task."""
+"""R3L: a perturbation controller, rewarded for novelty, changes the state between attempts at the task."""
 
 from typing import Any, ClassVar
 
@@ -27,20 +27,21 @@ class RND(struct.PyTreeNode):
 
     def error(self, predictor: Any, states: jax.Array, precision: str = "tf32") -> jax.Array:
         """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
-        aim, guess = [apply(_NETWORK, params, states, precision) for params in (self.target, predictor)]
-        return jnp.square(aim - guess).mean(axis=-1)
+        target, prediction = [apply(_NETWORK, params, states, precision) for params in (self.target, predictor)]
+        return jnp.square(target - prediction).mean(axis=-1)
 
 
 class R3L(Method):
-    """Alternate the task controller with H_E steps of a controller that seeks novel states (RND), never ended early.
+    """Alternate the task controller with a controller that seeks novel states (RND) for H_E steps and never ends early.
 
-    Source: Zhu et al. 2020 as run by Sharma et al. 2022: the true reward, no classifier. Novelty is the error on the state
-    without the goal, divided by an exponential average of its own spread, as in the authors' released block; the
-    predictor learns at the shared rate of the paper. The perturbing controller gets no demonstrations.
+    Source: Zhu et al. 2020, as run by Sharma et al. 2022 with the true reward and no classifier. Novelty is the
+    prediction error on the state without the goal, divided by an exponential average of its own standard deviation, as
+    in the authors' released code. The predictor has the paper's shared learning rate. The perturbation controller
+    receives no demonstrations.
     """
 
     rnd_decay: float = 0.99
-    """Decay of the running scale, the table's "RND gamma"."""
+    """Decay of the running scale, "RND gamma" in the paper's table."""
     rnd_clip: float = 1000.0
     """Upper bound of the intrinsic reward (released code)."""
 
@@ -59,8 +60,8 @@ class R3L(Method):
         return GoalIndices(goal=jnp.where(keep, current.goal, task), task=jnp.where(keep, current.task, task))
 
     def init_state(self, key: jax.Array, env: Env, goals: Goals) -> RND:
-        blank = jnp.zeros((env.state_size,))
-        target, predictor = [_NETWORK.init(part, blank) for part in jax.random.split(key)]
+        example = jnp.zeros((env.state_size,))
+        target, predictor = [_NETWORK.init(network_key, example) for network_key in jax.random.split(key)]
         return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
 
     def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: RND) -> jax.Array:
@@ -82,5 +83,5 @@ class R3L(Method):
         )
         spread = jnp.maximum((errors / method_state.sigma).std(), 1e-3)
         sigma = self.rnd_decay * method_state.sigma + (1 - self.rnd_decay) * spread
-        learnt = method_state.replace(predictor=predictor, moments=moments, sigma=sigma)
-        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), learnt, method_state)
+        updated = method_state.replace(predictor=predictor, moments=moments, sigma=sigma)
+        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), updated, method_state)

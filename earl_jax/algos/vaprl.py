@@ -1,4 +1,4 @@
-"""VaPRL: one goal-conditioned agent that practises from wherever its own values say it may already succeed."""
+"""VaPRL: one goal-conditioned agent that practises from states whose value predicts success."""
 
 from typing import ClassVar
 
@@ -15,33 +15,35 @@ from earl_jax.algos.method import RETURN, Method
 from earl_jax.envs import Env
 
 DEMO_SHARE = 0.2
-"""1 / (N + 1): how a relabelled copy of a demonstration weighs against a transition of one's own, stored N + 1 times."""
+"""1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1
+times."""
 
 
 class Curriculum(struct.PyTreeNode):
-    """How well the agent thinks it would do: values [G, C] of starting at each demo state, for each task goal."""
+    """The agent's values [G, C] of starting at each of C demonstrated states, for each of G task goals."""
 
     values: jax.Array
 
 
 class VaPRL(Method):
-    """Alternate task episodes with episodes towards a subgoal: the demo state nearest rho whose value passes epsilon.
+    """Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho with a value >= epsilon.
 
-    Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`.
-    Differences, each on purpose: values come from a pair of critics without entropy bonus in units of one reward, so
-    that epsilon is a discounted success probability (the release has a flag for it); the table of values is refreshed every
-    200 steps rather than at every phase; goals are relabelled when sampled rather than stored in copies.
+    Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`. There are
+    three deliberate differences. Values come from a pair of critics without entropy bonus, in units of one reward, so
+    that epsilon is a discounted success probability (the release has a flag for it). The table of values is refreshed
+    every 200 steps instead of at every phase. Goals are relabelled when sampled instead of stored in copies.
     """
 
     epsilon: float = 0.1
-    """Least value of a subgoal, discounted success probability (silent in the papers; 0.01 to 0.3 are worth a look)."""
+    """Least value of a subgoal, a discounted success probability; not given in the papers, 0.01 to 0.3 are
+    reasonable."""
     relabel_share: float = 0.8
-    """Share of sampled transitions that get another goal: N of N + 1 with N = 4 (VaPRL paper)."""
+    """Share of sampled transitions that are relabelled: N of N + 1 with N = 4 (VaPRL paper)."""
     value_samples: int = struct.field(pytree_node=False, default=4)
-    """Actions averaged in a value (released code: 10)."""
+    """Number of actions over which a value is averaged (released code: 10)."""
 
     refresh_every: int = struct.field(pytree_node=False, default=200)
-    """Steps between evaluations of the value table."""
+    """Steps between refreshes of the value table."""
 
     name: ClassVar[str] = "vaprl"
     phases: ClassVar[int] = 2
@@ -55,17 +57,21 @@ class VaPRL(Method):
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Curriculum
     ) -> GoalIndices:
-        """Queue a task goal and command its subgoal when a return phase begins; then command the queued one."""
+        """Return the goals of a new phase.
+
+        A return phase draws the next task goal and pursues its subgoal. The following task phase pursues that task
+        goal.
+        """
         queued = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
         subgoal = goals.tasks + goals.initials + self.choose(method_state.values[queued], goals)
         return GoalIndices(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
 
     def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
-        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon, else the best valued."""
+        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon, else the best one."""
         start = goals.table[goals.tasks : goals.tasks + goals.initials].mean(axis=0)
         distance = jnp.linalg.norm(goals.candidates - start, axis=-1)
-        able = values >= self.epsilon
-        return jnp.where(able.any(), jnp.argmin(jnp.where(able, distance, jnp.inf)), jnp.argmax(values))
+        solvable = values >= self.epsilon
+        return jnp.where(solvable.any(), jnp.argmin(jnp.where(solvable, distance, jnp.inf)), jnp.argmax(values))
 
     def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Curriculum) -> Curriculum:
         agent = jax.tree.map(lambda leaf: leaf[0], agent)
@@ -81,20 +87,21 @@ class VaPRL(Method):
         return Curriculum(values.reshape(goals.tasks, count) / self.sac.reward_scale)
 
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
-        """List a demonstrated transition once for every N + 1 later states that it is a way to."""
+        """Return the copies [T] of demonstrated transitions: one for every N + 1 later states of the demonstration."""
         return np.maximum(1, np.rint(steps_left * DEMO_SHARE).astype(int))
 
     def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
-        """Give a share of the transitions another goal: demonstrations a later state of their own, others any of the table.
+        """Return `batch` with another goal for `relabel_share` of its transitions.
 
-        A transition without a successor keeps its goal.
+        A demonstrated transition gets a later state of its demonstration, another one any goal of the table. A
+        transition without a successor keeps its goal.
         """
         share_key, goal_key = jax.random.split(key)
         draw = jax.random.uniform(goal_key, batch.reward.shape)
         last = jnp.asarray(goals.ends)[jnp.minimum(batch.row, len(goals.ends) - 1)]
         later = batch.row + 1 + jnp.floor(draw * (last - batch.row)).astype(jnp.int32)
-        anything = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
-        goal = jnp.where(batch.row < len(goals.ends), goals.tasks + goals.initials + later, anything)
+        any_goal = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
+        goal = jnp.where(batch.row < len(goals.ends), goals.tasks + goals.initials + later, any_goal)
         chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~batch.flags.no_successor
         obs = jnp.concatenate([batch.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
         flags = batch.flags._replace(

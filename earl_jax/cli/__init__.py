@@ -1,1 +1,5 @@
-"""The command line: `earl-jax`, also as `python -m earl_jax.cli`."""
+"""The command line: `earl-jax`, or `python -m earl_jax.cli`."""
+
+from earl_jax.cli.main import main
+
+__all__ = ["main"]

@@ -1,4 +1,4 @@
-"""`python -m earl_jax.cli`."""
+"""Entry point of `python -m earl_jax.cli`."""
 
 from earl_jax.cli.main import main
 

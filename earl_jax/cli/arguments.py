@@ -1,4 +1,4 @@
-"""What the commands of the command line have in common: their arguments, and how they answer."""
+"""Arguments that several commands share, and the output of a command as text or JSON."""
 
 import json
 from typing import Annotated, Any, Literal
@@ -8,51 +8,58 @@ import tyro
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Physics = Annotated[
-    str | None, tyro.conf.arg(help="Physics engine: auto, mjx, warp or c; only for tasks that have one.")
+    str | None, tyro.conf.arg(help="Physics engine of a MuJoCo task: auto, mjx, warp or c. Other tasks have none.")
 ]
 Set = Annotated[
-    tuple[str, ...], tyro.conf.arg(help="name=value pairs: options of the task, the setting or the method.")
+    tuple[str, ...], tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")
 ]
 Devices = Annotated[
-    int | None, tyro.conf.arg(help="Devices that share the lanes: one, or those of all hosts where there are several.")
+    int | None,
+    tyro.conf.arg(help="Number of devices that share the lanes. By default one, or all devices of several hosts."),
 ]
 Hosts = Annotated[
     str | None,
     tyro.conf.arg(
-        help="Run as one of several hosts: auto on a cluster that jax knows, else ADDRESS:PORT,HOSTS,NUMBER."
+        help="Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER."
     ),
 ]
 Logs = Annotated[
     tuple[Literal["tensorboard", "wandb"], ...],
-    tyro.conf.arg(help="Where metrics go besides metrics.csv; a resumed run goes on with it."),
+    tyro.conf.arg(help="Loggers to use besides metrics.csv. A resumed run uses the same ones."),
 ]
-Slurm = Annotated[tuple[str, ...], tyro.conf.arg(help="name=value pairs for sbatch: time (minutes), partition, ...")]
+Slurm = Annotated[
+    tuple[str, ...], tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ...")
+]
 
 
-def say(result: dict[str, Any], as_json: bool, text: str) -> None:
-    """Print `result` as one JSON object where that is asked for, else `text`."""
+def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
+    """Print `result` as one JSON object with `as_json`, else `text`."""
     print(json.dumps(result) if as_json else text)
 
 
-def _value(text: str) -> Any:
-    """Return a JSON value where `text` is one, else the text itself, so that names need no quotes."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
+def print_line(line: str) -> None:
+    """Print `line` without buffering."""
+    print(line, flush=True)
 
 
-def options_of(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value `pairs` as a dictionary."""
+def parse_options(pairs: tuple[str, ...]) -> dict[str, Any]:
+    """Return name=value `pairs` as a dictionary.
+
+    Raises:
+        ValueError: a pair has no `=`.
+    """
     options = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
             raise ValueError(f"--set takes name=value, not {pair!r}")
-        options[name] = _value(text)
+        options[name] = _parse_value(text)
     return options
 
 
-def say_line(line: str) -> None:
-    """Print `line` at once."""
-    print(line, flush=True)
+def _parse_value(text: str) -> Any:
+    """Return the JSON value of `text`, or `text` itself if it is not JSON, so that names need no quotes."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text

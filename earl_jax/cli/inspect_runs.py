@@ -1,17 +1,17 @@
-"""Commands that look at what there is and at what was trained: list, evaluate, plot, table."""
+"""Commands that inspect the package and its runs: list, evaluate, plot, table."""
 
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import JSON, Physics, Positional, say
+from earl_jax.cli.arguments import JSON, Physics, Positional, emit
 
 
 def list_(json: JSON = False) -> None:
-    """Show the tasks and methods by name."""
+    """List the names of the tasks and methods."""
     from earl_jax import algos, envs
 
     names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
-    say(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
+    emit(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
 
 
 def evaluate(
@@ -25,26 +25,26 @@ def evaluate(
     """Evaluate the newest policies of a run on fresh greedy episodes.
 
     Args:
-        folder: a run folder with a checkpoint.
-        episodes: episodes for each seed's policy.
-        seed: of starts and goals.
-        starts: where episodes begin: where the task's do, or anywhere in the workspace.
+        folder: Run folder with a checkpoint.
+        episodes: Episodes for the policy of each seed.
+        seed: Random seed of the starts and goals.
+        starts: Initial states of the episodes: those of the task, or uniform over the workspace.
     """
-    from earl_jax.training import evaluate as measure
+    from earl_jax import training
 
-    results = measure(folder, episodes, seed, physics, starts)
+    metrics = training.evaluate(folder, episodes, seed, physics, starts)
     lines = [
-        f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in results.items()
+        f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in metrics.items()
     ]
-    say({name: values.tolist() for name, values in results.items()}, json, "\n".join(lines))
+    emit({name: values.tolist() for name, values in metrics.items()}, json, "\n".join(lines))
 
 
 def plot(folders: Positional[tuple[Path, ...]], out: Path = Path("curves.png")) -> None:
-    """Draw deployed and continuing curves of runs, one line a method, with 95 % bands.
+    """Plot the deployed and continuing curves of runs, one line per method, with 95 % bands.
 
     Args:
-        folders: run folders.
-        out: the picture, .png, .pdf or .svg.
+        folders: Run folders.
+        out: Picture to write: .png, .pdf or .svg.
     """
     from earl_jax.report.plots import plot_runs
 
@@ -52,16 +52,16 @@ def plot(folders: Positional[tuple[Path, ...]], out: Path = Path("curves.png")) 
 
 
 def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None = None, json: JSON = False) -> None:
-    """Print the paper's two tables for runs, beside the published figures where there are any.
+    """Print the paper's two tables for runs, with the published figures if there are any.
 
     Args:
-        folders: run folders.
-        last: evaluations averaged at the end of each run; the paper's tables use 1.
-        out: also write the table here, .md or .csv.
+        folders: Run folders.
+        last: Number of final evaluations to average. The paper's tables use 1.
+        out: File that also receives the table: .md or .csv.
     """
     from earl_jax.report.tables import markdown, tabulate, write
 
     rows = tabulate(folders, last)
     if out:
         write(rows, out)
-    say({"rows": rows}, json, markdown(rows))
+    emit({"rows": rows}, json, markdown(rows))

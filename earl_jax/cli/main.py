@@ -1,4 +1,4 @@
-"""Reinforcement learning without resets: train, look at what was learnt, reproduce the paper."""
+"""Reset-free reinforcement learning: train agents, inspect runs, reproduce the results of the EARL paper."""
 
 import os
 import sys
@@ -7,39 +7,34 @@ from typing import Any
 
 import tyro
 
-from earl_jax.cli import demonstrations, render, report
-from earl_jax.cli import inspect_runs as looking
-from earl_jax.cli import train as running
+from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train
 from earl_jax.runs.files import DamagedWarning
 
-PLAIN = warnings.formatwarning
 COMMANDS = {
-    "list": looking.list_,
-    "train": running.train,
-    "resume": running.resume,
-    "sweep": running.sweep,
-    "reproduce": running.reproduce,
-    "evaluate": looking.evaluate,
-    "plot": looking.plot,
-    "table": looking.table,
+    "list": inspect_runs.list_,
+    "train": train.train,
+    "resume": train.resume,
+    "sweep": sweep.sweep,
+    "reproduce": paper.reproduce,
+    "evaluate": inspect_runs.evaluate,
+    "plot": inspect_runs.plot,
+    "table": inspect_runs.table,
     "render": render.render,
     "report": report.report,
     "demos": demonstrations.demos,
     "import-demos": demonstrations.import_demos,
-    "quickstart": running.quickstart,
+    "quickstart": quickstart.quickstart,
 }
-
-
-def _formatted(message: Warning | str, category: type[Warning], *where: Any) -> str:
-    return f"earl-jax: {message}\n" if issubclass(category, DamagedWarning) else PLAIN(message, category, *where)
+DEFAULT_FORMAT = warnings.formatwarning
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command; what the user got wrong is one line on stderr and exit code 2.
+    """Run one command.
 
-    A GPU is taken nearly whole, not three quarters of it as jax would: replays are what fills it.
+    Invalid input exits with code 2 and a one-line error that gives the cause or the valid choices. On a GPU, jax may take 95 %
+    of the memory instead of its default 75 %, because the replay buffers need it.
     """
-    warnings.formatwarning = _formatted
+    warnings.formatwarning = _format_warning
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=arguments, description=__doc__)
@@ -48,5 +43,8 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from None
 
 
-if __name__ == "__main__":
-    main()
+def _format_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
+    """Return a warning about a damaged file as one line without a source location, any other in Python's format."""
+    if issubclass(category, DamagedWarning):
+        return f"earl-jax: {message}\n"
+    return DEFAULT_FORMAT(message, category, *details)

@@ -1,4 +1,4 @@
-"""The command that makes pictures: render."""
+"""The command that makes videos and pictures: render."""
 
 from pathlib import Path
 from typing import Literal
@@ -16,18 +16,19 @@ def render(
     fps: float | None = None,
     camera: str | None = None,
 ) -> None:
-    """Show what a learnt policy, a scripted expert, the demonstrations or chance do, as a video or a picture.
+    """Render a trained policy, a scripted expert, the demonstrations or random actions, as a video or a picture.
 
     Args:
-        source: a run folder, a task, or all (one picture of the paper's six tasks).
-        out: .mp4, .gif, or .png for a sheet of six moments; video.mp4 in a run folder or TASK.mp4 by default.
-        acting: who acts; by default the newest policy of a run, else the best that the task has.
-        seed: of starts and goals; in a run folder also which lane's policy acts.
-        steps: control steps in all; ten seconds of them by default, on a sheet one episode.
-        size: height and width of a frame, or of one moment of a sheet.
-        fps: frames a second at most; 25 by default, 12.5 in a .gif.
-        camera: one of the task's cameras; an unknown name lists them.
+        source: Run folder, task, or all (one picture of the paper's six tasks).
+        out: File to write: .mp4, .gif, or .png for a sheet of six moments. By default video.mp4 in a run folder, or TASK.mp4.
+        acting: Source of the actions. By default the newest policy of a run, or the best that the task has.
+        seed: Random seed of the starts and goals. For a run folder also the lane of the policy.
+        steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
+        size: Height and width of a frame, or of one moment of a sheet.
+        fps: Largest number of frames per second. By default 25, or 12.5 for a .gif.
+        camera: Camera of the task. An unknown name lists the valid ones.
     """
-    from earl_jax.rendering.video import render as draw
+    from earl_jax.rendering import api
 
-    print(draw(source, out, acting, seed, steps, size, fps, camera, progress=True))
+    path = api.render(source, out, acting, seed=seed, steps=steps, size=size, fps=fps, camera=camera, progress=True)
+    print(path)

@@ -1,4 +1,4 @@
-"""The command that makes one html page of run folders."""
+"""The command that makes an HTML page of run folders: report."""
 
 from pathlib import Path
 
@@ -6,15 +6,15 @@ from earl_jax.cli.arguments import Positional
 
 
 def report(folders: Positional[tuple[Path, ...]], out: Path = Path("report.html")) -> None:
-    """Make one self-contained html page of runs: curves, tables, every seed, maps, videos, configs and versions.
+    """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 
     Args:
-        folders: run folders, or folders of them: a sweep's, a reproduction's.
-        out: the page, .html; one that is there is replaced.
+        folders: Run folders, or folders that contain them, such as those of a sweep or of a reproduction.
+        out: Page to write, .html. An existing page is replaced.
     """
     import jax
 
-    jax.config.update("jax_platforms", "cpu")  # reading checkpoints needs no accelerator, and one may be busy training
+    jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
     from earl_jax.report.html.writing import write_page
 
     page = write_page(folders, out)

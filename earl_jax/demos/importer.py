@@ -1,4 +1,4 @@
-"""Recorded demonstrations of the original, read without trusting them: pickles of numpy arrays, or the same as npz."""
+"""Import of recorded demonstrations of the original benchmark: untrusted pickles of numpy arrays, or npz files."""
 
 import pickle
 import zipfile
@@ -9,12 +9,22 @@ import numpy as np
 
 from earl_jax.assets import DIRECTIONS, Demos
 
-NUMPY = ("numpy", "numpy.core.multiarray", "numpy._core.multiarray", "numpy.core.numeric", "numpy._core.numeric")
+NUMPY_MODULES = (
+    "numpy",
+    "numpy.core.multiarray",
+    "numpy._core.multiarray",
+    "numpy.core.numeric",
+    "numpy._core.numeric",
+)
+"""Modules under which pickles name the parts of an array, in numpy 1 and 2."""
 
 
 class Recording(NamedTuple):
-    """Episodes end to end in the original's layout: float32 `observations [T, s + g]`, `actions [T, a]`, `rewards [T]`,
-    `next_observations [T, s + g]` and bool `terminals [T]`, true on the last transition of each episode."""
+    """Concatenated episodes in the layout of the original.
+
+    Float32 `observations [T, s + g]`, `actions [T, a]`, `rewards [T]` and `next_observations [T, s + g]`, and bool
+    `terminals [T]`, which is true on the last transition of each episode.
+    """
 
     observations: np.ndarray
     actions: np.ndarray
@@ -23,31 +33,38 @@ class Recording(NamedTuple):
     terminals: np.ndarray
 
     def episodes(self) -> list["Recording"]:
-        """Return one recording an episode."""
+        """Return one recording for each episode."""
         stops = np.flatnonzero(self.terminals)[:-1] + 1
         parts = [np.split(field, stops) for field in self]
         return [Recording(*fields) for fields in zip(*parts, strict=True)]
 
     def demos(self) -> Demos:
-        """Return the same transitions in our layout; state and goal are the two halves of an observation."""
+        """Return the same transitions as `Demos`; state and goal are the two halves of an observation."""
         size = self.observations.shape[1] // 2
         states, goals = self.observations[:, :size], self.observations[:, size:]
-        return Demos(states, goals, self.actions, self.next_observations[:, :size], self.rewards, self.terminals)
+        return Demos(
+            states=states,
+            goals=goals,
+            actions=self.actions,
+            next_states=self.next_observations[:, :size],
+            rewards=self.rewards,
+            ends=self.terminals,
+        )
 
 
-class _Name:
-    """Stands for numpy's array class inside a pickle, where it may be named but never called."""
+class _ArrayClass:
+    """Placeholder for numpy's array class: a pickle may refer to that class but must not call it."""
 
 
-def _reconstruct(kind: Any, shape: tuple, typecode: Any) -> np.ndarray:
-    if kind is not _Name or tuple(shape) != (0,):
-        raise pickle.UnpicklingError("an array is built in an unusual way")
+def _reconstruct(array_class: Any, shape: tuple, typecode: Any) -> np.ndarray:
+    if array_class is not _ArrayClass or tuple(shape) != (0,):
+        raise pickle.UnpicklingError("it builds an array in an unusual way")
     return np.ndarray(shape, typecode)
 
 
 def _encode(text: str, encoding: str) -> bytes:
     if encoding != "latin1":
-        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}")
+        raise pickle.UnpicklingError(f"it encodes bytes as {encoding!r}, not as latin1")
     return text.encode("latin1")
 
 
@@ -56,16 +73,16 @@ def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: Any) -> np.ndarra
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Reads pickles of plain containers and numpy arrays; any other name in them is refused before anything is called."""
+    """Reads pickles of plain containers and numpy arrays, and refuses any other name before anything is called."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return our stand-in for what numpy puts in a pickle; anything else is refused."""
+        """Return a safe replacement for a name that numpy puts in a pickle, and refuse any other name."""
         if (module, name) == ("_codecs", "encode"):
             return _encode
-        admitted = {"ndarray": _Name, "dtype": np.dtype, "_reconstruct": _reconstruct, "_frombuffer": _frombuffer}
-        if module in NUMPY and name in admitted:
-            return admitted[name]
-        raise pickle.UnpicklingError(f"it asks for {module}.{name}, and only numpy arrays are admitted")
+        allowed = {"ndarray": _ArrayClass, "dtype": np.dtype, "_reconstruct": _reconstruct, "_frombuffer": _frombuffer}
+        if module in NUMPY_MODULES and name in allowed:
+            return allowed[name]
+        raise pickle.UnpicklingError(f"it asks for {module}.{name}, but only numpy arrays are allowed")
 
     def persistent_load(self, pid: Any) -> Any:
         """Refuse references to objects outside the file."""
@@ -73,22 +90,22 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def unpickle(handle: BinaryIO) -> Any:
-    """Return what a pickle of numpy arrays holds.
+    """Return the content of a pickle of numpy arrays.
 
     Raises:
-        ValueError: it holds anything else, or is damaged; nothing in it was run.
+        ValueError: the pickle holds anything else, or is damaged; nothing in it was executed.
     """
     try:
         return ArrayUnpickler(handle).load()
-    except Exception as error:  # a pickle can fail in any way, and each is the file's fault
+    except Exception as error:  # a damaged pickle can raise any exception
         raise ValueError(f"not a pickle of numpy arrays: {error}") from error
 
 
 def read(path: Path) -> Recording:
-    """Return the recording in a pickle of the original or in an npz of the same five arrays.
+    """Return the recording in a pickle of the original, or in an npz of the same five arrays.
 
     Raises:
-        ValueError: the file is something else, or its arrays don't fit together; the message names the file and the cause.
+        ValueError: the file is something else, or its arrays don't fit together; the message gives file and cause.
     """
     try:
         if zipfile.is_zipfile(path):
@@ -112,16 +129,26 @@ def _checked(arrays: Any) -> Recording:
     matrices = all(part.ndim == 2 and len(part) == rows for part in (parts[0], parts[1], parts[3]))
     if not rows or not flat or not matrices or parts[0].shape != parts[3].shape or parts[0].shape[1] % 2:
         raise ValueError(f"its arrays don't fit together: {shapes}")
-    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is found
+    with np.errstate(over="ignore"):  # too large values become infinite, which the next check finds
         parts = [*(part.astype(np.float32) for part in parts[:4]), parts[4].astype(bool)]
     if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
         raise ValueError("it has values that are not finite, or stops in the middle of an episode")
-    observations, actions, rewards, after, ends = parts
-    return Recording(observations, actions, rewards.reshape(-1), after, ends.reshape(-1))
+    observations, actions, rewards, next_observations, terminals = parts
+    return Recording(
+        observations=observations,
+        actions=actions,
+        rewards=rewards.reshape(-1),
+        next_observations=next_observations,
+        terminals=terminals.reshape(-1),
+    )
 
 
 def import_demos(files: dict[str, Path]) -> dict[str, Demos]:
-    """Return our demonstrations of recordings by direction, each file checked to be one."""
+    """Return the demonstrations in `files`, recordings by direction.
+
+    Raises:
+        ValueError: the direction is unknown, or a file is not a recording, as in `read`.
+    """
     unknown = set(files) - set(DIRECTIONS)
     if unknown:
         raise ValueError(f"unknown direction {', '.join(sorted(unknown))}; choose from {', '.join(DIRECTIONS)}")

@@ -1,4 +1,4 @@
-"""The tasks by name. Adding one is a file here and a line in the table, or `register_env` from outside."""
+"""The registry of tasks. To add a task, add a file and a line to the table below; other packages use `register_env`."""
 
 import dataclasses
 
@@ -8,7 +8,27 @@ from earl_jax.envs.state import State
 from earl_jax.envs.wrappers.help_budget import HelpBudget
 from earl_jax.registry import Registry
 
-__all__ = ["Env", "HelpBudget", "MujocoEnv", "State", "list_envs", "make", "register_env", "with_physics"]
+__all__ = [
+    "PAPER_TASKS",
+    "Env",
+    "HelpBudget",
+    "MujocoEnv",
+    "State",
+    "list_envs",
+    "make",
+    "register_env",
+    "with_physics",
+]
+
+PAPER_TASKS = (
+    "tabletop_organization",
+    "sawyer_door",
+    "sawyer_peg",
+    "franka_kitchen",
+    "dhand_lightbulb",
+    "minitaur_pen",
+)
+"""The six tasks of the paper, in its order."""
 
 _ENVS = Registry(
     "env",
@@ -31,12 +51,16 @@ def list_envs() -> list[str]:
 
 
 def register_env(name: str, factory: type[Env]) -> None:
-    """Make `make(name)` build `factory`, an `Env` subclass; a name that is taken is refused."""
+    """Register `factory`, an `Env` subclass, as `name` for `make`.
+
+    Raises:
+        ValueError: the name is taken.
+    """
     _ENVS.register(name, factory)
 
 
 def make(name: str, **options) -> Env:
-    """Return the task `name` with its options set, e.g. `make("tabletop_organization", reward_type="dense")`.
+    """Return the task `name` with these options, e.g. `make("tabletop_organization", reward_type="dense")`.
 
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
@@ -45,10 +69,11 @@ def make(name: str, **options) -> Env:
 
 
 def with_physics(env: Env, engine: str | None) -> Env:
-    """Return `env` on the physics engine `engine`, or as it is for None.
+    """Return `env` with the physics engine `engine`, or unchanged for None.
 
     Raises:
-        ValueError: the engine is unknown or not installed, or the task has none; the message says which.
+        ValueError: the engine is unknown or not installed, or the task has no physics engine; the message gives the
+            cause.
     """
     if engine is None:
         return env

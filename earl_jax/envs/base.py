@@ -20,8 +20,8 @@ REWARD_TYPES = ("sparse", "dense")
 class Env(abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
-    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie in
-    [-1, 1] and are clipped. An env never resets itself and never ends an episode: the protocol does both.
+    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie
+    in [-1, 1] and are clipped. An env never resets itself and never ends an episode: the protocol does both.
 
     A kinematic task writes `reset`, `transition`, `success` and `reward`. A task with a MuJoCo model is a `MujocoEnv`.
     """
@@ -30,7 +30,7 @@ class Env(abc.ABC):
     train_horizon: int = 200_000
     eval_horizon: int = 200
     demo_file: str | None = None
-    """Demonstrations to use instead of those that ship: an npz of `earl-jax demos` or `earl-jax import-demos`."""
+    """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
 
     name: ClassVar[str]
     action_size: ClassVar[int]
@@ -39,15 +39,16 @@ class Env(abc.ABC):
     continuing_horizon: ClassVar[int | None] = None
     """H_T of the released continuing setting where it differs from `train_horizon`."""
     map_bounds: ClassVar[np.ndarray | None] = None
-    """Bounds of `map_position`, [[x, y] low, [x, y] high]; None where a map of visited positions means nothing."""
+    """Bounds of `map_position`, [[x, y] low, [x, y] high]; None for a task without a map."""
     map_unit: ClassVar[str] = "m"
     """Unit of `map_position`."""
     demo_noise: ClassVar[float | None] = None
-    """Half-width of the uniform noise that scripted demonstrations add to all actions but the last; None without a script."""
+    """Half-width of the uniform noise that a demonstration script adds to all actions but the last; None without a
+    script."""
     demo_hold: ClassVar[int | None] = None
-    """Steps of a scripted demonstration that goes on after success; None where it ends at success."""
+    """Length in steps of a scripted demonstration that continues after success; None if it ends at success."""
     ends: ClassVar[bool] = False
-    """Whether this environment has an absorbing end, which `State.done` reports."""
+    """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
@@ -77,37 +78,37 @@ class Env(abc.ABC):
 
     @property
     def engine(self) -> str:
-        """The physics engine's name, or `kinematic` for a task that is plain arithmetic."""
+        """The physics engine's name, or `kinematic` for a task without a physics engine."""
         return "kinematic"
 
     @property
     def step_seconds(self) -> float:
-        """Seconds of a control step as videos show them."""
+        """Duration of a control step in videos, seconds."""
         return 0.1
 
     @property
     def model(self) -> str:
-        """The MJCF that pictures show: its name in assets, or a path."""
+        """The MJCF for rendering: its name in assets, or a path."""
         return self.name
 
     def render_state(self, state: State) -> Any:
-        """Return the `PhysicsState` of `model` that a picture of `state` shows."""
+        """Return the `PhysicsState` of `model` that renders `state`."""
         return state.data
 
     def render_goal(self, state: State) -> Any:
-        """Return the `PhysicsState` of `model` in which the goal of `state` is reached; None if pictures mark no goal."""
+        """Return the `PhysicsState` of `model` that reaches the goal of `state`; None if the goal is not rendered."""
         del state
 
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
-        """Return a state that observes `vector [s]` with the goal `goal [g]`, from which demonstrations are replayed.
+        """Return a state with the state vector `vector [s]` and the goal `goal [g]`, to replay a demonstration from.
 
         Raises:
-            ValueError: this task starts from `reset` only.
+            ValueError: this task can only start from `reset`.
         """
-        raise ValueError(f"{self.name} cannot replay demonstrations: it starts from reset only")
+        raise ValueError(f"{self.name} cannot replay demonstrations: it can only start from reset")
 
     def for_lanes(self, lanes: int) -> "Env":
-        """Return this task for a batch of `lanes`: the physics engine `auto` becomes the fastest one."""
+        """Return this task with the physics engine `auto` replaced by the fastest one for a batch of `lanes`."""
         del lanes
         return self
 
@@ -142,7 +143,7 @@ class Env(abc.ABC):
 
     @abc.abstractmethod
     def transition(self, state: State, action: jax.Array) -> NextState:
-        """Return what the control step from `state` with the clipped `action [a]` leads to."""
+        """Return the result of a control step from `state` with the clipped `action [a]`."""
 
     @abc.abstractmethod
     def success(self, obs: jax.Array) -> jax.Array:
@@ -153,9 +154,10 @@ class Env(abc.ABC):
         """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
 
     def fault(self, state: State) -> jax.Array:
-        """Return whether the simulation broke on the way to `state`, bool []: a value in it is not finite.
+        """Return whether the simulation of the step to `state` broke, bool []: a value in it is not finite.
 
-        Tasks with a workspace add leaving it. The training loop answers a fault with a reset to s0 ~ rho.
+        Tasks with a workspace also report a body outside it. After a fault, the training loop resets the lane to s0 ~
+        rho.
         """
         leaves = [leaf for leaf in jax.tree.leaves((state.data, state.obs)) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         return ~jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
@@ -163,17 +165,17 @@ class Env(abc.ABC):
     def irreversible(self, state: State) -> jax.Array:
         """Return whether the agent can never leave `state` by itself, bool []; by default this is a `fault`.
 
-        The plain environment does nothing about it. `HelpBudget` enforces an intervention there.
+        The plain environment takes no action. `HelpBudget` enforces an intervention.
         """
         return self.fault(state)
 
     def intervene(self, key: jax.Array, state: State) -> State:
-        """Return the state after a hard intervention: s0 ~ rho, and whatever `state` must remember across it."""
+        """Return the state after a hard intervention in `state`: s0 ~ rho, with the values that persist."""
         del state
         return self.reset(key)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the position [..., 2] within `map_bounds` of the body that this task's map follows, in `obs [..., s + g]`.
+        """Return the position [..., 2] of the body that this task's map tracks, in `obs [..., s + g]`.
 
         Raises:
             ValueError: this task has no map.
@@ -195,14 +197,14 @@ class Env(abc.ABC):
 
     @property
     def demo_directions(self) -> tuple[str, ...]:
-        """The directions of which there are demonstrations."""
+        """The directions with demonstrations."""
         return assets.demo_directions(self.demo_file or self.name)
 
     def demos(self, direction: str) -> assets.Demos:
         """Return the demonstrations of `direction` (forward or backward) in this task's layout.
 
         Raises:
-            ValueError: there are none, or the file is not one of them; the message lists the choices.
+            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices.
         """
         return assets.demos(self.demo_file or self.name, direction)
 
@@ -219,7 +221,7 @@ class Env(abc.ABC):
         return np.array(self.expert(jnp.asarray(obs)))
 
     def demo_starts(self, seed: int) -> Iterator[DemoStart]:
-        """Yield where scripted demonstrations start, one item for each forward demonstration.
+        """Yield the starts of scripted demonstrations, one item for each forward demonstration.
 
         Raises:
             ValueError: this task has no demonstration script.
@@ -236,15 +238,15 @@ class Env(abc.ABC):
         return self.finish_step(state, self.start_step(state, action))
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
-        """Return the pending control step from `state` with `action [a]`, for `finish_step`.
+        """Start a control step from `state` with `action [a]` and return it for `finish_step`.
 
-        A program can do other work between the two while the host simulates. Errors as `step`.
+        A program can do other work between the two calls while the host simulates. Errors as `step`.
         """
         del state
         return PendingStep(self.checked_action(action))
 
     def finish_step(self, state: State, pending: PendingStep) -> State:
-        """Return the state after the control step that `start_step` began at `state`."""
+        """Return the state after the control step that `start_step` started from `state`."""
         return self.next_state(state, self.transition(state, pending.payload))
 
     def checked_action(self, action: jax.Array) -> jax.Array:
@@ -253,7 +255,7 @@ class Env(abc.ABC):
         return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
 
     def next_state(self, state: State, following: NextState) -> State:
-        """Return the `State` of what a control step from `state` led to."""
+        """Return the `State` after a control step from `state` with the result `following`."""
         data, vector, changed = following
         return self.make_state(data, vector, {**state.info, **changed})
 
@@ -265,7 +267,7 @@ class Env(abc.ABC):
         return State(data=data, obs=obs, reward=reward, done=done, metrics=metrics, info=info)
 
     def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
-        """Return the reward of arriving in `obs [s + g]` with `info`; a task whose reward needs more than obs overrides it."""
+        """Return the reward of arriving in `obs [s + g]` with `info`; override it if the reward needs more than obs."""
         del info
         return self.reward(obs)
 
@@ -280,5 +282,5 @@ class Env(abc.ABC):
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
-        """Return the reward that `state` would have earned under `goal [g]`, whatever its own goal is."""
+        """Return the reward that the step to `state` would have earned with `goal [g]` instead of its own goal."""
         return self.transition_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)

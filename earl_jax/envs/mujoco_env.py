@@ -1,4 +1,4 @@
-"""What every task with a physics engine shares: its engine, its substeps, and the path of a control step through both."""
+"""The base class of tasks with a MuJoCo model: the engine, the substeps, and a control step through both."""
 
 import abc
 import dataclasses
@@ -15,19 +15,19 @@ from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Si
 
 @dataclasses.dataclass(frozen=True)
 class MujocoEnv(Env):
-    """A task with a MuJoCo model: `physics` names its engine, `substeps` divide its control step.
+    """A task with a MuJoCo model: `physics` names its engine; a control step has `substeps` physics steps.
 
-    The model is `assets/mjcf/<name>.xml`, or whatever `model` says. A task writes `reset`, `control`, `observe`, `success` and
-    `reward`.
+    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A task writes `reset`, `control`, `observe`,
+    `success` and `reward`.
     """
 
     physics: str = "auto"
     substeps: int = 1
 
     control_step: ClassVar[float]
-    """Seconds of a control step."""
+    """Duration of a control step, seconds."""
     engine_cost: ClassVar[EngineCost | None] = None
-    """Measured costs by which `physics="auto"` chooses; without them it takes the backend's default engine."""
+    """Measured costs, from which `physics="auto"` chooses an engine; None chooses the backend's default engine."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -56,7 +56,7 @@ class MujocoEnv(Env):
 
     @property
     def actuator(self) -> Actuator | None:
-        """Turns the command of a control step into the controls of each substep; None applies the command itself."""
+        """Converts the command of a control step into the controls of each substep; None applies the command itself."""
         return None
 
     @property
@@ -66,7 +66,7 @@ class MujocoEnv(Env):
 
     @functools.cached_property
     def simulator(self) -> Simulator:
-        """The physics of this task on its engine."""
+        """The simulator of this task's model on its engine."""
         return Simulator(
             model=self.model,
             timestep=self.control_step / self.substeps,
@@ -78,11 +78,11 @@ class MujocoEnv(Env):
 
     @abc.abstractmethod
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        """Return the physics state to simulate from and the command, for a control step with the clipped `action [a]`."""
+        """Return the physics state and the command with which a control step with the clipped `action [a]` starts."""
 
     @abc.abstractmethod
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
-        """Return the transition, given the simulated `data` and the `sensors [nsensordata]` of its last substep."""
+        """Return the result of a step, given the simulated `data` and the last substep's `sensors [nsensordata]`."""
 
     def transition(self, state: State, action: jax.Array) -> NextState:
         return self.observe(state, action, *self.simulator.step(*self.control(state, action)))
@@ -102,10 +102,10 @@ class MujocoEnv(Env):
 def leashed_target(
     target: jax.Array, hand: jax.Array, fastest: jax.Array, speeds: np.ndarray, lengths: np.ndarray
 ) -> jax.Array:
-    """Return the position [3] that a mocap weld pulls a hand to: `target [3]`, or a nearer one if the target is too far.
+    """Return the position [3] that a mocap weld pulls a hand to: `target [3]`, or a nearer one if it is too far.
 
-    The target may lead the `hand [3]` by `lengths [2]` metres when the `fastest` joint turns at `speeds [2]` rad/s, and by a
-    linear interpolation between them.
+    The target may lead the `hand [3]` by `lengths [2]` metres when the `fastest` joint turns at `speeds [2]` rad/s;
+    lengths are interpolated linearly in between.
     """
     distance, leash = jnp.linalg.norm(target - hand), jnp.interp(fastest, speeds, lengths)
     return jnp.where(distance > leash, hand + (target - hand) * leash / jnp.maximum(distance, leash), target)

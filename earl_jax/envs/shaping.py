@@ -1,4 +1,4 @@
-"""The shaping functions of dm_control and Meta-World that dense rewards are written in; they broadcast, values in [0, 1]."""
+"""Shaping functions of dm_control and Meta-World for dense rewards; they broadcast and return values in [0, 1]."""
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,12 @@ def long_tail(x: jax.Array) -> jax.Array:
 
 
 def linear(x: jax.Array) -> jax.Array:
-    """Return a ramp that is 1 at 0 and 0 from 1 on: the suite's linear sigmoid with a value of 0 at the margin."""
+    """Return a ramp that is 1 at 0 and 0 from 1 on: dm_control's linear sigmoid with a value of 0 at the margin."""
     return jnp.maximum(1.0 - x, 0.0)
 
 
 def tolerance(x: jax.Array, low: float, high: jax.Array | float, margin: jax.Array, sigmoid=gaussian) -> jax.Array:
-    """Return 1 for `x` in [low, high], falling to 0.1 (`linear`: 0) at `margin` outside; a margin of 0 falls at once.
+    """Return 1 for `x` in [low, high], falling to 0.1 (`linear`: 0) at a distance of `margin`; a margin of 0 is a step.
 
     Source: dm_control, `rewards.tolerance`.
     """
@@ -37,11 +37,11 @@ def hamacher(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.where(below > 0, a * b / jnp.where(below > 0, below, 1.0), 0.0)
 
 
-def prism(x: jax.Array, zero: jax.Array, one: jax.Array) -> jax.Array:
-    """Return the product of the three ramps from corner `zero` to corner `one` for `x [..., 3]` in their box, 1 outside it.
+def prism(x: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """Return the product of three ramps from corner `low` to corner `high` for `x [..., 3]` in that box, 1 outside it.
 
     Source: Meta-World, `reward_utils.rect_prism_tolerance`.
     """
-    ramps = (x - zero) / (one - zero)
+    ramps = (x - low) / (high - low)
     within = ((ramps >= 0) & (ramps <= 1)).all(axis=-1)
     return jnp.where(within, ramps.prod(axis=-1), 1.0)

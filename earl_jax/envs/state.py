@@ -1,4 +1,4 @@
-"""What an environment returns: its state, what a step leads to, and where scripted demonstrations start."""
+"""The return types of an environment: its state, the result of a step, and the start of a scripted demonstration."""
 
 from typing import Any, NamedTuple
 
@@ -9,13 +9,13 @@ from flax import struct
 from jax.core import Tracer
 
 NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
-"""What a control step leads to: the physics data, the state vector [s], and the fields of `info` that changed."""
+"""The result of a control step: the physics data, the state vector [s], and the changed fields of `info`."""
 
 
 class State(struct.PyTreeNode):
-    """The state of an environment: physics `data`, `obs [s + g]`, scalar float32 `reward` and `done`, `metrics`, `info`.
+    """The state of an environment: physics `data`, `obs [s + g]`, float32 `reward` and `done` [], `metrics`, `info`.
 
-    The tree keeps its structure, dtypes and weak types from `reset` on, so it can be a scan's carry.
+    The tree keeps its structure, dtypes and weak types from `reset` on, so it can be the carry of a scan.
     """
 
     data: Any
@@ -27,10 +27,10 @@ class State(struct.PyTreeNode):
 
 
 class DemoStart(NamedTuple):
-    """Where a pair of scripted demonstrations starts.
+    """The start of a pair of scripted demonstrations.
 
-    `forward` is the start of the forward demonstration. `backward` is that of the backward one; None starts it where the
-    forward one ended. `backward_goal [g]` is its goal; None records no backward demonstration.
+    `forward` is the start of the forward demonstration. `backward` is the start of the backward one; None starts it at
+    the end of the forward one. `backward_goal [g]` is its goal; None records no backward demonstration.
     """
 
     forward: State
@@ -44,7 +44,7 @@ def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:
 
 
 def check_action(action: jax.Array, size: int) -> None:
-    """Raise a ValueError if `action` has another shape than [size], or is known not to be finite."""
+    """Raise a ValueError if `action` does not have the shape [size], or is known not to be finite."""
     shape = jnp.shape(action)
     if shape != (size,):
         raise ValueError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")

@@ -1,7 +1,7 @@
 """Tabletop organization: a gripper carries a mug to one of four coasters and returns home.
 
 Source: Sharma et al. 2022, section 4 and appendix; numbers and rewards follow the released `TabletopManipulation`.
-The original moves bodies by writing positions and never integrates a force, so this is plain arithmetic without an engine.
+The original writes positions and integrates no forces, so this task is plain arithmetic without a physics engine.
 """
 
 import dataclasses
@@ -19,7 +19,8 @@ from earl_jax.physics import PhysicsState
 STEP = 0.2
 REACH = 0.4
 GRASP = 0.32
-"""How near the scripted expert goes before it grips: a longer arm would hit the wall before the far coasters."""
+"""Distance to the mug at which the scripted expert grips. From a larger one, the gripper would hit the wall before the
+mug reaches a far coaster."""
 LIMIT = 2.8
 TOLERANCE = 0.2
 FREE = np.array([-1.0, -1.0], np.float32)
@@ -40,9 +41,10 @@ WIDE_TRIES = 64
 class TabletopOrganization(Env):
     """Gripper and mug on a table, `obs [12]` = gripper 2, mug 2, held flag 2, goal 6; `action [3]` = dx, dy, grip.
 
-    A step moves the gripper by up to 0.2 an axis; `grip > 0` takes hold of a mug nearer than 0.4. Success: gripper and mug
-    together within 0.2 of the goal. `wide=True` starts gripper and mug anywhere, at least 1 apart and 1 from each
-    coaster, and asks for the mug alone, as the released option `wide_init_distr` does.
+    A step moves the gripper by up to 0.2 along each axis. `grip > 0` holds a mug nearer than 0.4. Success: the joint
+    distance of gripper and mug to the goal is at most 0.2. `wide=True` is the released option `wide_init_distr`:
+    gripper and mug start anywhere, the mug at least 1 from the gripper and from each coaster, and success counts the
+    mug alone.
     """
 
     wide: bool = False
@@ -95,7 +97,7 @@ class TabletopOrganization(Env):
         return state.data.replace(qpos=state.info["goal"][:4])
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
-        """Return the first of 64 uniform draws [4] that keeps its distances (about half do: a miss has odds of 1e-17)."""
+        """Return the first of 64 uniform draws [4] with the required distances; half have them (all miss: 1e-17)."""
         draws = jax.random.uniform(key, (WIDE_TRIES, 4), minval=-WIDE_RANGE, maxval=WIDE_RANGE)
         apart = jnp.linalg.norm(draws[:, :2] - draws[:, 2:], axis=-1) >= WIDE_CLEARANCE
         clear = jnp.linalg.norm(draws[:, None, 2:] - COASTERS, axis=-1) >= WIDE_CLEARANCE
@@ -124,7 +126,7 @@ class TabletopOrganization(Env):
         return -to_goal - to_mug + bonus
 
     def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the fastest scripted action [3]: fetch the mug, carry it, return; both axes at full speed."""
+        """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
         target, grip = self.waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])
@@ -145,9 +147,9 @@ class TabletopOrganization(Env):
             yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
 
     def waypoint(self, obs: jax.Array, tolerance: float = 0.1) -> tuple[jax.Array, jax.Array]:
-        """Return where the gripper should go next [2] and whether to hold (1) or let go (-1).
+        """Return the gripper's next target [2] and its grip: hold (1) or release (-1).
 
-        `tolerance` is how far from its goal the mug may be left, in table units.
+        `tolerance` is the largest distance from its goal at which the mug is released, in table units.
         """
         gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
         placed = jnp.linalg.norm(mug - goal_mug) <= tolerance

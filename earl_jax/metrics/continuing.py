@@ -10,8 +10,9 @@ from earl_jax.envs import State
 class Counters(struct.PyTreeNode):
     """Counts of one lane since its first step.
 
-    `window_reward`: task reward since the last report; `total_reward`: before that; `interventions`, of which `faults` are
-    resets after a broken simulation; `reached`: task goals reached; `diagnostics`: of the last gradient step.
+    `window_reward`: task reward since the last evaluation; `total_reward`: task reward before it; `interventions`:
+    their number, of which `faults` are resets after a broken simulation; `reached`: task goals reached; `diagnostics`:
+    those of the last gradient step.
     """
 
     window_reward: jax.Array
@@ -25,13 +26,13 @@ class Counters(struct.PyTreeNode):
 def continuing(
     counters: Counters, env_state: State, step: jax.Array, window: jax.Array
 ) -> tuple[Counters, dict[str, jax.Array]]:
-    """Return the counters with their window closed, and one lane's averages after `step` steps, the last `window` of them recent.
+    """Return the counters with a new window, and one lane's metrics after `step` steps, of which `window` are recent.
 
     `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted.
-    `continuing/recent` is the same since the last report. `interventions`, `faults` (resets after a broken simulation, which
-    count as interventions) and `reached` are counts since the first step. In a `HelpBudget` environment, `help/asked` and
-    `help/enforced` count its own interventions, `help/budget` is the rest of the budget, and `help/over` is 1 where the
-    lifetime has ended.
+    `continuing/recent` is the same since the last evaluation. `interventions`, `faults` (resets after a broken
+    simulation, which count as interventions) and `reached` are counts since the first step. In a `HelpBudget`
+    environment, `help/asked` and `help/enforced` count its own interventions, `help/budget` is the rest of the budget,
+    and `help/over` is 1 where the lifetime has ended.
     """
     total = counters.total_reward + counters.window_reward
     metrics = {

@@ -13,7 +13,8 @@ def episode(
 ) -> dict[str, jax.Array]:
     """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`.
 
-    It starts from `start(key) -> State`, s0 ~ rho by default. A broken simulation ends the episode: later steps earn nothing.
+    It starts from `start(key) -> State`, s0 ~ rho by default. A broken simulation ends the episode: later steps earn no
+    reward.
     """
 
     def step(carry, _):
@@ -33,9 +34,9 @@ def deployed(
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Starts are s0 ~ rho, or drawn by `start(key) -> State`. Success counts at any step, as the released evaluations do (their
-    values are exact multiples of 0.1), although the paper's text speaks of returns.
+    Starts are s0 ~ rho, or drawn by `start(key) -> State`. Success counts at any step, as in the released evaluations,
+    whose values are exact multiples of 0.1, although the paper's text speaks of returns.
     """
     keys = jax.random.split(key, episodes)
-    results = jax.vmap(lambda part: episode(env, policy, part, horizon, start))(keys)
+    results = jax.vmap(lambda episode_key: episode(env, policy, episode_key, horizon, start))(keys)
     return {f"deployed/{name}": values.mean() for name, values in results.items()}

@@ -13,7 +13,7 @@ RESAMPLES = 2000
 
 
 class Estimate(NamedTuple):
-    """A number with its 95 % interval, which is nan to nan where there are too few seeds to tell."""
+    """A number with its 95 % interval, whose ends are nan if there are too few seeds."""
 
     value: float
     low: float
@@ -21,7 +21,7 @@ class Estimate(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Scores of some seeds in short: `mean`, `stderr`, `iqm` with its 95 % interval `low` to `high`, and `seeds`."""
+    """A summary of scores: `mean`, `stderr`, `iqm` with its 95 % interval `low` to `high`, number of `seeds`."""
 
     mean: float
     stderr: float
@@ -32,19 +32,19 @@ class Summary(NamedTuple):
 
 
 def stderr(scores: np.ndarray) -> np.ndarray:
-    """Return the standard error over the first axis: population deviation over the root of n, as the paper prints it."""
+    """Return the standard error over the first axis: population standard deviation / sqrt(n), as in the paper."""
     return np.std(scores, axis=0) / np.sqrt(np.shape(scores)[0])
 
 
 def iqm(scores: np.ndarray, axis: Any = None) -> np.ndarray:
-    """Return the mean of the middle half of `scores`, a quarter of the runs cut at either end."""
+    """Return the interquartile mean of `scores`: the mean without the lowest and the highest quarter."""
     return stats.trim_mean(scores, 0.25, axis=axis)
 
 
 def bootstrap(scores: np.ndarray, statistic=iqm, level: float = 0.95, seed: int = 0) -> tuple[float, float]:
     """Return the percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
 
-    One task may be given as [seeds]. The same seed gives the same interval.
+    The scores of a single task can have the shape [seeds]. The same `seed` returns the same interval.
     """
     table = np.asarray(scores, float).reshape(len(scores), -1)
     rng = np.random.default_rng(seed)
@@ -55,7 +55,11 @@ def bootstrap(scores: np.ndarray, statistic=iqm, level: float = 0.95, seed: int 
 
 
 def summarise(scores: np.ndarray) -> Summary:
-    """Return the `Summary` of `scores [seeds]`; an empty or non-finite array is a ValueError."""
+    """Return the `Summary` of `scores [seeds]`.
+
+    Raises:
+        ValueError: there are no scores, or one is not finite.
+    """
     scores = np.asarray(scores, float)
     if scores.ndim != 1 or not len(scores) or not np.isfinite(scores).all():
         raise ValueError(f"expected finite scores of at least one seed, got {scores}")
@@ -69,19 +73,20 @@ def mean_of(scores: np.ndarray) -> Estimate:
     return Estimate(value, *bootstrap(scores, np.mean)) if len(scores) > 1 else Estimate(value, math.nan, math.nan)
 
 
-def difference(one: np.ndarray, other: np.ndarray) -> Estimate:
-    """Return mean(`one`) - mean(`other`) of independent seeds, [seeds] each, with its bootstrap interval."""
-    value = float(np.mean(one) - np.mean(other))
-    if min(len(one), len(other)) < 2:
+def difference(scores: np.ndarray, others: np.ndarray) -> Estimate:
+    """Return mean(`scores`) - mean(`others`) of independent seeds, [seeds] each, with its bootstrap interval."""
+    value = float(np.mean(scores) - np.mean(others))
+    if min(len(scores), len(others)) < 2:
         return Estimate(value, math.nan, math.nan)
     rng = np.random.default_rng(0)
     means = [
-        np.asarray(part)[rng.integers(len(part), size=(RESAMPLES, len(part)))].mean(axis=1) for part in (one, other)
+        np.asarray(group)[rng.integers(len(group), size=(RESAMPLES, len(group)))].mean(axis=1)
+        for group in (scores, others)
     ]
-    return Estimate(value, *middle(means[0] - means[1]))
+    return Estimate(value, *percentile_interval(means[0] - means[1]))
 
 
-def middle(resampled: np.ndarray) -> tuple[float, float]:
-    """Return the ends of the middle 95 % of `resampled [R]`."""
+def percentile_interval(resampled: np.ndarray) -> tuple[float, float]:
+    """Return the percentile interval of 95 % of `resampled [R]`."""
     low, high = np.quantile(resampled, [0.025, 0.975])
     return float(low), float(high)

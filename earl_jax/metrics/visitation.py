@@ -1,4 +1,4 @@
-"""How widely a life has spread over the map that its lane keeps.
+"""Measures of the spread of visited positions over a lane's map.
 
 Source: Sharma et al. 2022, figure 4, which shows such maps without a measure; the measures are ours.
 """
@@ -8,17 +8,17 @@ import math
 import numpy as np
 
 MEASURES = ("covered", "entropy", "concentration")
-CROWDED = 0.01
-"""The share of bins that concentration looks at."""
+TOP_SHARE = 0.01
+"""The share of bins, the most visited ones, whose visits `concentration` sums."""
 
 
 def measure(visits: np.ndarray) -> dict[str, float]:
-    """Return `covered`, `entropy` and `concentration` of `visits [B, B]`, all 0 to 1, and all 0 without a visit."""
+    """Return `covered`, `entropy` and `concentration` of `visits [B, B]`, all between 0 and 1, and 0 without visits."""
     flat = np.sort(np.ravel(visits).astype(float))[::-1]
     if not flat.sum():
         return dict.fromkeys(MEASURES, 0.0)
     shares = flat / flat.sum()
-    kept = shares[shares > 0]
-    entropy = -(kept * np.log(kept)).sum() / math.log(flat.size) if flat.size > 1 else 0.0
-    crowded = shares[: math.ceil(CROWDED * flat.size)].sum()
-    return dict(zip(MEASURES, (len(kept) / flat.size, float(entropy), float(crowded)), strict=True))
+    visited = shares[shares > 0]
+    entropy = -(visited * np.log(visited)).sum() / math.log(flat.size) if flat.size > 1 else 0.0
+    concentration = shares[: math.ceil(TOP_SHARE * flat.size)].sum()
+    return dict(zip(MEASURES, (len(visited) / flat.size, float(entropy), float(concentration)), strict=True))

@@ -1,4 +1,4 @@
-"""The paper's learning curves: deployed and continuing, one column a task."""
+"""The paper's learning curves: deployed and continuing, one column per task."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -6,26 +6,34 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax import assets
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import mean_of, stderr
-from earl_jax.paper.verdicts import FEW, FEW_SEEDS, published
-from earl_jax.report.runs import Cell, cells, described
-from earl_jax.report.style import STYLES, canvas, colours, save, step_axis, title
-from earl_jax.report.tables import LEVELS, crossing, grid, millions, trailing, write
-
-TEXT = (
-    "Deployed performance from s0 (mean of the trailing 10 evaluations) and reward a step over the lifetime; a line is the "
-    "mean over seeds, its band the 95 % bootstrap interval of that mean. Dashes at the right edge are the published final "
-    "values, crosses the steps at which the published mean curves first reached 0.5 and 0.9. curves.csv has single "
-    "evaluations as well."
+from earl_jax.report.published import (
+    FEW,
+    FEW_SEEDS,
+    LEVELS,
+    PublishedScore,
+    published_crossings,
+    published_score,
 )
+from earl_jax.report.runs import MethodRuns, options_text, read_methods
+from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
+from earl_jax.report.tables import crossing, markdown_table, millions, trailing, write
+
+CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
 SMOOTH = " (trailing 10)"
+DESCRIPTION = (
+    "Deployed performance from s0 (mean of the trailing 10 evaluations) and reward per step over the lifetime. A "
+    "line is the mean over seeds, its band the 95 % bootstrap interval of that mean. Dashes at the right edge are "
+    "the published final values. Crosses are the steps at which the published mean curves first reached 0.5 and 0.9. "
+    "curves.csv has single evaluations as well."
+)
 COLUMNS = (
-    "`to 0.5` and `to 0.9`: the step at which the mean curve, over its trailing 10 evaluations, first reached that success "
-    "(`-`: not within the run, or judged by return). D(A): the area under the deployed curve divided by the steps, each "
-    "evaluation standing for the steps since the one before; the paper's D(A) is the gap from there to the best policy. C(A): "
-    "reward a step over the lifetime. J_D: the last evaluation. Brackets: standard errors."
+    "`to 0.5` and `to 0.9`: the step at which the mean curve, over its trailing 10 evaluations, first reached that "
+    "success (`-`: not within the run, or the task is scored by return). D(A): the area under the deployed curve "
+    "divided by the steps, where each evaluation stands for the steps since the one before; the paper's D(A) is the "
+    "gap between that and the best policy. C(A): reward per step over the lifetime. J_D: the last evaluation. "
+    "Brackets: standard errors."
 )
 
 
@@ -35,129 +43,147 @@ def write_curves(folders: Sequence[Path], out: Path) -> list[Path]:
     Raises:
         ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
     """
-    found = cells(folders)
-    rows = list(_points(found))
-    picture = _draw(found, rows)
+    groups = read_methods(folders)
+    rows = list(_points(groups))
+    figure = _draw(groups, rows)
     out.mkdir(parents=True, exist_ok=True)
     write(rows, out / "curves.csv")
-    (out / "curves.md").write_text(_markdown(found))
-    return [out / "curves.csv", out / "curves.md", save(picture, out / "curves.png")]
+    (out / "curves.md").write_text(_markdown(groups))
+    return [out / "curves.csv", out / "curves.md", save(figure, out / "curves.png")]
 
 
-def _metrics(cell: Cell) -> tuple[str, str]:
-    return cell.curves.deployed_metric, "continuing/reward"
+def _metrics(group: MethodRuns) -> tuple[str, str]:
+    return group.curves.deployed_metric, CONTINUING
 
 
-def _points(found: Sequence[Cell]) -> Iterator[dict[str, Any]]:
-    """Yield the mean and its interval at every evaluation of every cell, deployed ones also smoothed."""
-    for cell in found:
-        deployed, lifetime = (cell.curves.metrics[metric] for metric in _metrics(cell))
-        names = (cell.curves.deployed_metric, cell.curves.deployed_metric + SMOOTH, "continuing/reward")
+def _points(groups: Sequence[MethodRuns]) -> Iterator[dict[str, Any]]:
+    """Yield the mean and its interval at every evaluation of every group, of deployed metrics also smoothed."""
+    for group in groups:
+        deployed, lifetime = (group.curves.metrics[metric] for metric in _metrics(group))
+        names = (group.curves.deployed_metric, group.curves.deployed_metric + SMOOTH, CONTINUING)
         for metric, values in zip(names, (deployed, trailing(deployed), lifetime), strict=True):
-            for step, scores in zip(cell.curves.steps.tolist(), values.T, strict=True):
+            for step, scores in zip(group.curves.steps.tolist(), values.T, strict=True):
                 estimate = mean_of(scores)
-                numbers = {"mean": estimate.value, "low": estimate.low, "high": estimate.high, "seeds": len(scores)}
-                yield {"env": cell.env, "algo": cell.label, "step": step, "metric": metric, **numbers}
+                yield {
+                    "env": group.env,
+                    "algo": group.label,
+                    "step": step,
+                    "metric": metric,
+                    "mean": estimate.value,
+                    "low": estimate.low,
+                    "high": estimate.high,
+                    "seeds": len(scores),
+                }
 
 
-def _published(table: str, cell: Cell) -> str | None:
-    """Return a printed mean, None where there is none or the run's reward is of another kind than the paper's."""
-    printed = published(table, cell.env, cell.algo) if cell.curves.comparable else None
-    return printed[0] if printed else None
+def _published(table: str, group: MethodRuns) -> PublishedScore | None:
+    """Return the published score, None if there is none or the runs differ from the paper's in reward or setting."""
+    return published_score(table, group.env, group.algo) if group.curves.comparable else None
 
 
-def _crossings(cell: Cell) -> dict[float, int]:
-    """Return the published step of each level that the published mean curve reached."""
-    row = assets.published_row("crossings", env=cell.env, algo=cell.algo)
-    same = cell.curves.deployed_metric == "deployed/success"
-    return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if same and row.get(f"steps_to_{level}")}
+def _crossings(group: MethodRuns) -> dict[float, int]:
+    return published_crossings(group.env, group.algo) if group.curves.deployed_metric == SUCCESS else {}
 
 
-def _markdown(found: Sequence[Cell]) -> str:
+def _markdown(groups: Sequence[MethodRuns]) -> str:
     header = ["env", "algo", "seeds", "steps"]
     header += [text for level in LEVELS for text in (f"to {level}", "published")]
     header += ["D(A)", "C(A)", "published", "J_D", "published"]
-    notes = [f"- {cell.env}, {cell.label}: {described(cell.curves.options)}" for cell in found]
-    parts = ["# Learning curves", TEXT, grid(header, [_line(cell) for cell in found]), COLUMNS]
-    if any(len(cell.curves.metrics["continuing/reward"]) < FEW for cell in found):
+    notes = [f"- {group.env}, {group.label}: {options_text(group.curves.options)}" for group in groups]
+    parts = ["# Learning curves", DESCRIPTION, markdown_table(header, [_line(group) for group in groups]), COLUMNS]
+    if any(len(group.curves.metrics[CONTINUING]) < FEW for group in groups):
         parts.append(FEW_SEEDS)
     return "\n\n".join([*parts, "\n".join(["Options:", "", *notes])]) + "\n"
 
 
-def _line(cell: Cell) -> list[str]:
-    scores, rewards = (cell.curves.metrics[metric] for metric in _metrics(cell))
-    steps, known = cell.curves.steps, _crossings(cell)
-    rates = cell.curves.deployed_metric == "deployed/success"
-    reached, digits = [], 3 if rates else 1
+def _line(group: MethodRuns) -> list[str]:
+    scores, rewards = (group.curves.metrics[metric] for metric in _metrics(group))
+    steps = group.curves.steps
+    rates = group.curves.deployed_metric == SUCCESS
+    crossings = []
     for level in LEVELS:
-        found = crossing(steps, scores.mean(axis=0), level) if rates else None
-        reached += [f"{found:,}" if found else "-", millions(known.get(level))]
-
-    def text(values: np.ndarray, digits: int) -> str:
-        return f"{values.mean():.{digits}f} ({stderr(values):.{digits}f})"
-
+        step = crossing(steps, scores.mean(axis=0), level) if rates else None
+        crossings += [f"{step:,}" if step else "-", millions(_crossings(group).get(level))]
+    deployed, continuing = _published("table1", group), _published("table2", group)
+    digits = 3 if rates else 1
     return [
-        cell.env, cell.label, str(len(scores)), f"{steps[-1]:,}", *reached, text(deployed_area(steps, scores), digits),
-        text(rewards[:, -1], 4), _published("table2", cell) or "-",
-        text(scores[:, -1], digits), _published("table1", cell) or "-",
-    ]  # fmt: skip
+        group.env,
+        group.label,
+        str(len(scores)),
+        f"{steps[-1]:,}",
+        *crossings,
+        _mean_text(deployed_area(steps, scores), digits),
+        _mean_text(rewards[:, -1], 4),
+        continuing.mean if continuing else "-",
+        _mean_text(scores[:, -1], digits),
+        deployed.mean if deployed else "-",
+    ]
 
 
-def _draw(found: Sequence[Cell], rows: Sequence[dict[str, Any]]) -> Any:
-    """Return the figure of `rows`, which are the points of `found`."""
-    envs = list(dict.fromkeys(cell.env for cell in found))
-    figure, axes = canvas(2, len(envs), (max(4.4 * len(envs), 7.0), 6.6), sharex="col")
-    palette = colours(cell.algo for cell in found)
-    for cell in found:
-        peers = [other.label for other in found if (other.env, other.algo) == (cell.env, cell.algo)]
-        style = STYLES[peers.index(cell.label) % len(STYLES)]
-        for axis, metric in zip(axes[:, envs.index(cell.env)], _metrics(cell), strict=True):
-            render_state = metric if metric == "continuing/reward" else metric + SMOOTH
-            part = [
-                row for row in rows if (row["env"], row["algo"], row["metric"]) == (cell.env, cell.label, render_state)
-            ]
-            _draw_line(axis, part, palette[cell.algo], style, cell.label)
-            _draw_published(axis, cell, metric, palette[cell.algo])
+def _mean_text(values: np.ndarray, digits: int) -> str:
+    return f"{values.mean():.{digits}f} ({stderr(values):.{digits}f})"
+
+
+def _draw(groups: Sequence[MethodRuns], rows: Sequence[dict[str, Any]]) -> Any:
+    """Return the figure of `rows`, the points of `groups`."""
+    envs = list(dict.fromkeys(group.env for group in groups))
+    figure, axes = new_figure(2, len(envs), (max(4.4 * len(envs), 7.0), 6.6), sharex="col")
+    palette = colours(group.algo for group in groups)
     for env, column in zip(envs, axes.T, strict=True):
-        kind = next(cell.curves.deployed_metric for cell in found if cell.env == env)
-        rates = kind == "deployed/success"
-        column[0].set(title=title(env), ylabel="deployed success" if rates else "deployed return")
-        if rates:
-            column[0].set_ylim(-0.04, 1.04)
-        column[1].set_ylabel("reward a step of the lifetime")
-        column[0].set_xlim(0, max(cell.curves.steps[-1] for cell in found if cell.env == env))
-        step_axis(column[1], "steps of a seed")
-        for axis in column:
-            axis.grid(alpha=0.3)
-    _legend(figure, axes)
+        of_task = [group for group in groups if group.env == env]
+        for group in of_task:
+            peers = [other.label for other in of_task if other.algo == group.algo]
+            line_style = LINE_STYLES[peers.index(group.label) % len(LINE_STYLES)]
+            for axis, metric in zip(column, _metrics(group), strict=True):
+                _draw_curve(axis, _curve_rows(rows, group, metric), palette[group.algo], line_style, group.label)
+                _draw_published(axis, group, metric, palette[group.algo])
+        _format_column(column, of_task)
+    _add_legend(figure, axes)
     return figure
 
 
-def _legend(figure: Any, axes: Any) -> None:
+def _curve_rows(rows: Sequence[dict[str, Any]], group: MethodRuns, metric: str) -> list[dict[str, Any]]:
+    """Return the points of the curve drawn for `metric`: the smoothed one of a deployed metric."""
+    name = metric if metric == CONTINUING else metric + SMOOTH
+    return [row for row in rows if (row["env"], row["algo"], row["metric"]) == (group.env, group.label, name)]
+
+
+def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
+    """Label the two axes of one task."""
+    rates = of_task[0].curves.deployed_metric == SUCCESS
+    column[0].set(title=task_title(of_task[0].env), ylabel="deployed success" if rates else "deployed return")
+    if rates:
+        column[0].set_ylim(-0.04, 1.04)
+    column[1].set_ylabel("reward per step of the lifetime")
+    column[0].set_xlim(0, max(group.curves.steps[-1] for group in of_task))
+    step_axis(column[1], "steps of a seed")
+    for axis in column:
+        axis.grid(alpha=0.3)
+
+
+def _add_legend(figure: Any, axes: Any) -> None:
     from matplotlib.lines import Line2D
 
     handles = dict(pair for axis in axes[0] for pair in zip(*axis.get_legend_handles_labels()[::-1], strict=True))
     handles["published: final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
     handles["published: 0.5, 0.9 reached"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
-    look = {"ncols": min(len(handles), 4 if axes.shape[1] < 3 else 8), "frameon": False, "fontsize": "small"}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", **look)
+    options = {"ncols": min(len(handles), 4 if axes.shape[1] < 3 else 8), "frameon": False, "fontsize": "small"}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", **options)
 
 
-def _draw_line(axis: Any, part: Sequence[dict[str, Any]], colour: str, style: str, name: str) -> None:
-    steps, means, low, high = (np.array([row[key] for row in part]) for key in ("step", "mean", "low", "high"))
-    marker = "o" if len(part) == 1 else None
-    axis.plot(steps, means, style, color=colour, label=name, marker=marker, linewidth=1.4)
+def _draw_curve(axis: Any, rows: Sequence[dict[str, Any]], colour: str, line_style: str, name: str) -> None:
+    steps, means, low, high = (np.array([row[key] for row in rows]) for key in ("step", "mean", "low", "high"))
+    marker = "o" if len(rows) == 1 else None
+    axis.plot(steps, means, line_style, color=colour, label=name, marker=marker, linewidth=1.4)
     axis.fill_between(steps, low, high, color=colour, alpha=0.18, linewidth=0)
 
 
-def _draw_published(axis: Any, cell: Cell, metric: str, colour: str) -> None:
+def _draw_published(axis: Any, group: MethodRuns, metric: str, colour: str) -> None:
     """Draw the published final value as a dash at the right edge, and published crossings as crosses."""
-    final = _published("table2" if metric == "continuing/reward" else "table1", cell)
+    final = _published("table2" if metric == CONTINUING else "table1", group)
     if final:
-        height = float(final.lstrip("<"))
         edge = axis.get_yaxis_transform()
-        axis.plot([1.015, 1.075], [height] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
-    if metric != "continuing/reward":
-        for level, step in _crossings(cell).items():
-            look = {"markersize": 8, "markeredgecolor": "white", "zorder": 5}
-            axis.plot(step, level, "X", color=colour, **look)
+        axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
+    if metric != CONTINUING:
+        for level, step in _crossings(group).items():
+            axis.plot(step, level, "X", color=colour, markersize=8, markeredgecolor="white", zorder=5)

@@ -1,6 +1,6 @@
 """Figure 2 of the paper: the final return of plain SAC by the number of steps between resets, with two TD updates.
 
-Source: Sharma et al. 2022, figure 2. The biased update takes every time-out for a terminal state.
+Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as a terminal state.
 """
 
 import math
@@ -11,38 +11,31 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.metrics.statistics import Estimate, difference, mean_of
-from earl_jax.paper.verdicts import FEW, FEW_SEEDS, bracketed, told
+from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
+from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.style import TITLES, canvas, ordered, save, title
-from earl_jax.report.tables import WINDOW, grid, write
+from earl_jax.report.style import new_figure, ordered, save, task_title
+from earl_jax.report.tables import WINDOW, markdown_table, write
 
-HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
-"""H_T of the published figure."""
-ARMS = {True: "without the biased update", False: "with the biased update"}
-"""By `timeout_bootstrap`."""
-LOOK = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
-PUBLISHED = {
-    ("cheetah_run", True): "degrades",
-    ("cheetah_run", False): "restored",
-    ("fish_swim", True): "degrades",
-    ("fish_swim", False): "degrades",
-}
-"""The paper's finding as H_T grows."""
-UNKNOWN = "no difference told"
-TEXT = (
-    "Final deployed return (mean of a seed's last 10 evaluations) of naive RL by H_T, the steps between resets: mean over seeds "
-    "[95 % bootstrap interval] (seeds), `-` where nothing was run."
+UPDATES = {True: "without the biased update", False: "with the biased update"}
+"""Names of the two TD updates by `timeout_bootstrap`."""
+PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
+UNCLEAR, INCONCLUSIVE, MISSING = "no clear difference", "inconclusive", "-"
+NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan)
+DESCRIPTION = (
+    "Final deployed return (mean of a seed's last 10 evaluations) of naive RL by H_T, the steps between resets: mean "
+    "over seeds [95 % bootstrap interval] (seeds), `-` where nothing was run."
 )
-FINDING = (
-    "Finding: return at the shortest minus at the longest H_T; `degrades` where its 95 % interval lies above 0, `improves` "
-    "where below, else `no difference told`. Verdict: `agrees` with a published `degrades` where ours is the same; with "
-    "`restored` where ours does not degrade and the biased update helps at the longest H_T (second table); `differs` where "
-    "ours is the opposite; else `not told`."
+RULES = (
+    "Finding: the return at the shortest minus that at the longest H_T. It is `degrades` if the 95 % interval lies "
+    f"above 0, `improves` if it lies below 0, else `{UNCLEAR}`. Verdict: `agrees` with a published `degrades` if ours "
+    "is the same; `agrees` with `restored` if ours does not degrade and the biased update helps at the longest H_T "
+    f"(second table); `differs` if ours is the opposite; else `{INCONCLUSIVE}`."
 )
 
 
-class Bar(NamedTuple):
-    """The final returns [seeds] of one task, arm (`timeout_bootstrap`) and horizon, after `steps` steps."""
+class Point(NamedTuple):
+    """The final returns [seeds] on one task with one TD update (`bootstrap`) and horizon, after `steps` steps."""
 
     env: str
     bootstrap: bool
@@ -51,164 +44,186 @@ class Bar(NamedTuple):
     steps: int
 
 
+Arms = dict[tuple[str, bool], list[Point]]
+"""The points of each task and update, shortest horizon first; an update that was not run has none."""
+
+
 def write_figure2(folders: Sequence[Path], out: Path) -> list[Path]:
     """Write figure 2 from run folders of `naive` into `out` and return the files: csv, md, png.
 
     Raises:
-        ValueError: a folder is no run or one of another method, runs of one point differ in other options, or matplotlib
-            is not installed.
+        ValueError: a folder is no run or one of another method, runs of one point differ in other options, or
+            matplotlib is not installed.
     """
-    bars = _bars(read_all(folders))
-    picture = _draw(bars)
+    points = _points(read_all(folders))
+    figure = _draw(points)
     out.mkdir(parents=True, exist_ok=True)
-    write([_row(bar) for bar in bars], out / "figure2.csv")
-    (out / "figure2.md").write_text(_markdown(bars))
-    return [out / "figure2.csv", out / "figure2.md", save(picture, out / "figure2.png")]
+    write([_row(point) for point in points], out / "figure2.csv")
+    (out / "figure2.md").write_text(_markdown(points))
+    return [out / "figure2.csv", out / "figure2.md", save(figure, out / "figure2.png")]
 
 
-def _bars(runs: Sequence[Curves]) -> list[Bar]:
-    """Return a `Bar` a task, arm and horizon, in order; the lanes of one run may differ in `timeout_bootstrap`."""
-    bars: dict[tuple[str, bool, int], Bar] = {}
+def _points(runs: Sequence[Curves]) -> list[Point]:
+    """Return a point per task, update and horizon, in order; the lanes of one run may differ in `timeout_bootstrap`."""
+    points: dict[tuple[str, bool, int], Point] = {}
     for curves in runs:
-        one = curves.config
-        if one.algo != "naive":
-            raise ValueError(f"figure 2 is made of runs of naive, not of {one.algo}")
+        config = curves.config
+        if config.algo != "naive":
+            raise ValueError(f"figure 2 is made of runs of naive, not of {config.algo}")
         scores = curves.metrics["deployed/return"][:, -WINDOW:].mean(axis=1)
-        arms = np.resize(np.asarray(one.build_method().sac.timeout_bootstrap, bool), len(scores))
-        for arm in np.unique(arms).tolist():
-            key = (one.env, arm, one.build_env().train_horizon)
-            if key in bars:
-                raise ValueError(f"runs on {one.env} with H_T {key[2]:,}, {ARMS[arm]}, differ in other options")
-            bars[key] = Bar(*key, scores[arms == arm], int(curves.steps[-1]))
-    envs = ordered((env for env, _, _ in bars), TITLES)
-    return sorted(bars.values(), key=lambda bar: (envs.index(bar.env), not bar.bootstrap, bar.horizon))
+        updates = np.resize(np.asarray(config.build_method().sac.timeout_bootstrap, bool), len(scores))
+        for update in np.unique(updates).tolist():
+            key = (config.env, update, config.build_env().train_horizon)
+            if key in points:
+                raise ValueError(
+                    f"runs on {config.env} with H_T {key[2]:,}, {UPDATES[update]}, differ in other options"
+                )
+            points[key] = Point(*key, scores=scores[updates == update], steps=int(curves.steps[-1]))
+    envs = ordered((env for env, _, _ in points), FIGURE2_TASKS)
+    return sorted(points.values(), key=lambda point: (envs.index(point.env), not point.bootstrap, point.horizon))
 
 
-def _row(bar: Bar) -> dict[str, Any]:
-    estimate = mean_of(bar.scores)
+def _row(point: Point) -> dict[str, Any]:
+    estimate = mean_of(point.scores)
     return {
-        "env": bar.env,
-        "timeout_bootstrap": bar.bootstrap,
-        "train_horizon": bar.horizon,
-        "steps": bar.steps,
-        "seeds": len(bar.scores),
+        "env": point.env,
+        "timeout_bootstrap": point.bootstrap,
+        "train_horizon": point.horizon,
+        "steps": point.steps,
+        "seeds": len(point.scores),
         "return": estimate.value,
         "low": estimate.low,
         "high": estimate.high,
     }
 
 
-def _arms(bars: Sequence[Bar]) -> dict[tuple[str, bool], list[Bar]]:
-    """Return the bars of each task and arm, shortest horizon first; an arm that nobody ran has none."""
-    envs = dict.fromkeys(bar.env for bar in bars)
-    return {(env, arm): [bar for bar in bars if (bar.env, bar.bootstrap) == (env, arm)] for env in envs for arm in ARMS}
+def _arms(points: Sequence[Point]) -> Arms:
+    envs = dict.fromkeys(point.env for point in points)
+    return {
+        (env, update): [point for point in points if (point.env, point.bootstrap) == (env, update)]
+        for env in envs
+        for update in UPDATES
+    }
 
 
-def finding(arm: Sequence[Bar]) -> tuple[Estimate, str]:
-    """Return the return at the shortest minus at the longest horizon of one arm, and what it says."""
+def finding(arm: Sequence[Point]) -> tuple[Estimate, str]:
+    """Return the return at the shortest minus that at the longest horizon of one arm, and the word for it."""
     if len(arm) < 2:
-        return Estimate(math.nan, math.nan, math.nan), "-"
+        return NO_ESTIMATE, MISSING
     estimate = difference(arm[0].scores, arm[-1].scores)
-    return estimate, told(estimate, "degrades", "improves", UNKNOWN)
+    return estimate, word_by_sign(estimate, "degrades", "improves", UNCLEAR)
 
 
-def effect(without: Sequence[Bar], biased: Sequence[Bar]) -> tuple[int | None, Estimate, str]:
-    """Return the longest horizon of both arms, the return with minus without the biased update there, and what it says."""
-    before, after = ({bar.horizon: bar.scores for bar in arm} for arm in (without, biased))
-    both = sorted(before.keys() & after.keys())
-    if not both:
-        return None, Estimate(math.nan, math.nan, math.nan), "-"
-    estimate = difference(after[both[-1]], before[both[-1]])
-    return both[-1], estimate, told(estimate, "helps", "hurts", UNKNOWN)
+def effect(without: Sequence[Point], biased: Sequence[Point]) -> tuple[int | None, Estimate, str]:
+    """Return the longest horizon of both arms, the return with minus without the biased update there, and its word."""
+    before, after = ({point.horizon: point.scores for point in arm} for arm in (without, biased))
+    common = sorted(before.keys() & after.keys())
+    if not common:
+        return None, NO_ESTIMATE, MISSING
+    estimate = difference(after[common[-1]], before[common[-1]])
+    return common[-1], estimate, word_by_sign(estimate, "helps", "hurts", UNCLEAR)
 
 
-def verdict(found: str, effect: str, published: str | None) -> str:
-    """Return how a finding and the biased update's `effect` agree with the `published` finding, as `FINDING` says."""
-    if published is None or found == "-":
-        return "-"
+def verdict(finding: str, effect: str, published: str | None) -> str:
+    """Return whether a finding and the biased update's `effect` agree with the `published` finding, by `RULES`."""
+    if published is None or finding == MISSING:
+        return MISSING
     if published == "restored":
-        return "differs" if found == "degrades" else "agrees" if effect == "helps" else "not told"
-    return {"degrades": "agrees", "improves": "differs"}.get(found, "not told")
+        return "differs" if finding == "degrades" else "agrees" if effect == "helps" else INCONCLUSIVE
+    return {"degrades": "agrees", "improves": "differs"}.get(finding, INCONCLUSIVE)
 
 
-def _markdown(bars: Sequence[Bar]) -> str:
-    arms = _arms(bars)
-    horizons = sorted({*HORIZONS, *(bar.horizon for bar in bars)})
-    lines, findings = [], []
-    for (env, arm), part in arms.items():
-        known = {bar.horizon: f"{bracketed(mean_of(bar.scores), 1)} ({len(bar.scores)})" for bar in part}
-        lines.append([env, ARMS[arm], *(known.get(horizon, "-") for horizon in horizons)])
-        estimate, found = finding(part)
-        theirs = PUBLISHED.get((env, arm))
-        ends = f"{part[0].horizon:,} and {part[-1].horizon:,}" if len(part) > 1 else "-"
-        findings.append(
-            [
-                env,
-                ARMS[arm],
-                ends,
-                bracketed(estimate, 1),
-                found,
-                theirs or "-",
-                verdict(found, effect(arms[env, True], arms[env, False])[2], theirs),
-            ]
-        )
-    header = ["env", "update", *(f"{horizon:,}" for horizon in horizons)]
-    titles = ["env", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
+def _markdown(points: Sequence[Point]) -> str:
+    arms = _arms(points)
     parts = [
         "# Figure 2: return by the steps between resets",
-        TEXT,
-        grid(header, lines),
+        DESCRIPTION,
+        _returns(arms),
         "## Findings",
-        grid(titles, findings),
+        _findings(arms),
     ]
-    parts += [FINDING, _effects(arms), _missing(bars), _notes(bars)]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join([*parts, RULES, _effects(arms), _missing(points), _notes(points)]) + "\n"
 
 
-def _effects(arms: dict[tuple[str, bool], list[Bar]]) -> str:
+def _returns(arms: Arms) -> str:
+    horizons = sorted({*FIGURE2_HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
+    lines = []
+    for (env, update), arm in arms.items():
+        texts = {point.horizon: f"{estimate_text(mean_of(point.scores), 1)} ({len(point.scores)})" for point in arm}
+        lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
+    return markdown_table(["env", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
+
+
+def _findings(arms: Arms) -> str:
+    lines = []
+    for (env, update), arm in arms.items():
+        estimate, ours = finding(arm)
+        published = FIGURE2_FINDINGS.get((env, update))
+        _, _, update_effect = effect(arms[env, True], arms[env, False])
+        horizons = f"{arm[0].horizon:,} and {arm[-1].horizon:,}" if len(arm) > 1 else MISSING
+        agreement = verdict(ours, update_effect, published)
+        lines.append(
+            [env, UPDATES[update], horizons, estimate_text(estimate, 1), ours, published or MISSING, agreement]
+        )
+    header = ["env", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
+    return markdown_table(header, lines)
+
+
+def _effects(arms: Arms) -> str:
     lines = []
     for env in dict.fromkeys(env for env, _ in arms):
         horizon, estimate, word = effect(arms[env, True], arms[env, False])
-        lines.append([env, f"{horizon:,}" if horizon else "-", bracketed(estimate, 1), word])
-    return grid(["env", "H_T", "return with minus without the biased update", "the biased update"], lines)
+        lines.append([env, f"{horizon:,}" if horizon else MISSING, estimate_text(estimate, 1), word])
+    return markdown_table(["env", "H_T", "return with minus without the biased update", "the biased update"], lines)
 
 
-def _missing(bars: Sequence[Bar]) -> str:
-    had = {(bar.env, bar.bootstrap, bar.horizon) for bar in bars}
+def _missing(points: Sequence[Point]) -> str:
+    present = {(point.env, point.bootstrap, point.horizon) for point in points}
     lines = []
-    for env, arm in PUBLISHED:
-        absent = [f"{horizon:,}" for horizon in HORIZONS if (env, arm, horizon) not in had]
-        lines += [f"- {env}, {ARMS[arm]}: {'; '.join(absent)}"] if absent else []
+    for env, update in FIGURE2_FINDINGS:
+        missing = [f"{horizon:,}" for horizon in FIGURE2_HORIZONS if (env, update, horizon) not in present]
+        lines += [f"- {env}, {UPDATES[update]}: {'; '.join(missing)}"] if missing else []
     return "\n".join(["Not run, by H_T:", "", *lines]) if lines else "Every point of the published figure was run."
 
 
-def _notes(bars: Sequence[Bar]) -> str:
-    lived = dict.fromkeys(f"{bar.env} {bar.steps:,}" for bar in bars)
-    few = f" {FEW_SEEDS}" if any(len(bar.scores) < FEW for bar in bars) else ""
-    return f"Steps lived: {', '.join(lived)}.{few}"
+def _notes(points: Sequence[Point]) -> str:
+    trained = dict.fromkeys(f"{point.env} {point.steps:,}" for point in points)
+    few = f" {FEW_SEEDS}" if any(len(point.scores) < FEW for point in points) else ""
+    return f"Training steps: {', '.join(trained)}.{few}"
 
 
-def _draw(bars: Sequence[Bar]) -> Any:
-    """Return a figure with a panel a task and a line an arm."""
-    envs = list(dict.fromkeys(bar.env for bar in bars))
-    figure, axes = canvas(1, len(envs), (max(5.0 * len(envs), 6.0), 4.2))
-    for (env, arm), part in _arms(bars).items():
-        axis, (colour, style) = axes[0, envs.index(env)], LOOK[arm]
-        estimates = [mean_of(bar.scores) for bar in part]
-        reach = [[max(one.value - one.low, 0), max(one.high - one.value, 0)] for one in estimates]
-        places = [bar.horizon * (1.03 if arm else 0.97) for bar in part]
-        values, label = [one.value for one in estimates], ARMS[arm]
-        spread = np.array(reach).reshape(-1, 2).T
-        axis.errorbar(places, values, spread, fmt=style, color=colour, label=label, capsize=3, markersize=5)
+def _draw(points: Sequence[Point]) -> Any:
+    """Return a figure with a panel per task and a line per update."""
+    envs = list(dict.fromkeys(point.env for point in points))
+    figure, axes = new_figure(1, len(envs), (max(5.0 * len(envs), 6.0), 4.2))
+    for (env, update), arm in _arms(points).items():
+        _draw_arm(axes[0, envs.index(env)], arm, update)
     for env, axis in zip(envs, axes[0], strict=True):
-        axis.set(title=title(env), xscale="log", xlabel="H_T, steps between resets", ylabel="final return")
-        horizons = sorted({bar.horizon for bar in bars if bar.env == env})
-        axis.set_xticks(horizons, [_short(horizon) for horizon in horizons])
+        axis.set(title=task_title(env), xscale="log", xlabel="H_T, steps between resets", ylabel="final return")
+        horizons = sorted({point.horizon for point in points if point.env == env})
+        axis.set_xticks(horizons, [_horizon_text(horizon) for horizon in horizons])
         axis.set_xticks([], minor=True)
         axis.grid(alpha=0.3)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
-def _short(horizon: int) -> str:
+def _draw_arm(axis: Any, arm: Sequence[Point], update: bool) -> None:
+    """Draw one update's line, moved sideways a little so that the intervals of both updates can be seen."""
+    colour, line_style = PLOT_STYLES[update]
+    estimates = [mean_of(point.scores) for point in arm]
+    reach = [[max(part.value - part.low, 0), max(part.high - part.value, 0)] for part in estimates]
+    axis.errorbar(
+        [point.horizon * (1.03 if update else 0.97) for point in arm],
+        [estimate.value for estimate in estimates],
+        np.array(reach).reshape(-1, 2).T,
+        fmt=line_style,
+        color=colour,
+        label=UPDATES[update],
+        capsize=3,
+        markersize=5,
+    )
+
+
+def _horizon_text(horizon: int) -> str:
     return f"{horizon // 1000}k" if horizon % 1000 == 0 else f"{horizon:,}"

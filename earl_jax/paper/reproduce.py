@@ -1,10 +1,11 @@
-"""Every table and figure of the paper by name: the runs that it takes at a scale, and the report that it ends in.
+"""Every table and figure of the paper by name: the runs that it takes at a scale, and the report made of them.
 
-Runs of one folder are shared: both tables, the curves, figures 4 and 5 read the same ones. A grid is written beside them, so that
-`earl-jax sweep` says the same.
+Runs of one folder are shared: both tables, the curves, and figures 4 and 5 read the same ones. The grid of the runs is
+written beside them, so that `earl-jax sweep` can train the same ones.
 """
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax import assets, envs
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
-from earl_jax.paper.figure2 import HORIZONS, write_figure2
-from earl_jax.paper.figure4 import Map, write_figure4
+from earl_jax.paper.figure2 import write_figure2
+from earl_jax.paper.figure4 import VisitMap, write_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.tables import write_table
 from earl_jax.runs.folder import RunFolder
@@ -23,17 +25,16 @@ from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
 from earl_jax.training import evaluate, load_lanes
 
-TASKS = ("tabletop_organization", "sawyer_door", "sawyer_peg", "franka_kitchen", "dhand_lightbulb", "minitaur_pen")
-METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
-FIGURE2_STEPS = 1_000_000
-"""Training steps of figure 2, which the paper does not print: five lives between resets at the longest horizon."""
 ROBUSTNESS_EPISODES = 100
 Options = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """How much of an experiment is run: `share` of its published steps, or `steps`, of `seeds` lives, with `options` for all."""
+    """The size of the runs of a result: `share` of its published steps, or `steps`, for `seeds` seeds.
+
+    `options` hold for all of them.
+    """
 
     seeds: int
     share: float = 1.0
@@ -41,13 +42,13 @@ class Scale:
     eval_every: int = 10_000
     eval_episodes: int = 10
     tasks: int | None = None
-    """How many of an experiment's tasks, the first ones; None for all."""
+    """Number of a result's tasks to run, the first ones; None for all."""
     options: Options = dataclasses.field(default_factory=dict)
 
-    def length(self, published: int, every: int) -> int:
-        """Return the steps of a run that was `published` with so many, a multiple of `every`."""
+    def length(self, published: int, eval_every: int) -> int:
+        """Return the steps of a run whose `published` length is given, a multiple of `eval_every`."""
         wanted = self.steps or round(self.share * published)
-        return max(1, wanted // every) * every
+        return max(1, wanted // eval_every) * eval_every
 
 
 SMALL = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 100}
@@ -60,74 +61,88 @@ SCALES = {
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """Runs that differ in their task and method alone, or in `options` that hold lists of alternatives."""
+    """Runs on one task that differ only in their method, or in `options` that hold lists of alternatives."""
 
     env: str
     algos: tuple[str, ...]
     steps: int
     options: Options = dataclasses.field(default_factory=dict)
-    sparser: int = 1
-    """How many times rarer than the scale says it is evaluated, where an evaluation takes long."""
+    eval_every_factor: int = 1
+    """Factor on the scale's `eval_every`, for tasks whose evaluations take long."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Exhibit:
-    """One table or figure: the tasks it can show, the runs that each takes, and the report that is made of their folders."""
+class PaperResult:
+    """One table or figure: its possible tasks, the runs for each of them, and the report made of the run folders."""
 
     tasks: tuple[str, ...]
     block: Callable[[str], Block]
     report: Callable[[Sequence[Path], Path], list[Path]]
 
 
-def _paper_block(algos: tuple[str, ...]) -> Callable[[str], Block]:
-    def block(env: str) -> Block:
-        able = envs.make(env).has_demos
-        steps = int(assets.published_row("steps", env=env)["low"])
-        return Block(env, tuple(algo for algo in algos if able or algo != "vaprl"), steps)
-
-    return block
+def _table_block(methods: tuple[str, ...], env: str) -> Block:
+    """Return the runs of `methods` on one of the paper's six tasks, at their published length."""
+    return Block(env, paper_tasks.methods_on(env, methods), paper_tasks.training_steps(env))
 
 
-def _horizons(env: str) -> Block:
-    alternatives = {"train_horizon": list(HORIZONS), "timeout_bootstrap": [False, True]}
-    return Block(env, ("naive",), FIGURE2_STEPS, alternatives, sparser=2)
+def _horizon_block(env: str) -> Block:
+    """Return the runs of figure 2 on one task: every horizon with both TD updates."""
+    options = {"train_horizon": list(paper_tasks.FIGURE2_HORIZONS), "timeout_bootstrap": [False, True]}
+    return Block(env, ("naive",), paper_tasks.FIGURE2_STEPS, options, eval_every_factor=2)
 
 
-def _maps(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Draw figure 4 from the maps of visited places that the lanes of `folders` have kept."""
+def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
+    """Draw figure 4 from the maps of visited positions in the checkpoints of `folders`."""
     maps = []
     for folder in map(RunFolder.open, folders):
         env, _, lanes = load_lanes(folder)
-        if lanes.visits is not None and env.map_bounds is not None:
-            one = folder.config
-            visits = np.asarray(lanes.visits)
-            maps.append(Map(one.env, one.algo, visits, env.map_bounds, int(visits[0].sum())))
+        if lanes.visits is None or env.map_bounds is None:
+            continue
+        visits = np.asarray(lanes.visits)
+        maps.append(
+            VisitMap(
+                env=folder.config.env,
+                algo=folder.config.algo,
+                visits=visits,
+                map_bounds=env.map_bounds,
+                steps=int(visits[0].sum()),
+                unit=env.map_unit,
+            )
+        )
     return write_figure4(maps, out)
 
 
-def _robustness(folders: Sequence[Path], out: Path) -> list[Path]:
+def _figure5_report(folders: Sequence[Path], out: Path) -> list[Path]:
     """Draw figure 5: the final policies of `folders` from the published start and from starts all over the table."""
     rows = []
     for folder in folders:
-        initial, uniform = (
-            evaluate(folder, ROBUSTNESS_EPISODES, starts=starts)["deployed/success"]
+        config = RunFolder.open(folder).config
+        success = {
+            starts: evaluate(folder, ROBUSTNESS_EPISODES, starts=starts)["deployed/success"].tolist()
             for starts in ("initial", "uniform")
-        )
-        one = RunFolder.open(folder).config
-        for seed, *success in zip(one.seeds, initial.tolist(), uniform.tolist(), strict=True):
-            rows.append({"algo": one.algo, "seed": seed, "success_initial": success[0], "success_uniform": success[1]})
+        }
+        for lane, seed in enumerate(config.seeds):
+            columns = {f"success_{starts}": values[lane] for starts, values in success.items()}
+            rows.append({"algo": config.algo, "seed": seed, **columns})
     return write_figure5(rows, out)
 
 
-EXPERIMENTS = {
-    "table1": Exhibit(TASKS, _paper_block(METHODS), lambda folders, out: write_table(1, folders, out)),
-    "table2": Exhibit(TASKS, _paper_block(METHODS), lambda folders, out: write_table(2, folders, out)),
-    "curves": Exhibit(TASKS, _paper_block(METHODS), write_curves),
-    "figure2": Exhibit(("cheetah_run", "fish_swim"), _horizons, write_figure2),
-    "figure4": Exhibit(
-        ("tabletop_organization", "sawyer_peg", "minitaur_pen"), _paper_block(("fbrl", "oracle")), _maps
+_tables = functools.partial(_table_block, paper_tasks.METHODS)
+RESULTS = {
+    "table1": PaperResult(PAPER_TASKS, _tables, functools.partial(write_table, 1)),
+    "table2": PaperResult(PAPER_TASKS, _tables, functools.partial(write_table, 2)),
+    "curves": PaperResult(PAPER_TASKS, _tables, write_curves),
+    "figure2": PaperResult(paper_tasks.FIGURE2_TASKS, _horizon_block, write_figure2),
+    "figure4": PaperResult(
+        tasks=paper_tasks.FIGURE4_TASKS,
+        block=functools.partial(_table_block, paper_tasks.FIGURE4_METHODS),
+        report=_figure4_report,
     ),
-    "figure5": Exhibit(("tabletop_organization",), _paper_block(("fbrl", "vaprl", "oracle")), _robustness),
+    "figure5": PaperResult(
+        tasks=paper_tasks.FIGURE5_TASKS,
+        block=functools.partial(_table_block, paper_tasks.FIGURE5_METHODS),
+        report=_figure5_report,
+    ),
 }
 
 
@@ -141,65 +156,71 @@ def reproduce(
     options: Options | None = None,
     max_lanes: int | None = None,
     devices: int | None = None,
-    say: Callable[[str], None] = print,
+    emit: Callable[[str], None] = print,
 ) -> list[Path]:
-    """Return the files of table or figure `name` at `scale`, after training what is not finished yet.
+    """Return the files of table or figure `name` at `scale`, after training the runs that are not finished yet.
 
     Args:
-        name: one of `EXPERIMENTS`.
-        scale: one of `SCALES`: the path end to end in a minute, a tenth of the paper, or the paper.
-        out: one folder for runs and results; the same call goes on with what is there.
-        tasks: only these of the experiment's tasks.
-        seeds: another number of seeds than the scale's.
-        steps: another length than the scale's.
+        name: one of `RESULTS`.
+        scale: one of `SCALES`: `smoke`, end to end in a minute; `short`, a tenth of the paper; `full`, the paper.
+        out: the folder of runs and results; the same call goes on with the runs that are there.
+        tasks: only these of the result's tasks.
+        seeds: number of seeds instead of the scale's.
+        steps: length of the runs instead of the scale's.
         options: of tasks or methods, for every run; a list holds alternatives.
         max_lanes: lanes of the largest program.
-        devices: how many devices share the lanes of a program.
-        say: told a line for each run.
+        devices: number of devices that share the lanes of a program.
+        emit: is called with a line of text for each run.
 
     Raises:
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
     """
-    experiment, chosen = _known("experiment", EXPERIMENTS, name), _known("scale", SCALES, scale)
+    result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     for task in tasks:
-        if task not in experiment.tasks:
-            raise ValueError(f"{name} shows nothing of {task!r}; choose from {', '.join(experiment.tasks)}")
+        if task not in result.tasks:
+            raise ValueError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
     out = out or Path("runs") / f"reproduce-{scale}"
-    blocks = [experiment.block(task) for task in tasks or experiment.tasks[: chosen.tasks]]
+    blocks = [result.block(task) for task in tasks or result.tasks[: chosen.tasks]]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
-    file.write_text(toml(blocks, chosen, options or {}))
-    sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, say=say)
-    folders = [out / "runs" / cell.name for cell in grid.read(file)]
+    file.write_text(grid_text(blocks, chosen, options or {}))
+    sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit)
+    folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:
-        raise ValueError(f"no run of {name} has come to an evaluation; the lines above say why")
-    return experiment.report(folders, out / name)
+        raise ValueError(f"no run of {name} has reached an evaluation; the lines above give the causes")
+    return result.report(folders, out / name)
 
 
-def _known(kind: str, table: dict[str, Any], name: str) -> Any:
+def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
     if name not in table:
         raise ValueError(f"unknown {kind} {name!r}; choose from {', '.join(table)}")
     return table[name]
 
 
-def toml(blocks: Sequence[Block], scale: Scale, options: Options) -> str:
-    """Return the grid of `blocks` at `scale` as `earl-jax sweep` reads it."""
+def grid_text(blocks: Sequence[Block], scale: Scale, options: Options) -> str:
+    """Return the grid of `blocks` at `scale` as TOML for `earl-jax sweep`."""
     parts = []
     for block in blocks:
-        every = scale.eval_every * block.sparser
-        steps = scale.length(block.steps, every)
-        lengths = {"steps": steps, "eval_every": every, "eval_episodes": scale.eval_episodes}
-        table = {"envs": [block.env], "algos": list(block.algos), "seeds": scale.seeds, **lengths}
-        table["checkpoint_every"] = max(steps // 5, every)
-        chosen = {**scale.options, **block.options, **options}
-        sizes = chosen.get("hidden_sizes")
+        eval_every = scale.eval_every * block.eval_every_factor
+        steps = scale.length(block.steps, eval_every)
+        run = {
+            "envs": [block.env],
+            "algos": list(block.algos),
+            "seeds": scale.seeds,
+            "steps": steps,
+            "eval_every": eval_every,
+            "eval_episodes": scale.eval_episodes,
+            "checkpoint_every": max(steps // 5, eval_every),
+        }
+        merged = {**scale.options, **block.options, **options}
+        sizes = merged.get("hidden_sizes")
         if sizes and not isinstance(sizes[0], list):
-            chosen["hidden_sizes"] = [sizes]
-        parts += ["[[runs]]", *_lines(table), "[runs.options]", *_lines(chosen), ""]
+            merged["hidden_sizes"] = [sizes]
+        parts += ["[[runs]]", *_toml_lines(run), "[runs.options]", *_toml_lines(merged), ""]
     return "\n".join(parts)
 
 
-def _lines(table: dict[str, Any]) -> list[str]:
+def _toml_lines(table: Options) -> list[str]:
     return [f"{key} = {json.dumps(value)}" for key, value in table.items()]

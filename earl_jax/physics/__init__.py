@@ -1,6 +1,6 @@
-"""MuJoCo behind one interface: integration state in, integration state out, on any of three engines.
+"""MuJoCo behind one interface: a step maps an integration state to the next one, on any of three engines.
 
-MuJoCo is imported where it is used, so that kinematic tasks train on a machine without it.
+MuJoCo is imported lazily, so that kinematic tasks train on a machine without it.
 """
 
 from earl_jax.physics.engine_choice import EngineCost, fastest_engine, resolve_engine

@@ -1,4 +1,4 @@
-"""Which physics engine a run uses: the one that was asked for, or the fastest one by measured costs."""
+"""The choice of a run's physics engine: the requested one, or the fastest one by measured costs."""
 
 import importlib.util
 import os
@@ -8,7 +8,8 @@ import jax
 
 ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
-"""The engine that `auto` takes on a backend for few lanes, by benchmarks/results/physics; on others (TPU) it is mjx."""
+"""The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
+mjx."""
 REQUIREMENTS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
 """The module that each engine needs, and the extra of this package that installs it."""
 DEVICE_LANES = 1000
@@ -18,8 +19,8 @@ DEVICE_LANES = 1000
 class EngineCost(NamedTuple):
     """Measured milliseconds of a task's control step, on one H200 with 16 cores (benchmarks/results/physics).
 
-    `host` is the time of one core for one lane on `c`. `device` is the time of 1,000 lanes on `mjx`; fewer lanes take hardly
-    less. It is None where `mjx` was not measured.
+    `host` is the time of one core for one lane on `c`. `device` is the time of 1,000 lanes on `mjx`, and fewer lanes
+    are hardly faster; None if `mjx` was not measured.
     """
 
     host: float
@@ -27,12 +28,12 @@ class EngineCost(NamedTuple):
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def resolve_engine(engine: str) -> str:
-    """Return the engine that `engine` stands for on this backend: itself, or for `auto` the default for few lanes.
+    """Return `engine`, with `auto` replaced by this backend's default for few lanes.
 
     Raises:
         ValueError: the engine is unknown or not installed; the message names the choices or the extra that installs it.
@@ -41,9 +42,11 @@ def resolve_engine(engine: str) -> str:
         return DEFAULT_ENGINES.get(jax.default_backend(), "mjx")
     if engine not in ENGINES:
         raise ValueError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
-    module, extra = REQUIREMENTS[engine]
+    module, package_extra = REQUIREMENTS[engine]
     if importlib.util.find_spec(module.partition(".")[0]) is None:
-        raise ValueError(f"physics engine {engine!r} is not installed; get it with: pip install 'earl-jax{extra}'")
+        raise ValueError(
+            f"physics engine {engine!r} is not installed; install it with: pip install 'earl-jax{package_extra}'"
+        )
     return engine
 
 

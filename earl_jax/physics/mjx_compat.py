@@ -1,8 +1,8 @@
-"""Work around one slow compilation of MuJoCo MJX: the only place that touches its private modules.
+"""A workaround for slow programs of MuJoCo MJX on CPUs; no other module uses MJX's private modules.
 
-XLA's CPU compiler fuses MJX's walk along a chain of bodies into itself and recomputes every parent in each child. The cost is
-exponential in the length of the chain: 248 ms instead of 0.4 ms for one step of the Sawyer arm. An optimization barrier on the
-walk's carry prevents the fusion and does not change a value.
+XLA's CPU compiler fuses MJX's scan along a chain of bodies and recomputes every parent in each child. The cost is
+exponential in the length of the chain: 248 ms instead of 0.4 ms for one step of the Sawyer arm. An optimization barrier
+on the scan's carry prevents the fusion and changes no value.
 """
 
 import functools
@@ -13,19 +13,25 @@ from typing import Any
 import jax
 
 AFFECTED_JAXLIB = (0, 10)
-"""The first release of jaxlib with the slow fusion. No later release is known to be free of it."""
+FIXED_JAXLIB = (0, 12)
+"""The first release of jaxlib with the slow fusion, and the first one measured to be as fast without the barrier."""
 
 
 def guard_kinematics() -> bool:
-    """Put a barrier into MJX's `scan.body_tree` once, where this process needs it, and return whether it is there.
+    """Add a barrier to MJX's `scan.body_tree`, once and only if this process needs it; return whether it is present.
 
     Raises:
-        ImportError: MJX has no `scan.body_tree` any more; the message names its version.
+        ImportError: MJX has no `scan.body_tree`; the message names its version.
     """
-    if jax.default_backend() != "cpu" or _jaxlib_version() < AFFECTED_JAXLIB:
+    if not needs_guard():
         return False
     _guard(importlib.import_module("mujoco.mjx._src.scan"))
     return True
+
+
+def needs_guard() -> bool:
+    """Return whether programs run on a CPU under a release of jaxlib with the slow fusion."""
+    return jax.default_backend() == "cpu" and AFFECTED_JAXLIB <= _jaxlib_version() < FIXED_JAXLIB
 
 
 def _jaxlib_version() -> tuple[int, ...]:

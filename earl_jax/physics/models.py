@@ -1,4 +1,4 @@
-"""Compiled models of assets/mjcf, and a lane's state as the data of either library."""
+"""Compiled models of assets/mjcf, and a lane's state as MuJoCo's or MJX's data."""
 
 import contextlib
 import functools
@@ -11,14 +11,18 @@ from earl_jax import assets
 from earl_jax.physics.state import PhysicsState
 
 INVWEIGHT = "invweight:"
-"""A `<numeric>` of this name and a body's replaces the body's compiled inverse weight (translation, rotation)."""
+"""Prefix of a `<numeric>` that replaces a body's compiled inverse weight (translation, rotation); the body's name
+follows."""
 
 
 @functools.cache
 def load_model(name: str, timestep: float | None = None) -> Any:
-    """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`, at its own time step or at `timestep` seconds.
+    """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`, with its own time step or `timestep` seconds.
 
-    A missing file is a ValueError with the choices. Inverse weights that the file gives are written over compiled ones.
+    Inverse weights in the file (`INVWEIGHT`) replace the compiled ones.
+
+    Raises:
+        ValueError: there is no such file; the message lists the choices.
     """
     mujoco: Any = importlib.import_module("mujoco")
     model = mujoco.MjModel.from_xml_path(str(assets.mjcf(name)))
@@ -31,7 +35,7 @@ def load_model(name: str, timestep: float | None = None) -> Any:
 
 
 def import_mjx() -> Any:
-    """Return the module `mujoco.mjx`; its report of a missing Warp stays off stdout, which may carry JSON."""
+    """Return the module `mujoco.mjx`; its message about a missing Warp does not go to stdout, which can be JSON."""
     with contextlib.redirect_stdout(io.StringIO()):
         if importlib.util.find_spec("warp"):
             warp = importlib.import_module("warp")
@@ -48,7 +52,7 @@ def mjx_data(name: str, state: PhysicsState) -> Any:
 
 
 def mujoco_data(name: str, state: PhysicsState) -> Any:
-    """Return the full `mujoco.MjData` of `state` in the model `name`, after `mj_forward`: what a renderer draws."""
+    """Return the full `mujoco.MjData` of `state` in the model `name`, after `mj_forward`, for a renderer."""
     mujoco: Any = importlib.import_module("mujoco")
     model = load_model(name)
     data = mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""The physics state of a lane, a control step that has begun, and the actuator between a command and MuJoCo's controls."""
+"""The physics state of a lane, a pending control step, and the actuator between a command and MuJoCo's controls."""
 
 import dataclasses
 from typing import Any, NamedTuple, Protocol
@@ -9,10 +9,10 @@ from flax import struct
 
 
 class PhysicsState(struct.PyTreeNode):
-    """MuJoCo's integration state of one lane: `qpos [nq]`, `qvel [nv]`, `act [na]`, mocap `[nmocap, 3 or 4]`, warmstart, time.
+    """MuJoCo's integration state of one lane: `qpos [nq]`, `qvel [nv]`, `act [na]`, mocap, warm start and time.
 
-    `memory [m]` belongs to the task's actuator. `constants [k]` are the lane's own values of the model fields in
-    `Simulator.varied`, flat and in that order.
+    `mocap_pos [nmocap, 3]`, `mocap_quat [nmocap, 4]`. `memory [m]` is the state of the task's actuator. `constants [k]`
+    are this lane's values of the model fields `Simulator.varied`, flat and in that order.
     """
 
     qpos: jax.Array
@@ -27,7 +27,7 @@ class PhysicsState(struct.PyTreeNode):
 
     @classmethod
     def at(cls, qpos: jax.Array, qvel: jax.Array | None = None, **others: jax.Array) -> "PhysicsState":
-        """Return the state at `qpos [nq]`, at rest unless `qvel [nv]` says otherwise, with `others` of its fields set."""
+        """Return the state at `qpos [nq]` with `qvel [nv]` (0 by default) and the fields `others`; the rest is 0."""
         speed = jnp.zeros_like(qpos) if qvel is None else qvel
         none = jnp.zeros((0,), jnp.float32)
         fields = {
@@ -38,10 +38,10 @@ class PhysicsState(struct.PyTreeNode):
 
 
 class PendingStep(NamedTuple):
-    """A control step between its start and its finish: the arrays that finishing needs, and the host's ticket.
+    """A control step between `start_step` and `finish_step`.
 
-    `payload` is a tree of arrays. `ticket [1]`, int32, identifies work that the host does beside a GPU; it is None where the
-    step has no such work.
+    `payload` is the tree of arrays that `finish_step` needs. `ticket [1]`, int32, identifies work that the host does
+    concurrently with a GPU; it is None if the step has no such work.
     """
 
     payload: Any
@@ -50,13 +50,14 @@ class PendingStep(NamedTuple):
 
 OWN = ("memory", "constants")
 FIELDS = tuple(field.name for field in dataclasses.fields(PhysicsState) if field.name not in OWN)
-"""The fields that MuJoCo's own data has."""
+"""The fields that MuJoCo's data also has."""
 
 
 class Actuator(Protocol):
-    """Turns a command into each substep's controls, like a motor with its own feedback. Pure, hashable, broadcasting.
+    """Converts a command into controls of each substep, like a motor with feedback; pure, hashable, broadcasting.
 
-    It is called before every substep: by `mjx` and `warp` with JAX arrays, by `c` with NumPy arrays of all lanes at once.
+    It is called before every substep: by `mjx` and `warp` with JAX arrays, by `c` with NumPy arrays of all lanes at
+    once.
     """
 
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""The ARL formalism around a task: rules of interventions and goals, and the two settings."""
+"""The ARL formalism: the rules of interventions and goal changes, and the paper's two settings."""
 
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
 from earl_jax.protocol.settings import SETTINGS, Continuing, Deployment, Setting, setting_of, split_setting

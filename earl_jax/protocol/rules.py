@@ -15,10 +15,11 @@ from earl_jax.envs.state import tree_where
 
 
 class Rules(NamedTuple):
-    """When an environment is reset and its goal changes, as data: lanes of one program may differ in it.
+    """The rules of resets and goal changes as arrays, which can differ between the lanes of one program.
 
-    `horizon []`, int32: steps between hard interventions, 0 for never. `chance []`, float32: probability of one after any
-    step. `goal_change []`, int32: steps between the goals that the environment sets, 0 where every attempt draws its own.
+    `horizon []`, int32: steps between hard interventions, 0 for never. `chance []`, float32: probability of a hard
+    intervention after any step. `goal_change []`, int32: steps between the goals that the environment sets, 0 if every
+    attempt draws its own.
     """
 
     horizon: Any
@@ -35,10 +36,11 @@ class Rules(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """What an agent is trying when a step begins: the arguments of `advance_rules` that the agent decides.
+    """The agent's attempt at a goal at the start of a step, an argument of `advance_rules`.
 
-    bool `is_task []`: the attempt is at the task, not at a return; int32 `age []`: its steps so far; int32 `limit []`: the
-    steps after which it times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets the environment.
+    bool `is_task []`: the goal is a task goal, not that of a return phase; int32 `age []`: steps so far; int32 `limit
+    []`: steps after which the attempt times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
+    the environment.
     """
 
     is_task: Any
@@ -49,11 +51,11 @@ class Attempt(NamedTuple):
 
 
 class StepEnd(NamedTuple):
-    """How one step ended, bool scalars.
+    """The end of one step, bool scalars.
 
-    The attempt is `over` where its goal was `reached` or it hit a `timeout`. `fault`: the simulation broke, and nothing of the
-    step is kept. `goal_changes`: the environment sets another goal. `restarts`: the next attempt is at the task, after an
-    intervention or a goal change. `reset`: the environment goes back to s0 ~ rho.
+    The attempt is `over` if its goal was `reached` or it hit a `timeout`. `fault`: the simulation broke, and the step
+    is discarded. `goal_changes`: the environment sets another goal. `restarts`: the next attempt is at the task, after
+    an intervention or a goal change. `reset`: the environment is reset to s0 ~ rho.
     """
 
     fault: jax.Array
@@ -68,9 +70,9 @@ class StepEnd(NamedTuple):
 def advance_rules(
     rules: Rules, env: Env, env_state: State, attempt: Attempt, step: jax.Array, key: jax.Array
 ) -> StepEnd:
-    """Return how step number `step`, counted from 1, ended in `env_state`: the one rule for the learner and all adapters.
+    """Return the end of step number `step`, counted from 1, to `env_state`; the learner and all adapters use this.
 
-    `key` decides about an intervention by chance. A fault resets this lane alone, as an intervention does.
+    `key` draws interventions by chance. A fault resets this lane, as an intervention does.
     """
     fault = env.fault(env_state)
     success = env.sparse & env.success(env_state.obs) & attempt.ends_on_success
@@ -92,9 +94,9 @@ def advance_rules(
 
 
 def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) -> State:
-    """Return `env_state`, or the state after a hard intervention where `reset`, bool [].
+    """Return the state after a hard intervention if `reset`, bool [], is true, else `env_state`.
 
-    This is a select, not a branch: under vmap a branch would compute both sides as well.
+    This is a select instead of a branch, because under vmap a branch would compute both sides as well.
     """
     return tree_where(reset, env.intervene(key, env_state), env_state)
 
@@ -105,7 +107,7 @@ def _every(step: jax.Array, period: jax.Array) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class Protocol:
-    """How an agent is trained and evaluated: interventions, goal changes, and evaluations of the greedy policy from s0 ~ rho."""
+    """The protocol of a lifetime: interventions, goal changes, and evaluations of the greedy policy from s0 ~ rho."""
 
     train_horizon: int
     """H_T: steps between hard interventions, which reset the environment to s0 ~ rho; 0 for never."""
@@ -116,9 +118,9 @@ class Protocol:
     eval_episodes: int = 10
     """Episodes of one deployed evaluation."""
     intervention_chance: float = 0.0
-    """epsilon: probability that a step is followed by a hard intervention, p~ = (1 - epsilon) p + epsilon rho."""
+    """epsilon: probability of a hard intervention after a step, p~ = (1 - epsilon) p + epsilon rho."""
     goal_change: int = 0
-    """Steps between goal changes of the continuing setting; 0 where every new attempt draws its goal from p_g."""
+    """Steps between goal changes in the continuing setting; 0 if every new attempt draws its goal from p_g."""
 
     def __post_init__(self):
         for field in ("eval_horizon", "eval_every", "eval_episodes"):
@@ -132,7 +134,7 @@ class Protocol:
 
     @property
     def rules(self) -> Rules:
-        """The part of this that a lane carries as data, scalars."""
+        """The part of this protocol that a lane carries as arrays, scalars."""
         return Rules(
             horizon=np.int32(self.train_horizon),
             chance=np.float32(self.intervention_chance),

@@ -1,4 +1,4 @@
-"""The two settings of the paper, deployment and continuing: which interventions and goals an agent meets.
+"""The two settings of the paper, deployment and continuing, which determine interventions and goals.
 
 Source: Sharma et al. 2022, section 3; the numbers follow the released code.
 """
@@ -17,25 +17,26 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What an agent is evaluated for, and its interventions; a field that is None takes the task's own number."""
+    """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
 
     intervention_chance: float = 0.0
-    """epsilon: probability of a hard intervention after a step, besides the one every H_T steps."""
+    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps."""
     budget: float | None = None
-    """h_max: total cost of interventions. The agent observes the rest and can request help (`HelpBudget`). None: no help."""
+    """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
+    (`HelpBudget`). None: no help."""
     help_cost: float = 1.0
-    """c(s, a_h): cost of a request for help, where there is a budget."""
+    """c(s, a_h): cost of a request for help, with a budget."""
     enforced_cost: float = 1.0
-    """Cost of an intervention that the environment enforces in an irreversible state, where there is a budget."""
+    """Cost of an intervention that the environment enforces in an irreversible state, with a budget."""
     help_above: float = 0.98
-    """Threshold on the last action component above which the agent requests help, where there is a budget."""
+    """Threshold on the last action component above which the agent requests help, with a budget."""
     absorbed_reward: float = 0.0
     """Reward of every step after the budget is spent."""
 
     name: ClassVar[str]
 
     def wrap(self, task: Env) -> Env:
-        """Return `task`, as a `HelpBudget` where this setting has a budget."""
+        """Return `task`, wrapped in a `HelpBudget` if this setting has a budget."""
         if self.budget is None:
             return task
         return HelpBudget(task=task, **{name: getattr(self, name) for name in HELP_FIELDS})
@@ -53,7 +54,7 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Deployment(Setting):
-    """Deployment: the final policy counts. Every attempt draws its goal; hard interventions come every H_T steps.
+    """Deployment: the final policy is evaluated. Attempts draw their goals; hard interventions follow every H_T steps.
 
     Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 3.1.1 of the paper).
     """
@@ -63,12 +64,12 @@ class Deployment(Setting):
 
 @dataclasses.dataclass(frozen=True)
 class Continuing(Setting):
-    """Continuing: the reward of the lifetime counts. The environment sets one goal after another, whatever the agent does.
+    """Continuing: the reward of the lifetime is evaluated. The environment sets its goals independently of the agent.
 
-    Evaluated by C(A), the reward averaged over the lifetime (section 3.1.2). Goals change as in the released code, and H_T is
-    that of its lifelong configuration. A goal change ends an attempt at the task as a time-out does; a return goes on. The
-    paper's Table 2 was made from deployment runs: its reward rates can only be reached when each success draws a new goal. So
-    `earl-jax reproduce table2` reads C(A) from deployment runs.
+    Evaluated by C(A), the reward averaged over the lifetime (section 3.1.2). Goals change as in the released code, and
+    H_T is that of its lifelong configuration. A goal change ends an attempt at the task as a time-out does; a return
+    phase continues. The paper's Table 2 was made from deployment runs: its reward rates require that each success draws
+    a new goal. So `earl-jax reproduce table2` reads C(A) from deployment runs.
     """
 
     goal_change: int | None = None
@@ -102,7 +103,7 @@ def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
     """Return the setting `name` with its `options`.
 
     Raises:
-        ValueError: the name or an option is unknown or of another kind; the message lists the choices.
+        ValueError: the name or an option is unknown, or an option has a wrong type; the message lists the choices.
     """
     if not isinstance(name, str) or name not in SETTINGS:
         raise ValueError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
@@ -111,7 +112,7 @@ def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
 
 
 def split_setting(env: Env, setting: Setting) -> tuple[Env, Setting]:
-    """Return the plain task of `env`, and `setting` with the options of the `HelpBudget` around it, if there is one."""
+    """Return the plain task of `env`, and `setting` with the options of its `HelpBudget`, if it has one."""
     if not isinstance(env, HelpBudget):
         return env, setting
     return env.task, dataclasses.replace(setting, **{name: getattr(env, name) for name in HELP_FIELDS})

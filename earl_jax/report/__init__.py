@@ -1,1 +1,1 @@
-"""What is made of run folders: tables beside the published ones, and plots."""
+"""Reports on run folders: tables beside the published numbers, plots and an HTML page."""

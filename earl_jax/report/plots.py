@@ -8,27 +8,23 @@ import numpy as np
 
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves, labels, read_all
-from earl_jax.report.style import canvas, save
+from earl_jax.report.style import new_figure, save
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
-AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward a step"}
+AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
-def _metric(panel: str, curves: Curves) -> str:
-    return "continuing/reward" if panel == "continuing" else curves.deployed_metric
-
-
 def plot_runs(folders: Sequence[Path], out: Path) -> Path:
-    """Draw deployed and continuing curves of `folders` to `out` and return it: mean lines, 95 % bands of the IQM.
+    """Draw deployed and continuing curves of `folders`, means with 95 % bands of the IQM, and return `out`.
 
     Raises:
-        ValueError: a folder is no run, `out` has no known picture format, or matplotlib is not installed.
+        ValueError: a folder is no run, `out` has an unknown suffix, or matplotlib is not installed.
     """
     if out.suffix not in SUFFIXES:
         raise ValueError(f"{out}: pictures are written as {', '.join(SUFFIXES)}")
     runs = read_all(folders)
-    figure, axes = canvas(1, 2, (10, 4.2))
+    figure, axes = new_figure(1, 2, (10, 4.2))
     for panel, axis in zip(PANELS, axes[0], strict=True):
         for number, (curves, name) in enumerate(zip(runs, labels(runs), strict=True)):
             _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}", name)
@@ -42,8 +38,12 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     return save(figure, out)
 
 
+def _metric(panel: str, curves: Curves) -> str:
+    return "continuing/reward" if panel == "continuing" else curves.deployed_metric
+
+
 def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:
-    """Draw the mean over seeds [N, E] and, with several seeds, the bootstrap band of the interquartile mean."""
+    """Draw the mean over seeds of `values [N, E]` with a bootstrap band of the IQM, or with each of up to two seeds."""
     count = f"{len(values)} seed{'s' * (len(values) > 1)}"
     axis.plot(curves.steps, values.mean(axis=0), color=colour, label=f"{name}, {count}")
     if len(values) > 2:

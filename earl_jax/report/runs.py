@@ -1,4 +1,4 @@
-"""Curves out of run folders, grouped by task and method."""
+"""Curves read from run folders, grouped by task and method."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,13 +8,13 @@ import numpy as np
 
 from earl_jax.envs import make
 from earl_jax.protocol import Deployment
-from earl_jax.report.style import COLOURS, TITLES, ordered
+from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 
 
 class Curves(NamedTuple):
-    """What the seeds of one method earned on one task: `steps [E]` and `metrics` of arrays [N, E]."""
+    """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E]."""
 
     config: RunConfig
     steps: np.ndarray
@@ -22,78 +22,27 @@ class Curves(NamedTuple):
 
     @property
     def deployed_metric(self) -> str:
-        """The metric that the task is judged by when it is deployed."""
+        """The metric that scores a deployed policy on this task."""
         return self.config.deployed_metric
 
     @property
     def options(self) -> dict[str, Any]:
         """Options of task, setting and method that differ from the defaults."""
-        one = self.config
-        name, changed = one.setting["name"], {key: value for key, value in one.setting.items() if key != "name"}
-        return {**one.env_options, **({} if name == Deployment.name else {"setting": name}), **changed, **one.options}
+        config = self.config
+        setting = {key: value for key, value in config.setting.items() if key != "name"}
+        if config.setting["name"] != Deployment.name:
+            setting = {"setting": config.setting["name"], **setting}
+        return {**config.env_options, **setting, **config.options}
 
     @property
     def comparable(self) -> bool:
-        """Whether reward, sparse or dense, and setting are those of the paper's tables."""
-        one = self.config
-        return one.build_env().sparse == make(one.env).sparse and one.build_setting() == Deployment()
+        """Whether the kind of reward (sparse or dense) and the setting are those of the paper's tables."""
+        config = self.config
+        return config.build_env().sparse == make(config.env).sparse and config.build_setting() == Deployment()
 
 
-def read(path: Path) -> Curves:
-    """Return the curves of one run folder; one without an evaluation yet is a ValueError."""
-    folder = RunFolder.open(path)
-    rows = folder.rows()
-    per_step = len(folder.config.seeds)
-    rows = rows[: len(rows) // per_step * per_step]
-    if not rows:
-        raise ValueError(f"{path} has no evaluation yet")
-    return Curves(folder.config, *folder.config.curves(rows))
-
-
-def read_all(folders: Sequence[Path]) -> list[Curves]:
-    """Return the curves of `folders`, seeds of the same task, method and options pooled over their common steps."""
-    if not folders:
-        raise ValueError("name at least one run folder")
-    groups: dict[str, list[Curves]] = {}
-    for path in folders:
-        curves = read(path)
-        one = curves.config
-        groups.setdefault(repr((one.env, one.env_options, one.setting, one.algo, one.options)), []).append(curves)
-    return [_pool(group) for group in groups.values()]
-
-
-def _pool(group: list[Curves]) -> Curves:
-    steps = group[0].steps
-    for other in group[1:]:
-        steps = np.intersect1d(steps, other.steps)
-    if not len(steps):
-        raise ValueError(f"runs of {group[0].config.algo} have no evaluation step in common")
-    picked = [np.isin(part.steps, steps) for part in group]
-    metrics = {
-        name: np.concatenate([part.metrics[name][:, pick] for part, pick in zip(group, picked, strict=True)])
-        for name in group[0].metrics
-    }
-    return Curves(group[0].config, steps, metrics)
-
-
-def labels(runs: Sequence[Curves]) -> list[str]:
-    """Return a name for each run: its method, with those options in which runs of that method here differ."""
-    named = [(curves.config.env, curves.config.algo, curves.options) for curves in runs]
-    return [
-        label(algo, own, [options for *place, options in named if place == [env, algo]]) for env, algo, own in named
-    ]
-
-
-def label(algo: str, own: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
-    """Return the name of a method, with those of its `own` options in which its `peers` differ."""
-    keys = sorted({key for options in peers for key in options})
-    differing = [key for key in keys if any(options.get(key) != own.get(key) for options in peers)]
-    told = ", ".join(f"{key}={own.get(key, 'default')}" for key in differing)
-    return f"{algo} ({told})" if told else algo
-
-
-class Cell(NamedTuple):
-    """The runs of one method on one task: `label` is its name, with the options that tell it from others there."""
+class MethodRuns(NamedTuple):
+    """The runs of one method on one task; `label` is its name with the options that tell it from others there."""
 
     env: str
     algo: str
@@ -101,24 +50,92 @@ class Cell(NamedTuple):
     curves: Curves
 
 
-def cells(folders: Sequence[Path]) -> list[Cell]:
-    """Return the curves of `folders` as `read_all` pools them, by task and method in the paper's order."""
-    return cells_of(read_all(folders))
+def read(path: Path) -> Curves:
+    """Return the curves of one run folder, up to its last complete evaluation.
+
+    Raises:
+        ValueError: the folder holds no run, or a run without an evaluation.
+    """
+    folder = RunFolder.open(path)
+    rows = folder.rows()
+    rows_per_step = len(folder.config.seeds)
+    rows = rows[: len(rows) // rows_per_step * rows_per_step]
+    if not rows:
+        raise ValueError(f"{path} has no evaluation yet")
+    return Curves(folder.config, *folder.config.curves(rows))
 
 
-def cells_of(runs: Sequence[Curves]) -> list[Cell]:
-    """Return `runs`, each with its name, by task and method in the paper's order."""
-    bare = [Cell(one.config.env, one.config.algo, "", one) for one in runs]
-    found = []
-    for env in ordered((cell.env for cell in bare), TITLES):
-        for algo in ordered((cell.algo for cell in bare if cell.env == env), COLOURS):
-            peers = [cell for cell in bare if (cell.env, cell.algo) == (env, algo)]
-            options = [cell.curves.options for cell in peers]
-            names = [label(algo, own, options) if own else algo for own in options]
-            found += [cell._replace(label=name) for cell, name in zip(peers, names, strict=True)]
-    return found
+def read_all(folders: Sequence[Path]) -> list[Curves]:
+    """Return the curves of `folders`; seeds of the same task, method and options are pooled over their common steps.
+
+    Raises:
+        ValueError: no folder is given, one of them cannot be read, or runs to pool have no step in common.
+    """
+    if not folders:
+        raise ValueError("name at least one run folder")
+    groups: dict[str, list[Curves]] = {}
+    for path in folders:
+        curves = read(path)
+        groups.setdefault(pooling_key(curves.config), []).append(curves)
+    return [_pooled(group) for group in groups.values()]
 
 
-def described(options: dict[str, Any]) -> str:
-    """Return changed options in one line, or that they are the defaults."""
+def pooling_key(config: RunConfig) -> str:
+    """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method and options."""
+    return repr((config.env, config.env_options, config.setting, config.algo, config.options))
+
+
+def _pooled(group: list[Curves]) -> Curves:
+    steps = group[0].steps
+    for other in group[1:]:
+        steps = np.intersect1d(steps, other.steps)
+    if not len(steps):
+        raise ValueError(f"runs of {group[0].config.algo} have no evaluation step in common")
+    masks = [np.isin(part.steps, steps) for part in group]
+    metrics = {
+        name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])
+        for name in group[0].metrics
+    }
+    return Curves(group[0].config, steps, metrics)
+
+
+def labels(runs: Sequence[Curves]) -> list[str]:
+    """Return a label for each of `runs`: its method, with the options in which its runs on the same task differ."""
+    peers: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for curves in runs:
+        peers.setdefault((curves.config.env, curves.config.algo), []).append(curves.options)
+    return [label(curves.config.algo, curves.options, peers[curves.config.env, curves.config.algo]) for curves in runs]
+
+
+def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
+    """Return the name of a method with those of its `options` in which its `peers` differ."""
+    keys = sorted({key for other in peers for key in other})
+    differing = [key for key in keys if any(other.get(key) != options.get(key) for other in peers)]
+    text = ", ".join(f"{key}={options.get(key, 'default')}" for key in differing)
+    return f"{algo} ({text})" if text else algo
+
+
+def read_methods(folders: Sequence[Path]) -> list[MethodRuns]:
+    """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
+    return by_method(read_all(folders))
+
+
+def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
+    """Return `runs` with their labels, by task and method in the paper's order.
+
+    The label of a run with default options is the bare name of its method.
+    """
+    groups = []
+    for env in task_order(curves.config.env for curves in runs):
+        of_task = [curves for curves in runs if curves.config.env == env]
+        for algo in method_order(curves.config.algo for curves in of_task):
+            peers = [curves for curves in of_task if curves.config.algo == algo]
+            options = [curves.options for curves in peers]
+            names = [label(algo, changed, options) if changed else algo for changed in options]
+            groups += [MethodRuns(env, algo, name, curves) for name, curves in zip(names, peers, strict=True)]
+    return groups
+
+
+def options_text(options: dict[str, Any]) -> str:
+    """Return changed options in one line, or `the defaults` if there are none."""
     return ", ".join(f"{name}={value}" for name, value in sorted(options.items())) or "the defaults"

@@ -1,28 +1,23 @@
-"""Where pictures are drawn, and the look that all of them share: colours, names of tasks, axes of steps."""
+"""The style that all figures share: colours, orders, titles and axes."""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-TITLES = {
-    "tabletop_organization": "Tabletop organization",
-    "sawyer_door": "Sawyer door",
-    "sawyer_peg": "Sawyer peg",
-    "franka_kitchen": "Franka kitchen",
-    "dhand_lightbulb": "DHand lightbulb",
-    "minitaur_pen": "Minitaur pen",
-    "cheetah_run": "Cheetah run",
-    "fish_swim": "Fish swim",
-}
-"""Tasks in the paper's order."""
+from earl_jax.envs import PAPER_TASKS, make
+
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
-"""Methods in the paper's order, each with its colour in every figure (the palette of Okabe and Ito)."""
-OTHERS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
-STYLES = ("-", "--", ":", "-.")
+"""The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
+OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
+LINE_STYLES = ("-", "--", ":", "-.")
 
 
-def canvas(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:
-    """Return a figure of `size` inches and its axes [rows, columns]; without matplotlib it is a ValueError."""
+def new_figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:
+    """Return a figure of `size` inches and its axes [rows, columns].
+
+    Raises:
+        ValueError: matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -32,27 +27,37 @@ def canvas(rows: int, columns: int, size: tuple[float, float], **options: Any) -
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write `figure` to `path` and return it."""
+    """Write `figure` to `path` and return the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     return path
 
 
-def ordered(names: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Return each of `names` once: those in `known` first, in its order, then the others by the alphabet."""
-    found, first = set(names), list(known)
-    return [name for name in first if name in found] + sorted(found - set(first))
+def ordered(names: Iterable[str], first: Iterable[str]) -> list[str]:
+    """Return each of `names` once: those in `first` in its order, then the others alphabetically."""
+    leading, distinct = list(first), set(names)
+    return [name for name in leading if name in distinct] + sorted(distinct - set(leading))
+
+
+def task_order(envs: Iterable[str]) -> list[str]:
+    """Return each of `envs` once: the paper's tasks in its order, then the others alphabetically."""
+    return ordered(envs, PAPER_TASKS)
+
+
+def method_order(algos: Iterable[str]) -> list[str]:
+    """Return each of `algos` once: the paper's methods in its order, then the others alphabetically."""
+    return ordered(algos, COLOURS)
 
 
 def colours(algos: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each method; methods that the paper does not have share what is left, by the alphabet."""
-    names = ordered(algos, COLOURS)
-    rest = [name for name in names if name not in COLOURS]
-    return {name: COLOURS.get(name) or OTHERS[rest.index(name) % len(OTHERS)] for name in names}
+    """Return the colour of each method; methods that the paper does not have share the other colours alphabetically."""
+    names = method_order(algos)
+    others = [name for name in names if name not in COLOURS]
+    return {name: COLOURS.get(name) or OTHER_COLOURS[others.index(name) % len(OTHER_COLOURS)] for name in names}
 
 
 def step_axis(axis: Any, label: str) -> None:
-    """Make the x axis of `axis` one of steps, with few and short numbers."""
+    """Format the x axis of `axis` as steps, with few and short numbers."""
     from matplotlib.ticker import EngFormatter
 
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -60,6 +65,9 @@ def step_axis(axis: Any, label: str) -> None:
     axis.set_xlabel(label)
 
 
-def title(env: str) -> str:
-    """Return the name of a task for people."""
-    return TITLES.get(env, env)
+def task_title(env: str) -> str:
+    """Return the title of a task, or its name if it cannot be built here."""
+    try:
+        return make(env).title
+    except ValueError:
+        return env

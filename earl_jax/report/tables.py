@@ -1,4 +1,4 @@
-"""The paper's two tables out of run folders, beside the published figures."""
+"""The paper's two tables made from run folders, beside the published scores."""
 
 import csv
 from collections.abc import Sequence
@@ -8,22 +8,24 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.statistics import summarise
-from earl_jax.paper.verdicts import published
-from earl_jax.report.runs import Curves, described, labels, read_all
+from earl_jax.report.published import LEVELS, published_score
+from earl_jax.report.runs import Curves, labels, options_text, read_all
 
 WINDOW = 10
-"""Evaluations in the trailing mean that a crossing is read from."""
-LEVELS = (0.5, 0.9)
+"""Evaluations in the trailing mean from which crossings are read."""
 CONVERGED = 0.25
-"""Share of a run, at its end, that the converged reward rate is measured over."""
+"""Share of a run, at its end, over which the converged reward rate is measured."""
 
 
 def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
-    """Return one row a method: deployed and continuing scores over seeds, crossings, and what the paper published.
+    """Return one row per method: deployed and continuing scores over seeds, crossings, and the published scores.
 
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
-        last: evaluations averaged at the end of a run; the paper's Table 1 uses 1.
+        last: evaluations averaged at the end of a run; the paper's table 1 uses 1.
+
+    Raises:
+        ValueError: `last` is below 1, or a folder cannot be read.
     """
     if last < 1:
         raise ValueError(f"last must be at least 1, not {last}")
@@ -33,15 +35,14 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
 
 def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
-    config = curves.config
     scores = curves.metrics[curves.deployed_metric]
     deployed = summarise(scores[:, -last:].mean(axis=1))
     continuing = summarise(curves.metrics["continuing/reward"][:, -1])
     mean_curve, rates = scores.mean(axis=0), curves.deployed_metric == "deployed/success"
     return {
-        "env": config.env,
+        "env": curves.config.env,
         "algo": name,
-        "options": described(curves.options),
+        "options": options_text(curves.options),
         "seeds": deployed.seeds,
         "steps": int(curves.steps[-1]),
         "deployed": deployed.mean,
@@ -71,25 +72,25 @@ def trailing(curve: np.ndarray) -> np.ndarray:
 
 
 def steps_per_reward(curves: Curves) -> float | None:
-    """Return the median over seeds of steps per +1 of task reward in the last quarter, of seeds that earn at all there."""
+    """Return steps per +1 of task reward in the last quarter of the run, the median over seeds that earn there."""
     recent = curves.metrics["continuing/recent"]
     rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
     return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
 
 
 def _published(table: str, curves: Curves) -> str | None:
-    cell = published(table, curves.config.env, curves.config.algo) if curves.comparable else None
-    return f"{cell[0]} ({cell[1]})" if cell else None
+    score = published_score(table, curves.config.env, curves.config.algo) if curves.comparable else None
+    return f"{score.mean} ({score.stderr})" if score else None
 
 
-def grid(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
+def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
     """Return a markdown table."""
     rows = ["| " + " | ".join(map(str, line)) + " |" for line in (header, *lines)]
     return "\n".join([rows[0], "|" + " --- |" * len(header), *rows[1:]])
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
-    """Return `rows` as a table for people: mean (standard error) [95 % interval of the IQM], published beside."""
+    """Return `rows` as a markdown table: mean (standard error), IQM [95 % interval], published scores beside them."""
     header = ["env", "algo", "seeds", "steps", "deployed", "IQM [95 %]", "published", "continuing", "published"]
     header += ["to 0.5", "to 0.9", "steps/reward"]
     lines = []
@@ -103,16 +104,20 @@ def markdown(rows: list[dict[str, Any]]) -> str:
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
         ])  # fmt: skip
     notes = [f"{row['algo']}: {row['options']}" for row in rows]
-    return "\n".join([grid(header, lines), "", *notes])
+    return "\n".join([markdown_table(header, lines), "", *notes])
 
 
 def millions(step: int | None) -> str:
-    """Return steps for people, `-` where there are none."""
+    """Return a number of steps in millions, such as `2.50M`, and `-` for None."""
     return "-" if step is None else f"{step / 1e6:.2f}M"
 
 
 def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write `rows` to `path`, those of `tabulate` as markdown (.md) or any as csv (.csv); other endings are refused."""
+    """Write rows to `path`: rows of `tabulate` as markdown (.md), or any rows as csv (.csv).
+
+    Raises:
+        ValueError: `path` has another suffix.
+    """
     if path.suffix == ".md":
         path.write_text(markdown(rows) + "\n")
     elif path.suffix == ".csv":

@@ -1,1 +1,1 @@
-"""Runs on disk: config, folder, checkpoints, logs and progress."""
+"""Runs on disk: their config, folder, checkpoints and logs, and the progress display."""

@@ -1,8 +1,8 @@
-"""Checkpoints: the whole train state of a run. A new one replaces an older one only when it is complete.
+"""Checkpoints of the whole train state of a run. A new checkpoint replaces an older one only when it is complete.
 
-A checkpoint is a folder named by its step. It holds orbax trees of the lanes and of the filled part of the replay, and a
-manifest with a checksum of every file and of itself. It holds arrays only; nothing is ever unpickled. The two newest are kept,
-so that a damaged one costs only the steps since the one before it.
+A checkpoint is a folder named by its step. It holds orbax trees of the lanes and of the written part of the replay, and
+a manifest with a checksum of every file and of itself. It holds arrays only, and nothing is ever unpickled. The two
+newest checkpoints are kept; if one is damaged, training continues from the other.
 
 A train state is any `flax.struct` tree with the fields `lanes`, `replay` and `step`.
 """
@@ -28,20 +28,20 @@ from earl_jax.runs.snapshot import filled, plain, spread, typed
 MANIFEST = "manifest.json"
 KEPT = 2
 SPARE = 1 << 20
-"""Bytes of a checkpoint besides its arrays, with room for the rows that follow."""
+"""Bytes of a checkpoint in addition to its arrays, with room for subsequent rows of metrics."""
 
 
 class DamagedError(ValueError):
-    """A checkpoint is not what was written."""
+    """A checkpoint does not match its checksums."""
 
 
 def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
-    """Write lanes `span` of `state` to `folder/<step>` and return that path; of older checkpoints the newest one stays.
+    """Write the lanes `span` of `state` to `folder/<step>` and return that path; the newest older checkpoint is kept.
 
-    Where lanes are on several hosts, all of them must call this, and the first one writes.
+    If lanes are on several hosts, all of them must call this, and the first one writes.
 
     Raises:
-        OSError: it could not be written; what was there before is untouched.
+        OSError: the checkpoint could not be written; older ones are unchanged.
     """
     step = int(gathered(state.step))
     part, done = folder / f"part-{step}", folder / f"{step:09d}"
@@ -57,10 +57,10 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
         _write(part / "lanes", lanes)
         _write(part / "replay", replay)
         (part / MANIFEST).write_text(_manifest({"step": step, "lanes": _described(lanes), "files": _checksums(part)}))
-    except Exception as error:  # orbax has its own ways to say that a disk is full
+    except Exception as error:  # orbax raises various exceptions if the disk is full
         shutil.rmtree(part, ignore_errors=True)
         cause = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
-        raise OSError(f"checkpoint {done} can't be written: {cause}; those before it are untouched") from error
+        raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
     older = [path for path in _checkpoints(folder) if path != done]
     shutil.rmtree(done, ignore_errors=True)
     part.rename(done)
@@ -70,65 +70,66 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
 
 
 def _require_room(folder: Path, arrays: Sequence[np.ndarray]) -> None:
-    """Raise an OSError if the disk has no room: orbax's threads go on for a while after a write has failed."""
+    """Raise an OSError if the disk has too little space: orbax's threads continue for a while after a failed write."""
     needed, free = sum(array.nbytes for array in arrays) + SPARE, shutil.disk_usage(folder).free
     if free < needed:
-        raise OSError(f"it takes up to {needed / 1e6:,.1f} MB and {free / 1e6:,.1f} MB are free")
+        raise OSError(f"it needs up to {needed / 1e6:,.1f} MB, but {free / 1e6:,.1f} MB are free")
 
 
 def newest(folder: Path) -> int:
-    """Return the step of the newest checkpoint in `folder`, 0 where there is none."""
+    """Return the step of the newest checkpoint in `folder`, or 0 if there is none."""
     paths = _checkpoints(folder)
     return int(paths[-1].name) if paths else 0
 
 
 def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:
-    """Return the newest whole checkpoint in `folder` in the form of `like` (shapes suffice), or None where there is none.
+    """Return the newest intact checkpoint in `folder` in the structure of `like` (shapes suffice), or None without one.
 
-    With `with_replay=False` only the lanes are read and the replay is left as in `like`. Warnings and errors as
-    `restore_together`.
+    `with_replay=False` reads the lanes only and keeps the replay of `like`. Warnings and errors as `restore_together`.
     """
     return restore_together([folder], [like.replay.counts.shape[0]], like, with_replay)
 
 
 def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, with_replay: bool = True) -> Any:
-    """Return the newest whole checkpoints of `folders`, of `sizes` lanes, side by side in the form of `like`; None without any.
+    """Return the newest intact checkpoints of `folders`, with their `sizes` lanes joined, in the structure of `like`.
 
-    One that is damaged is passed over for the one before it, with a `DamagedWarning`.
+    The result is None if there are no checkpoints. If one is damaged, the previous ones are used, with a
+    `DamagedWarning`.
 
     Raises:
-        ValueError: none is whole, or they are not of one step or of another experiment; the message names the file.
+        ValueError: no checkpoint is intact, their steps differ, or one belongs to another run; the message names the
+            file.
     """
     steps = {newest(folder) for folder in folders}
     if len(steps) > 1:
-        raise ValueError(f"checkpoints of steps {sorted(steps)} can't go on in one program")
+        raise ValueError(f"checkpoints of steps {sorted(steps)} can't continue in one program")
     if steps == {0}:
         return None
     causes = []
-    for paths in _side_by_side(folders):
+    for paths in _common_checkpoints(folders):
         try:
             manifests = [verified(path) for path in paths]
         except DamagedError as error:
             causes.append(str(error))
             continue
-        state = _joined(paths, manifests, sizes, like, with_replay)
+        state = _read_state(paths, manifests, sizes, like, with_replay)
         if causes:
-            warnings.warn(f"{'; '.join(causes)}; going on from {paths[0].name}", DamagedWarning, stacklevel=2)
+            warnings.warn(f"{'; '.join(causes)}; continuing from {paths[0].name}", DamagedWarning, stacklevel=2)
         return state
-    raise ValueError(f"{'; '.join(causes)}; no older one is whole")
+    raise ValueError(f"{'; '.join(causes)}; no older checkpoint is intact")
 
 
-def _side_by_side(folders: Sequence[Path]) -> list[list[Path]]:
-    """Return the checkpoints of all `folders` at each step that all of them have, newest first."""
+def _common_checkpoints(folders: Sequence[Path]) -> list[list[Path]]:
+    """Return the paths in all `folders` for each step at which all of them have a checkpoint, newest first."""
     by_name = [{path.name: path for path in _checkpoints(folder)} for folder in folders]
     common = set.intersection(*map(set, by_name))
     return [[paths[name] for paths in by_name] for name in sorted(common, reverse=True)]
 
 
-def _joined(
+def _read_state(
     paths: Sequence[Path], manifests: Sequence[dict], sizes: Sequence[int], like: Any, with_replay: bool
 ) -> Any:
-    lanes = [_lanes(*each, like) for each in zip(paths, manifests, sizes, strict=True)]
+    lanes = [_read_lanes(*checkpoint, like) for checkpoint in zip(paths, manifests, sizes, strict=True)]
     replay = like.replay
     if with_replay:
         replay = spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
@@ -136,13 +137,13 @@ def _joined(
     return like.replace(lanes=joined, replay=replay, step=jnp.asarray(int(paths[0].name), jnp.int32))
 
 
-def _lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> Any:
+def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> Any:
     """Return the `size` lanes of the checkpoint at `path`."""
-    form = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
-    wanted = plain(form)
-    if manifest["lanes"] != _described(wanted):
-        raise ValueError(f"checkpoint {path} is not of this experiment: its arrays have other shapes")
-    return typed(_read(path / "lanes", wanted), form)
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
+    expected = plain(shapes)
+    if manifest["lanes"] != _described(expected):
+        raise ValueError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
+    return typed(_read(path / "lanes", expected), shapes)
 
 
 def _checkpoints(folder: Path) -> list[Path]:
@@ -162,7 +163,7 @@ def _checksum(path: Path) -> str:
 
 
 def _manifest(body: dict[str, Any]) -> str:
-    """Return `body` as text, with a checksum of it."""
+    """Return `body` as text, with its checksum."""
     return json.dumps({**body, "checksum": _sum_of(body)})
 
 
@@ -171,11 +172,15 @@ def _sum_of(body: dict[str, Any]) -> str:
 
 
 def verified(path: Path) -> dict[str, Any]:
-    """Return the manifest of a checkpoint whose every file is as it was written."""
+    """Return the manifest of the checkpoint at `path` after a check of all its files.
+
+    Raises:
+        DamagedError: a file is missing or does not match its checksum; the message names it.
+    """
     try:
         manifest = json.loads((path / MANIFEST).read_text())
         if manifest.pop("checksum") != _sum_of(manifest):
-            raise ValueError("it is not what was written")
+            raise ValueError("it does not match its checksum")
         files = dict(manifest["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
@@ -189,7 +194,7 @@ def verified(path: Path) -> dict[str, Any]:
         if not file.is_file():
             raise DamagedError(f"checkpoint {path} is damaged: {name} is missing")
         if _checksum(file) != expected:
-            raise DamagedError(f"checkpoint {path} is damaged: {name} is not what was written")
+            raise DamagedError(f"checkpoint {path} is damaged: {name} does not match its checksum")
     return manifest
 
 
@@ -199,16 +204,16 @@ def _described(leaves: dict[str, Any]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _checkpointer() -> Iterator[Any]:
-    """Yield orbax's checkpointer for arrays on this host alone: the first host writes, every host reads for itself.
+    """Yield orbax's checkpointer for arrays on this host alone; the first host writes, and every host reads.
 
-    It is the one that blocks; the one in the background gives up when the clock jumps. Its log is silenced, because we report
-    its errors in one line.
+    It is the blocking checkpointer, because the asynchronous one aborts when the clock jumps. Its log is silenced,
+    because we report its errors in one line.
     """
     import orbax.checkpoint as ocp
 
-    me = jax.process_index()
-    several = {"primary_host": me, "active_processes": {me}, "barrier_sync_key_prefix": f"host{me}"}
-    options = ocp.options.MultiprocessingOptions(**(several if jax.process_count() > 1 else {}))
+    host = jax.process_index()
+    one_host = {"primary_host": host, "active_processes": {host}, "barrier_sync_key_prefix": f"host{host}"}
+    options = ocp.options.MultiprocessingOptions(**(one_host if jax.process_count() > 1 else {}))
     handler = ocp.StandardCheckpointHandler(multiprocessing_options=options)
     logger = logging.getLogger("absl")
     level = logger.level

@@ -1,4 +1,4 @@
-"""A run as data: everything that config.json needs to repeat it."""
+"""The configuration of a run: all values that config.json needs to repeat it."""
 
 import dataclasses
 import numbers
@@ -17,10 +17,11 @@ Row = dict[str, float]
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
-    """Names, options that differ from the defaults, seeds and lengths of a run.
+    """The names, options that differ from the defaults, seeds and lengths of a run.
 
-    The objects of a run are resolved once and carried beside this; `build_env` and the other builders serve runs that are read
-    from a folder. `env_class` and `algo_class` name the class of an object that its registered name would not build.
+    The objects of a run are resolved once and passed along with its config. `build_env` and the other builders are for
+    runs that are read from a folder. `env_class` and `algo_class` name the class of an object that its registered name
+    does not build.
     """
 
     env: str
@@ -33,7 +34,7 @@ class RunConfig:
     eval_episodes: int
     checkpoint_every: int
     setting: dict[str, Any] = dataclasses.field(default_factory=lambda: {"name": Deployment.name})
-    """The name of the setting, and those of its options that differ from the defaults."""
+    """The name of the setting, and its options that differ from the defaults."""
     env_class: str | None = None
     algo_class: str | None = None
 
@@ -49,7 +50,9 @@ class RunConfig:
     def _check_seeds_and_lengths(self) -> None:
         whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
         if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
-            raise ValueError(f"seeds, steps and what is counted in them are whole numbers, not {whole}")
+            raise ValueError(
+                f"steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, not {whole}"
+            )
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise ValueError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
@@ -73,7 +76,7 @@ class RunConfig:
         eval_episodes: int,
         checkpoint_every: int,
     ) -> "RunConfig":
-        """Return the config of built objects; `eval_every` is shortened to `steps` where a run is shorter than that."""
+        """Return the config of built objects; `eval_every` is at most `steps`."""
         task, setting = split_setting(env, setting)
         return cls(
             env=task.name,
@@ -95,10 +98,11 @@ class RunConfig:
         return setting_of(**self.setting)
 
     def build_env(self) -> Env:
-        """Return the task, as a `HelpBudget` where the setting has a budget.
+        """Return the task, wrapped in a `HelpBudget` if the setting has a budget.
 
         Raises:
-            ValueError: the run was trained on an object whose class its name does not build; the message says what to register.
+            ValueError: the run was trained on an object of a class that its name does not build; the message names the
+                class.
         """
         if self.env_class:
             _require_registered("env", self.env, self.env_class, list_envs(), make)
@@ -112,7 +116,7 @@ class RunConfig:
 
     @property
     def deployed_metric(self) -> str:
-        """The name of the metric that judges the task: deployed success for sparse rewards, return for dense ones."""
+        """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
         return deployed_metric(self.build_env())
 
     def protocol(self, env: Env) -> Protocol:
@@ -120,12 +124,16 @@ class RunConfig:
         return self.build_setting().protocol(env, self.eval_every, self.eval_episodes)
 
     def checkpoint_due(self, step: int) -> bool:
-        """Return whether a checkpoint follows the evaluation at `step`: at least `checkpoint_every` apart, and at the end."""
+        """Return whether a checkpoint follows the evaluation at `step`.
+
+        It does if a multiple of `checkpoint_every` has been passed since the previous evaluation, and at the end of the
+        run.
+        """
         passed = step // self.checkpoint_every > (step - self.eval_every) // self.checkpoint_every
         return passed or step == self.steps
 
     def rows(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
-        """Return one row a seed of `metrics [N]`."""
+        """Return the rows of `metrics [N]`, one for each seed."""
         return [
             {"step": step, "seed": seed, **{name: values[i].item() for name, values in metrics.items()}}
             for i, seed in enumerate(self.seeds)
@@ -145,7 +153,7 @@ class RunConfig:
 
 
 def deployed_metric(env: Env) -> str:
-    """Return the name of the metric that judges `env`: deployed success for sparse rewards, return for dense ones."""
+    """Return the name of the deployed metric of `env`: success for sparse rewards, return for dense ones."""
     return "deployed/success" if env.sparse else "deployed/return"
 
 
@@ -167,23 +175,23 @@ def _changed_options(options: Any) -> dict[str, Any]:
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
 
 
-def _class_name(kind: type) -> str:
-    return f"{kind.__module__}:{kind.__qualname__}"
+def _class_name(cls: type) -> str:
+    return f"{cls.__module__}:{cls.__qualname__}"
 
 
-def _unregistered_class(thing: Any, names: Sequence[str], build: Any) -> str | None:
-    """Return the class of `thing` where its name is not registered, or registered for another class; else None."""
-    registered = thing.name in names and type(build(thing.name)) is type(thing)
-    return None if registered else _class_name(type(thing))
+def _unregistered_class(target: Any, names: Sequence[str], build: Any) -> str | None:
+    """Return the class name of `target` if its name is not registered, or registered for another class; else None."""
+    registered = target.name in names and type(build(target.name)) is type(target)
+    return None if registered else _class_name(type(target))
 
 
-def _require_registered(kind: str, name: str, wanted: str, names: Sequence[str], build: Any) -> None:
-    """Raise a ValueError unless `name` builds an object of the class `wanted`."""
-    if name in names and _class_name(type(build(name))) == wanted:
+def _require_registered(kind: str, name: str, class_name: str, names: Sequence[str], build: Any) -> None:
+    """Raise a ValueError unless `name` builds an object of the class `class_name`."""
+    if name in names and _class_name(type(build(name))) == class_name:
         return
-    cls = wanted.rpartition(":")[2].rpartition(".")[2]
+    cls = class_name.rpartition(":")[2].rpartition(".")[2]
     raise ValueError(
-        f"this run was trained with {kind} {name!r} as an object of {wanted}, which no registered name builds here; "
+        f"this run was trained with {kind} {name!r} as an object of {class_name}, which is not registered here; "
         f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
         f"earl_jax.resume(folder, {kind}=...)"
     )

@@ -1,4 +1,4 @@
-"""Files that survive a kill, a full disk and other processes."""
+"""Files that stay valid after a kill, on a full disk, and with other processes."""
 
 import contextlib
 import os
@@ -11,11 +11,11 @@ LOCK, PART = ".lock", ".part"
 
 
 class DamagedWarning(UserWarning):
-    """Something on the disk is damaged, and an older copy of it is used."""
+    """A file is damaged, and an older copy is used."""
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write `text` to `path` so that a kill or a full disk leaves either the old file or the new one."""
+    """Write `text` to `path`; a kill or a full disk leaves either the old file or the new one."""
     part = path.with_name(path.name + PART)
     try:
         with part.open("w") as handle:
@@ -30,11 +30,11 @@ def write_atomically(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock `folder` for this process; the system releases the lock when the process ends, however it ends.
+    """Lock `folder` for this process; the system releases the lock when the process ends for any reason.
 
     Raises:
-        ValueError: another process has it.
-        OSError: nothing can be written there.
+        ValueError: another process has locked it.
+        OSError: the folder is not writable.
     """
     lock = FileLock(folder / LOCK, blocking=False, fallback_to_soft=False)
     try:
@@ -51,8 +51,12 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return `folder/name`, which may not exist yet; one that leads out of `folder` is a ValueError."""
+    """Return `folder/name`, which need not exist.
+
+    Raises:
+        ValueError: the path is outside `folder`.
+    """
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"{path} leads out of {folder}")
+        raise ValueError(f"{path} points outside {folder}")
     return path

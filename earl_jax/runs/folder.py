@@ -26,11 +26,11 @@ class RunFolder:
     path: Path
     config: RunConfig
     logs: tuple[str, ...] = ()
-    """Additional logs of its metrics, names of `logging.LOGS`."""
+    """Additional logs of the run's metrics, names in `logging.LOGS`."""
 
     @property
     def metrics(self) -> Path:
-        """The table: a row per seed and evaluation."""
+        """The table of metrics, with a row for each seed and evaluation."""
         return self.path / METRICS
 
     @property
@@ -40,12 +40,12 @@ class RunFolder:
 
     @property
     def config_file(self) -> Path:
-        """The config, with versions, commit and machine."""
+        """The config file, which also records versions, commit and machine."""
         return self.path / CONFIG
 
     @property
     def id(self) -> str:
-        """A name that no other run has, the same after the folder has moved."""
+        """The unique identifier of the run, which does not change if the folder is moved."""
         return json.loads(self.config_file.read_text())["id"]
 
     @classmethod
@@ -53,18 +53,23 @@ class RunFolder:
         """Return a new run folder with its config.json; `engine` is the physics engine that the run uses.
 
         Raises:
-            ValueError: the folder holds anything, which is left alone, or the config has options that JSON cannot hold.
+            ValueError: the folder is not empty, and is left unchanged, or the config has options that JSON cannot
+                represent.
         """
         if (path / CONFIG).is_file():
-            raise ValueError(f"{path} holds another run; choose another folder, or go on with: earl-jax resume {path}")
+            raise ValueError(
+                f"{path} holds another run; choose another folder, or continue it with: earl-jax resume {path}"
+            )
         if path.exists() and (not path.is_dir() or any(entry.name not in LEFTOVERS for entry in path.iterdir())):
-            raise ValueError(f"{path} exists and is not an empty folder; choose another")
+            raise ValueError(f"{path} exists and is not an empty folder; choose another folder")
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
         with folder.claimed():
             if folder.config_file.is_file():
-                raise ValueError(f"{path} holds another run that another process has just begun; choose another folder")
+                raise ValueError(
+                    f"{path} holds another run, which another process has just started; choose another folder"
+                )
             write_atomically(folder.config_file, text)
         return folder
 
@@ -73,11 +78,11 @@ class RunFolder:
         """Return the run folder at `path`.
 
         Raises:
-            ValueError: its config is missing, unreadable or not one of a run, or a path in the folder leads out of it.
+            ValueError: its config is missing or invalid, or a path in the folder points outside it.
         """
         file = path / CONFIG
         if not file.is_file():
-            raise ValueError(f"{path} is no run folder: it has no {CONFIG}")
+            raise ValueError(f"{path} is not a run folder: it has no {CONFIG}")
         for name in (CONFIG, METRICS, CHECKPOINTS):
             inside(path, name)
         try:
@@ -91,17 +96,21 @@ class RunFolder:
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
-        """Lock this folder for this process; of several hosts the first one locks it for all.
+        """Lock this folder for this process; if there are several hosts, the first one locks it for all.
 
         Raises:
-            ValueError: another process is writing here.
-            OSError: nothing can be written here.
+            ValueError: another process has locked it.
+            OSError: the folder is not writable.
         """
         with locked(self.path) if first_host() else contextlib.nullcontext():
             yield
 
     def extended(self, steps: int) -> "RunFolder":
-        """Return the same folder with its run made `steps` long; a run that is longer already is refused."""
+        """Return the same folder with a run of `steps` steps, and write the new length to config.json.
+
+        Raises:
+            ValueError: the run has more steps already.
+        """
         reached = max((int(row["step"]) for row in self.rows()), default=0)
         if steps < reached:
             raise ValueError(f"{self.path} has {reached} steps already, more than {steps}")
@@ -113,7 +122,7 @@ class RunFolder:
         return dataclasses.replace(self, config=config)
 
     def append(self, rows: list[Row]) -> None:
-        """Add rows to metrics.csv and flush them to the disk."""
+        """Append rows to metrics.csv and flush them to the disk."""
         try:
             new = not self.metrics.exists() or not self.metrics.stat().st_size
             with self.metrics.open("a", newline="") as handle:
@@ -124,16 +133,20 @@ class RunFolder:
                 handle.flush()
                 os.fsync(handle.fileno())
         except OSError as error:
-            cause, remedy = error.strerror or error, f"earl-jax resume {self.path} goes on from the last checkpoint"
+            cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error
 
     def _lines(self) -> list[str]:
-        """Return the complete lines of metrics.csv, header first; a last line that a kill cut short is left out."""
+        """Return the complete lines of metrics.csv, header first, without a last line that a kill truncated."""
         text = self.metrics.read_bytes().decode(errors="replace") if self.metrics.exists() else ""
         return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
     def rows(self) -> list[Row]:
-        """Return the complete rows of metrics.csv; one that is not of numbers is a ValueError that names its line."""
+        """Return the complete rows of metrics.csv.
+
+        Raises:
+            ValueError: a row has values that are not numbers; the message names its line.
+        """
         rows = []
         for number, texts in enumerate(csv.DictReader(self._lines()), 2):
             try:
@@ -143,7 +156,7 @@ class RunFolder:
         return rows
 
     def rows_until(self, step: int) -> list[Row]:
-        """Drop rows later than `step`, which a resumed run writes again, and return the rest."""
+        """Drop the rows after `step`, which a resumed run writes again, and return the remaining ones."""
         rows, lines = self.rows(), self._lines()
         kept = [line for line, row in zip(lines[1:], rows, strict=True) if row["step"] <= step]
         text = "".join(lines[:1] + kept) if kept else ""
@@ -160,7 +173,7 @@ def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
     except TypeError as error:
         raise ValueError(
             f"the options of {config.env} or {config.algo} can't be written to {CONFIG} ({error}); "
-            "train without a folder, or give them as numbers, text and lists"
+            "train without a folder, or pass them as numbers, text and lists"
         ) from error
 
 

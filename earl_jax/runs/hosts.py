@@ -1,4 +1,4 @@
-"""Several hosts that run one program: who they are, who writes, and arrays that live on all of them."""
+"""Several hosts that run one program: joining them, the host that writes files, and arrays on several hosts."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from jax.experimental import multihost_utils
 
 
 def gathered(tree: Any) -> Any:
-    """Return the arrays of `tree` as NumPy arrays, also those on other hosts; every host must call this."""
+    """Return the arrays of `tree` as NumPy arrays, including those on other hosts; every host must call this."""
 
     def gather(leaf):
         if isinstance(leaf, jax.Array) and not leaf.is_fully_addressable:
@@ -21,12 +21,13 @@ def gathered(tree: Any) -> Any:
 
 
 def join_hosts(hosts: str | None) -> None:
-    """Make this process one of several that run one program; None does nothing.
+    """Join this process with the others that run the same program; None does nothing.
 
-    `hosts` is `auto` on a cluster that jax knows (SLURM, Open MPI), else ADDRESS:PORT,HOSTS,NUMBER, where NUMBER counts from 0.
+    `hosts` is `auto` on a cluster that jax knows (SLURM, Open MPI), else ADDRESS:PORT,HOSTS,NUMBER, where NUMBER counts
+    from 0.
 
     Raises:
-        ValueError: `hosts` has another form.
+        ValueError: `hosts` has neither form.
     """
     if hosts is None:
         return
@@ -39,5 +40,5 @@ def join_hosts(hosts: str | None) -> None:
 
 
 def first_host() -> bool:
-    """Return whether this process is the one that writes files."""
+    """Return whether this process writes the files of a run."""
     return jax.process_index() == 0

@@ -1,8 +1,8 @@
 """Logs of a run: always metrics.csv, and TensorBoard or Weights & Biases on request.
 
-All of them receive the same `log(step, metrics)`. metrics.csv is the record: after a kill, a run goes on from its last
-checkpoint, drops the rows after it and writes them again, on a CPU bit for bit. TensorBoard purges what came after the
-checkpoint. Weights & Biases continues the same run, where the first value of a step counts.
+All logs receive the same `log(step, metrics)`. metrics.csv is the reference: after a kill, a run continues from its
+last checkpoint, drops later rows and writes them again, on a CPU bit for bit. TensorBoard purges the events after the
+checkpoint. Weights & Biases continues the same run and keeps the first value of a step.
 """
 
 import dataclasses
@@ -20,26 +20,26 @@ class Log(Protocol):
     """A receiver of metrics: any object with these two methods."""
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Take the metrics of an evaluation at `step`: arrays [N], a value a seed."""
+        """Receive the metrics of an evaluation at `step`: arrays [N] with a value for each seed."""
         ...
 
     def close(self) -> None:
-        """End, with everything written."""
+        """Close the log after all metrics are written."""
         ...
 
 
 class CSVLog:
-    """The table of the run folder: a row a seed and evaluation."""
+    """The table of the run folder, with a row for each seed and evaluation."""
 
     def __init__(self, folder: RunFolder):
         self._folder = folder
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Add the rows of `step` to metrics.csv, on the disk when this returns."""
+        """Append the rows of `step` to metrics.csv; they are on the disk when this returns."""
         self._folder.append(self._folder.config.rows(step, metrics))
 
     def close(self) -> None:
-        """Do nothing: every row is on the disk already."""
+        """Do nothing, because all rows are on the disk already."""
 
 
 def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, float]:
@@ -60,9 +60,9 @@ class TensorBoardLog:
         except ImportError as error:
             raise ValueError("the log tensorboard needs tensorboardX: pip install 'earl-jax[tensorboard]'") from error
         self._seeds = folder.config.seeds
-        place, forget = str(folder.path / "tensorboard"), since + 1 if since else None
-        own = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which may repeat
-        self._writer = SummaryWriter(place, purge_step=forget, filename_suffix=own)
+        purge_step = since + 1 if since else None
+        suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
+        self._writer = SummaryWriter(str(folder.path / "tensorboard"), purge_step=purge_step, filename_suffix=suffix)
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Write a scalar for every mean and every seed."""
@@ -76,7 +76,7 @@ class TensorBoardLog:
 
 
 class WandbLog:
-    """A run of Weights & Biases, offline where WANDB_MODE says so; a resumed run folder goes on with the same one."""
+    """A run of Weights & Biases, offline with WANDB_MODE=offline; a resumed run folder continues the same one."""
 
     def __init__(self, folder: RunFolder, since: int):
         del since  # wandb resumes the run by itself
@@ -95,7 +95,7 @@ class WandbLog:
         self._seeds = config.seeds
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Write all means and all seeds as one row of history."""
+        """Write the means and the values of all seeds as one row of the history."""
         self._run.log(scalars(self._seeds, metrics), step=step)
 
     def close(self) -> None:
@@ -106,17 +106,17 @@ class WandbLog:
 LOGS: dict[str, Callable[[RunFolder, int], Log]] = {"tensorboard": TensorBoardLog, "wandb": WandbLog}
 
 
-def check_logs(names: Sequence[Any]) -> None:
-    """Raise a ValueError for a log that is neither one of `LOGS` nor an object with `log` and `close`."""
-    for name in names:
-        if isinstance(name, str) and name not in LOGS:
-            raise ValueError(f"unknown log {name!r}; choose from {', '.join(LOGS)}")
-        if not isinstance(name, str) and not (hasattr(name, "log") and hasattr(name, "close")):
-            raise ValueError(f"{name!r} is no log: that has log(step, metrics) and close()")
+def check_logs(logs: Sequence[Any]) -> None:
+    """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`."""
+    for log in logs:
+        if isinstance(log, str) and log not in LOGS:
+            raise ValueError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
+        if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
+            raise ValueError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:
-    """Return every log of a run that goes on from step `since`: its folder's, then `others`."""
+    """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
     if folder is None:
         return list(others)
     return [CSVLog(folder), *(LOGS[name](folder, since) for name in folder.logs), *others]

@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar with score and speed on a terminal, a line per evaluation elsewhere."""
+"""Progress on stderr: a bar with score and speed on a terminal, else a line per evaluation."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ SMOOTHING = 0.8
 class Progress:
     """A context that shows steps and evaluations on stderr; without `show` it prints nothing.
 
-    `metric` is the deployed metric whose mean is shown; `done` of the `steps` have been made already.
+    `metric` names the deployed metric whose mean is shown; `done` of the `steps` are complete already.
     """
 
     def __init__(self, *, label: str, lanes: int, steps: int, done: int, metric: str, show: bool):
@@ -43,9 +43,9 @@ class Progress:
             self._console.print(text, highlight=False)
 
     def advance(self, steps: int, seconds: float) -> None:
-        """Count `steps` of every lane, which took `seconds`; the speed shown is that of all lanes together."""
-        now = steps * self._lanes / max(seconds, 1e-9)  # a clock may stand still
-        self._speed = now if not self._speed else SMOOTHING * self._speed + (1 - SMOOTHING) * now
+        """Add `steps` of every lane, which took `seconds`; the displayed speed is the sum over lanes."""
+        speed = steps * self._lanes / max(seconds, 1e-9)  # the clock can be too coarse
+        self._speed = speed if not self._speed else SMOOTHING * self._speed + (1 - SMOOTHING) * speed
         self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
 
     def report(self, step: int, rows: list["Row"]) -> None:

@@ -1,4 +1,4 @@
-"""What config.json records besides the config: versions, machine, commit."""
+"""The origin of a run, which config.json records: time, versions, machine and commit."""
 
 import datetime
 import platform
@@ -13,7 +13,7 @@ PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "b
 
 
 def provenance() -> dict[str, Any]:
-    """Return the time (UTC), versions, platform and commit of a run that begins now."""
+    """Return the time (UTC), versions, platform and commit of a new run."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -31,9 +31,9 @@ def provenance() -> dict[str, Any]:
 
 
 def _commit() -> str | None:
-    """Return the commit of the checkout this package runs from, or None from a wheel."""
-    here = Path(__file__).resolve().parent
-    command = ["git", "-C", str(here), "log", "-1", "--format=%H", "--", str(here)]
+    """Return the commit of this package's checkout, or None if it is installed from a wheel."""
+    package = Path(__file__).resolve().parents[1]
+    command = ["git", "-C", str(package), "log", "-1", "--format=%H", "--", str(package)]
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=10).stdout.strip() or None
     except (OSError, subprocess.TimeoutExpired):

@@ -1,4 +1,4 @@
-"""A train state as plain numbered arrays on the host, and back."""
+"""Conversion of a train state to numbered plain arrays on the host, and back."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from earl_jax.algos.learner.replay import Replay
 from earl_jax.runs.hosts import gathered
 
 PIECE = 1 << 28
-"""Bytes of the replay that leave a device at a time."""
+"""Bytes of the replay that are copied from a device at a time."""
 
 
 def _is_key(leaf: Any) -> bool:
@@ -19,7 +19,7 @@ def _is_key(leaf: Any) -> bool:
 
 
 def plain(tree: Any) -> Any:
-    """Return `tree` as numbered arrays or shapes, keys as their words, without empty leaves, which orbax refuses."""
+    """Return `tree` as numbered arrays or shapes: PRNG keys as words, no empty leaves, which orbax rejects."""
 
     def convert(leaf):
         if not _is_key(leaf):
@@ -32,28 +32,31 @@ def plain(tree: Any) -> Any:
 
 def typed(leaves: dict[str, Any], like: Any) -> Any:
     """Return the `plain` arrays `leaves` as a tree of the structure of `like`."""
-    wanted, structure = jax.tree.flatten(like)
+    shapes, structure = jax.tree.flatten(like)
 
-    def restore_leaf(number, want):
-        if not want.size:
-            return jnp.zeros(want.shape, want.dtype)
+    def restore_leaf(number, shape):
+        if not shape.size:
+            return jnp.zeros(shape.shape, shape.dtype)
         leaf = leaves[f"{number:03d}"]
-        return jax.random.wrap_key_data(leaf) if _is_key(want) else jnp.asarray(leaf)
+        return jax.random.wrap_key_data(leaf) if _is_key(shape) else jnp.asarray(leaf)
 
-    return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(wanted)])
+    return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(shapes)])
 
 
 def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
-    """Return the written part of lanes `span` of the replay; index rows of both controllers, counted from their ends."""
+    """Return the written part of the replay for the lanes `span`, as the arrays of a checkpoint.
+
+    `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller.
+    """
     row, capacity, counts = int(gathered(replay.row)), replay.capacity, gathered(replay.counts)[span]
-    mine, other = (int(count) for count in counts.max(axis=0))
+    first, second = (int(count) for count in counts.max(axis=0))
     rows = {
         "state": _rows(replay.state, 0, row + 1, span),
         "action": _rows(replay.action, 0, row, span),
         "flags": _rows(replay.flags, 0, row, span),
         "reward": _rows(replay.reward, 0, row, span),
-        "mine": _rows(replay.index, 0, mine, span),
-        "other": _rows(replay.index, capacity - other, capacity, span),
+        "mine": _rows(replay.index, 0, first, span),
+        "other": _rows(replay.index, capacity - second, capacity, span),
         "counts": counts,
         "demos": gathered(replay.demos),
         "row": np.asarray(row, np.int32),
@@ -62,7 +65,10 @@ def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
 
 
 def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
-    """Return rows `start` to `stop` of lanes `span` on the host, by pieces: a slice of it all would double a full device."""
+    """Return rows `start` to `stop` of the lanes `span` on the host.
+
+    They are copied in pieces, because one slice could need as much device memory again.
+    """
     stop = min(stop, len(array))
     step = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
     pieces = [gathered(array[first : min(first + step, stop), span]) for first in range(start, stop, step)]
@@ -70,13 +76,13 @@ def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
 
 
 def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
-    """Return saved rows side by side in a buffer of the capacity of `like`, which may be larger than they had.
+    """Return the saved rows `parts`, with their `sizes` lanes joined, in a buffer of the capacity of `like`.
 
-    It stays on the host; the caller places it on devices.
+    The capacity can be larger than before. The buffer stays on the host; the caller moves it to devices.
     """
     names = ("state", "action", "flags", "reward", "index", "counts")
     buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
-    places = {"mine": buffers["index"], "other": buffers["index"][::-1]}
+    targets = {"mine": buffers["index"], "other": buffers["index"][::-1]}
     start = 0
     for saved, size in zip(parts, sizes, strict=True):
         span = slice(start, start := start + size)
@@ -84,9 +90,9 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
         for name in names[:4]:
             if name in saved:
                 buffers[name][: len(saved[name]), span] = saved[name]
-        for name, place in places.items():
+        for name, target in targets.items():
             if name in saved:
                 rows = saved[name] if name == "mine" else saved[name][::-1]
-                place[: len(rows), span] = rows
+                target[: len(rows), span] = rows
     arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
     return Replay(**arrays)

@@ -1,1 +1,1 @@
-"""Sweeps: grids of runs, grouped into few programs, on this machine or SLURM."""
+"""Sweeps: grids of runs, grouped into few programs, on this machine or under SLURM."""

@@ -1,4 +1,4 @@
-"""The planner of sweeps: runs that fit one program are grouped, each with its own folder."""
+"""The planner of sweeps: it groups runs that can share one program. Each run keeps its own folder."""
 
 import dataclasses
 import json
@@ -10,7 +10,7 @@ from earl_jax.algos import method_for
 from earl_jax.algos.mixed import program_signature
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.folder import CONFIG, RunFolder
+from earl_jax.runs.folder import CHECKPOINTS, CONFIG, RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
 from earl_jax.training.demo_rows import demo_rows
@@ -28,7 +28,7 @@ class PlannedRun:
 
     @property
     def lanes(self) -> int:
-        """Number of lanes, one a seed."""
+        """Number of lanes, one for each seed."""
         return len(self.run.config.seeds)
 
     @property
@@ -37,30 +37,33 @@ class PlannedRun:
         return self.step == self.run.config.steps
 
     def group_key(self) -> Hashable:
-        """Return what runs must have in common to share one program."""
+        """Return the properties that all runs of one program have in common."""
         config, env = self.run.config, self.run.env
         lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
         task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
         return task, lengths, program_signature(self.run.method)
 
     def replay_bytes(self) -> int:
-        """Return the memory of the replays of all lanes."""
+        """Return the bytes of the replay buffers of all lanes."""
         problem = Problem(self.run.env, self.run.protocol)
         return self.lanes * memory.replay_bytes(problem, self.run.method, self.run.config.steps)
 
 
 def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:
-    """Return unfinished runs in groups, one program each, of at most `max_lanes` lanes where that is given.
+    """Return the unfinished runs of `planned` in groups of one program each, with at most `max_lanes` lanes if given.
 
     Raises:
-        ValueError: a run alone has more lanes than that.
+        ValueError: a single run has more than `max_lanes` lanes.
     """
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
     for entry in planned:
         if entry.finished:
             continue
         if max_lanes is not None and entry.lanes > max_lanes:
-            raise ValueError(f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split")
+            raise ValueError(
+                f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
+                "so raise max_lanes or give it fewer seeds"
+            )
         groups = by_key.setdefault(entry.group_key(), [[]])
         if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
             groups.append([])
@@ -69,16 +72,16 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
 
 
 def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
-    """Return the runs of a grid and the groups of those that are not finished, as plain values; nothing is written.
+    """Return the plan of a grid as JSON values (`launcher.plan_sweep` describes them); nothing is written.
 
     Raises:
-        ValueError: a run that is not possible, or whose folder holds something else; the message names it.
+        ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
     planned = [_planned_run(spec, out) for spec in grid.read(path)]
-    cells = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
+    runs = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
     groups = [
         {
-            "cells": [entry.name for entry in group],
+            "runs": [entry.name for entry in group],
             "lanes": sum(entry.lanes for entry in group),
             "step": group[0].step,
             "steps": group[0].run.config.steps,
@@ -86,17 +89,18 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
         }
         for group in program_groups(planned, max_lanes)
     ]
-    return {"out": str(out), "cells": cells, "groups": groups}
+    return {"out": str(out), "runs": runs, "groups": groups}
 
 
 def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
-    """Return a run of a grid; everything that is wrong with it is an error here, before anything starts."""
+    """Return a run of a grid, after all checks that are possible before training."""
     path = out / spec.name
     try:
         env, setting, options = split_options(spec.env, spec.options)
+        method = method_for(env, spec.algo, **options)
         config = RunConfig.from_objects(
             env,
-            method_for(env, spec.algo, **options),
+            method,
             setting,
             seeds=spec.seeds,
             steps=spec.steps,
@@ -104,17 +108,21 @@ def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
             eval_episodes=spec.eval_episodes,
             checkpoint_every=spec.checkpoint_every,
         )
-        run = Run.resolve(config, env, method_for(env, spec.algo, **options))
+        run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
         if (path / CONFIG).is_file():
             open_folder(path, config)
     except ValueError as error:
         raise ValueError(f"{spec.name}: {error}") from error
-    return PlannedRun(name=spec.name, run=run, step=newest(path / "checkpoints"))
+    return PlannedRun(name=spec.name, run=run, step=newest(path / CHECKPOINTS))
 
 
 def open_folder(path: Path, config: RunConfig) -> RunFolder:
-    """Return the folder at `path` if it belongs to the run `config`; a folder of another run is a ValueError."""
+    """Return the folder at `path` with the run `config`.
+
+    Raises:
+        ValueError: the folder is damaged or holds another run; the message gives the differences.
+    """
     folder = RunFolder.open(path)
     existing, wanted = (json.loads(json.dumps(dataclasses.asdict(each))) for each in (folder.config, config))
     differing = [name for name in wanted if existing[name] != wanted[name]]

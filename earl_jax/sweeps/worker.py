@@ -1,7 +1,8 @@
-"""The worker of a sweep: it trains program groups and reports what becomes of each run.
+"""The worker of a sweep: it trains program groups and reports the state of each run.
 
-`python -m earl_jax.sweeps.worker plan GRID --out DIR` prints the plan as JSON. `python -m earl_jax.sweeps.worker work` reads its
-runs as one line of JSON from stdin, prints events as lines of JSON, and ends when stdin closes, so that it ends with its launcher.
+`python -m earl_jax.sweeps.worker plan GRID --out DIR` prints a plan as JSON. `python -m earl_jax.sweeps.worker work` reads the
+configs of runs as one line of JSON from stdin, prints events as lines of JSON, and exits when stdin closes, so that it ends with
+its launcher.
 """
 
 import argparse
@@ -25,21 +26,26 @@ from earl_jax.training.runner import Run, plan_runs, run_program
 
 SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
 Emit = Callable[..., None]
-"""Receives an event: `emit(cell, state, **more)`; states are started, resumed, done and failed."""
+"""Receives an event as `emit(name, state, **details)`; the states are started, resumed, done and failed."""
 
 
 @contextlib.contextmanager
-def claimed(path: Path, config: RunConfig, logs: Sequence[str] = ()) -> Iterator[RunFolder]:
-    """Lock the folder at `path` for this process, creating it where there is none."""
+def claimed(path: Path, run: Run, logs: Sequence[str] = ()) -> Iterator[RunFolder]:
+    """Lock the folder of `run` at `path` for this process, after creating it if necessary.
+
+    Raises:
+        ValueError: the folder holds anything else, or another process uses it.
+        OSError: the folder cannot be written to.
+    """
     if not (path / CONFIG).is_file():
-        RunFolder.create(path, config, config.build_env().engine, logs)
-    folder = open_folder(path, config)
+        RunFolder.create(path, run.config, run.env.engine, logs)
+    folder = open_folder(path, run.config)
     with folder.claimed():
         yield folder
 
 
-def config_of(fields: dict[str, Any]) -> RunConfig:
-    """Return the config of plain values, as a plan has them."""
+def parse_config(fields: dict[str, Any]) -> RunConfig:
+    """Return the config with the JSON values `fields`."""
     return RunConfig(**{**fields, "seeds": tuple(fields["seeds"])})
 
 
@@ -51,16 +57,17 @@ def work(
     devices: int | None = None,
     logs: Sequence[str] = (),
 ) -> bool:
-    """Return whether every run of `configs`, by name in the sweep at `out`, is finished in the end.
+    """Train the runs `configs`, by name in the sweep at `out`, and return whether all of them are finished.
 
-    Runs are grouped anew by the steps that they have reached. `emit` receives every event.
+    The runs are grouped again by the steps of their newest checkpoints. `emit` receives every event.
     """
-    planned, succeeded = [], True
+    planned: list[PlannedRun] = []
+    succeeded = True
     with contextlib.ExitStack() as stack:
         for name, config in configs.items():
             try:
                 run = Run.resolve(config)
-                run.folder = stack.enter_context(claimed(inside(out, name), config, logs))
+                run.folder = stack.enter_context(claimed(inside(out, name), run, logs))
                 planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
             except (ValueError, OSError) as error:
                 succeeded = False
@@ -74,7 +81,7 @@ def work(
 
 
 def _train_group(group: list[PlannedRun], emit: Emit, progress: bool, devices: int | None) -> bool:
-    """Return whether one program with all runs of `group` came to its end."""
+    """Train all runs of `group` in one program and return whether it succeeded."""
     for entry in group:
         emit(entry.name, "resumed" if entry.step else "started", step=entry.step)
     try:
@@ -92,29 +99,29 @@ def _train_group(group: list[PlannedRun], emit: Emit, progress: bool, devices: i
 
 
 def _serve(stdin: IO[str]) -> int:
-    """Do the work that one line of `stdin` describes, and exit at once when `stdin` closes."""
+    """Train the runs in one line of `stdin`, and exit at once when `stdin` closes."""
     task = json.loads(stdin.readline())
-    configs = {name: config_of(fields) for name, fields in task["cells"].items()}
-    threading.Thread(target=_exit_with, args=(stdin.fileno(),), daemon=True).start()
-    if "SLURM_JOB_ID" in os.environ:  # submitit handles them, and resubmits before this process ends
+    configs = {name: parse_config(fields) for name, fields in task["runs"].items()}
+    threading.Thread(target=_exit_when_closed, args=(stdin.fileno(),), daemon=True).start()
+    if "SLURM_JOB_ID" in os.environ:  # submitit handles these signals and resubmits the job before this process ends
         for number in SCHEDULER_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
-    def emit(cell: str, state: str, **more: Any) -> None:
-        print(json.dumps({"cell": cell, "state": state, **more}), flush=True)
+    def emit(name: str, state: str, **details: Any) -> None:
+        print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
     succeeded = work(Path(task["out"]), configs, emit, devices=task.get("devices"), logs=task.get("logs", ()))
     return 0 if succeeded else 1
 
 
-def _exit_with(descriptor: int) -> None:
+def _exit_when_closed(descriptor: int) -> None:
     while os.read(descriptor, 1):
         pass
     os._exit(1)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one of the worker's two commands and return the exit code: 2 with one line on stderr for invalid input."""
+    """Run one of the worker's two commands and return the exit code: 2 with a one-line error for invalid input."""
     parser = argparse.ArgumentParser(prog="python -m earl_jax.sweeps.worker", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     planning = commands.add_parser("plan")

@@ -23,7 +23,7 @@ from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import TrainState
 
 RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": "config"}
-"""Earlier names of the fields of a `Result`."""
+"""Former names of the fields of a `Result`."""
 
 
 @dataclasses.dataclass
@@ -87,20 +87,22 @@ def train(
     Args:
         env: a name of `list_envs()` or an `Env`, which need not be registered.
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
-        setting: `deployment`, `continuing`, or one of their objects with its own interventions and budget (`protocol`).
-        seeds: how many seeds (0, 1, ...) or which.
+        setting: `deployment`, `continuing`, or a `Setting` object with its own interventions and budget.
+        seeds: the number of seeds (0, 1, ...), or a list of them.
         steps: training steps of each seed.
         eval_every: steps between evaluations; the last one is at `steps`.
         eval_episodes: greedy episodes of each deployed evaluation.
-        out: a folder for config, metrics and checkpoints; without it nothing is written.
-        checkpoint_every: steps between checkpoints, where `out` is given.
-        logs: where metrics go besides metrics.csv: `tensorboard` or `wandb` (kept in `out`), or an object with `log` and `close`.
-        progress: show a bar, or on a plain stream a line per evaluation.
-        devices: how many devices share the lanes; by default one, or those of all hosts where jax runs on several.
-        options: hyper-parameters by name; a list gives each lane its own value.
+        out: a folder for config, metrics and checkpoints; None writes nothing.
+        checkpoint_every: steps between checkpoints in `out`.
+        logs: receivers of metrics in addition to metrics.csv: `tensorboard` or `wandb` (written into `out`), or an
+            object with `log` and `close`.
+        progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
+        devices: the number of devices that share the lanes; by default one, or the devices of all hosts if jax runs on
+            several.
+        options: hyper-parameters by name; a list has a value for each lane.
 
     Raises:
-        ValueError: an unknown name or option, or numbers that don't fit together; the message says which.
+        ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     setting = setting_of(setting) if isinstance(setting, str) else setting
     task, setting = split_setting(make(env) if isinstance(env, str) else env, setting)
@@ -118,7 +120,7 @@ def train(
     )
     run = Run.resolve(config, wrapped, method)
     run.protocol = setting.protocol(wrapped, config.eval_every, config.eval_episodes)
-    plan = plan_runs([run], devices)  # an impossible plan leaves no folder behind
+    plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, logs)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress)
@@ -133,24 +135,25 @@ def resume(
     progress: bool = False,
     devices: int | None = None,
 ) -> Result:
-    """Return the result of the run in `folder`, trained from its newest whole checkpoint to its end.
+    """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
-    On a CPU the end is bit-identical to that of a run that was never stopped.
+    On a CPU, the result is bit-identical to that of an uninterrupted run.
 
     Args:
         folder: a run folder.
-        env: the task of a run that was trained on an object whose class is not registered.
-        algo: its method, likewise.
+        env: the task, for a run that was trained on an object of a class that is not registered.
+        algo: the method, likewise.
         steps: a new length of the run.
-        progress: show a bar, or on a plain stream a line per evaluation.
-        devices: how many devices share the lanes.
+        progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
+        devices: the number of devices that share the lanes.
 
     Raises:
-        ValueError: not a run folder, a damaged one, or one whose objects must be registered or passed.
+        ValueError: `folder` is not a run folder or is damaged, or the run's objects must be registered or passed.
     """
     opened = RunFolder.open(Path(folder))
     opened = opened if steps is None else opened.extended(steps)
-    wrapped = None if env is None else opened.config.build_setting().wrap(env)
+    setting = opened.config.build_setting()
+    wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
     run = Run.resolve(opened.config, wrapped, algo)
     run.folder = opened
     return _execute(plan_runs([run], devices), run, progress)
@@ -172,12 +175,12 @@ def _execute(plan: Plan, run: Run, progress: bool) -> Result:
 
 
 def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log]) -> RunFolder | None:
-    """Return the new folder of a run, if it has one; logs that can't be opened are refused before."""
+    """Return the new folder of a run, or None without `out`; raise a ValueError before if a log can't be opened."""
     check_logs(logs)
     names = tuple(log for log in logs if isinstance(log, str))
     if out is None:
         if names:
-            raise ValueError(f"the log {names[0]} writes into a run folder: name one with out=")
+            raise ValueError(f"the log {names[0]} writes into a run folder: pass one with out=")
         return None
     path = Path(out)
     if not first_host():
@@ -189,23 +192,25 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     """Return the environment of the task `env`, its setting (`setting=NAME` in `options`) and the method's options.
 
     Raises:
-        ValueError: an unknown task or setting, or options of theirs that don't fit.
+        ValueError: the task or the setting is unknown, or one of their options is invalid.
     """
     rest = dict(options)
     name = rest.pop("setting", Deployment.name)
     known = {field.name for field in dataclasses.fields(setting_of(name))}
-    of_setting = {option: rest.pop(option) for option in list(rest) if option in known}
+    setting_options = {option: rest.pop(option) for option in list(rest) if option in known}
     for other, setting in SETTINGS.items():
         strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
         if strays:
-            raise ValueError(f"{strays.pop()} is an option of the setting {other!r}, and this is {name!r}")
+            raise ValueError(f"{strays.pop()} is an option of the setting {other!r}, but the setting is {name!r}")
     fields = {field.name for field in dataclasses.fields(make(env))}
     task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
-    setting = setting_of(name, **of_setting)
+    setting = setting_of(name, **setting_options)
     return setting.wrap(task), setting, rest
 
 
 def _without_options(method: Method, options: dict[str, Any]) -> Method:
     if options:
-        raise ValueError(f"options {', '.join(options)} go with an algo's name; this one is built: use .replace(...)")
+        raise ValueError(
+            f"options {', '.join(options)} go with an algo's name; this algo is an object: use .replace(...)"
+        )
     return method

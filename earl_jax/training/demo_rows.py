@@ -13,7 +13,11 @@ from earl_jax.training.state import Problem
 
 
 class DemoRows(NamedTuple):
-    """Demonstrations in the layout of replay rows: R states, and T transitions with row, controller and copies of each."""
+    """Demonstrations in the layout of replay rows.
+
+    `states [R, s]`. The other fields belong to T transitions: their `rows [T]`, `actions [T, a]`, `goals [T]`,
+    `controllers [T]` and `copies [T]` in the replay's lists.
+    """
 
     states: np.ndarray
     rows: np.ndarray
@@ -23,16 +27,16 @@ class DemoRows(NamedTuple):
     copies: np.ndarray
 
     def listed(self, controller: int) -> np.ndarray:
-        """Return the rows that `controller` samples from, each as often as the replay lists it."""
-        mine = self.controllers == controller
-        return np.repeat(self.rows[mine], self.copies[mine])
+        """Return the rows that `controller` samples from, each repeated by its number of copies."""
+        own = self.controllers == controller
+        return np.repeat(self.rows[own], self.copies[own])
 
 
 def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
-    """Return the demonstrations that the replay of `method` starts with, or None where the task has none.
+    """Return the demonstrations in the initial replay of `method`, or None if the task has none.
 
     Raises:
-        ValueError: the method cannot work without demonstrations and the task has none, or none whose states could be goals.
+        ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
     """
     if not problem.env.has_demos:
         if method.needs_demos:
@@ -40,8 +44,8 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
         return None
     if method.needs_demos and problem.env.state_size != problem.env.goal_size:
         raise ValueError(
-            f"{method.name} needs demonstrated states that can be goals: here a state of {problem.env.name} is "
-            f"{problem.env.state_size} numbers, a goal {problem.env.goal_size}"
+            f"{method.name} needs demonstrated states that can be goals, but a state of {problem.env.name} has "
+            f"{problem.env.state_size} numbers and a goal has {problem.env.goal_size}"
         )
     parts, first = [], 0
     for number, direction in enumerate(method.demo_directions):
@@ -56,7 +60,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
 
 
 def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
-    """Return the table entries [T] of demonstrated goals [T, g], which are task goals or initial states."""
+    """Return the goal table's indices [T] of demonstrated goals [T, g], which are task goals or initial states."""
     known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
     distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
     if distance.min(axis=1).max() > 1e-6:
@@ -67,31 +71,35 @@ def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
 
 
 def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
-    """Return the replay rows that `steps` and the demonstrations take; nothing is ever evicted."""
+    """Return the number of replay rows for `steps` steps and the demonstrations; no row is ever evicted."""
     demos = demo_rows(problem, method)
     return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
-    """Return the replay of `lanes` lanes with `capacity` rows, the demonstrations of `method` first."""
+    """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
     replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse)
     if demos is None:
         return replay
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
     reached = env.success(obs) & env.sparse
-    no = jnp.zeros_like(reached)
-    words = replay_lib.pack(TransitionFlags(jnp.asarray(demos.goals), reached, no, no, no))
-    mine, other = demos.listed(0), demos.listed(1)
-    index = replay.index.at[: len(mine)].set(mine[:, None])
-    index = index.at[capacity - len(other) :].set(other[::-1, None])
+    unset = jnp.zeros_like(reached)
+    words = replay_lib.pack(
+        TransitionFlags(
+            goal=jnp.asarray(demos.goals), reached=reached, timeout=unset, no_successor=unset, absorbed=unset
+        )
+    )
+    first, second = demos.listed(0), demos.listed(1)
+    index = replay.index.at[: len(first)].set(first[:, None])
+    index = index.at[capacity - len(second) :].set(second[::-1, None])
     return replay.replace(
         state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
         action=replay.action.at[demos.rows].set(demos.actions[:, None]),
         flags=replay.flags.at[demos.rows].set(words[:, None]),
         reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
         index=index,
-        counts=jnp.broadcast_to(jnp.array([len(mine), len(other)], jnp.int32), (lanes, 2)),
-        demos=jnp.array([len(mine), len(other)], jnp.int32),
+        counts=jnp.broadcast_to(jnp.array([len(first), len(second)], jnp.int32), (lanes, 2)),
+        demos=jnp.array([len(first), len(second)], jnp.int32),
         row=jnp.asarray(len(demos.states), jnp.int32),
     )

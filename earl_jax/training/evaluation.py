@@ -1,4 +1,4 @@
-"""Both of the paper's evaluations of a lane in training, and the deployed evaluation of a run folder."""
+"""The paper's two evaluations of lanes during training, and the deployed evaluation of a run folder."""
 
 from pathlib import Path
 
@@ -17,11 +17,11 @@ from earl_jax.training.state import LaneState, Problem, TrainState
 
 STARTS = ("initial", "uniform")
 EVALUATION_KEY = 2
-"""Folded into a lane's key, so that an evaluation neither shifts nor repeats the randomness of training."""
+"""Folded into a lane's key, so that evaluations neither change nor repeat the randomness of training."""
 
 
 def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the state with its reward window closed, and every metric [N] under both of the paper's protocols."""
+    """Return the state with a new reward window, and the metrics [N] of both of the paper's evaluations."""
     window, step = jnp.asarray(problem.protocol.eval_every, jnp.float32), state.step.astype(jnp.float32)
     deployed_metrics = jax.vmap(lambda m, lane: deployed_lane(problem, m, lane, state.step))(method, state.lanes)
     counters, continuing_metrics = jax.vmap(lambda lane: continuing(lane.counters, lane.env_state, step, window))(
@@ -32,7 +32,7 @@ def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple
 
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
-    """Return the deployed evaluation of one lane's task controller after `step` steps, under the problem's protocol."""
+    """Return the deployed evaluation of one lane's task controller after `step` steps."""
     env, protocol = problem.env, problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
     return deployed(env, Policy.of(env, method, lane), key, protocol.eval_horizon, protocol.eval_episodes)
@@ -41,17 +41,18 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
 def evaluate(
     folder: str | Path, episodes: int = 100, seed: int = 0, physics: str | None = None, starts: str = "initial"
 ) -> dict[str, np.ndarray]:
-    """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, over fresh episodes.
+    """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, on new episodes.
 
     Args:
         folder: a run folder with a checkpoint.
-        episodes: greedy episodes of H_E steps for each seed's policy.
-        seed: of starts and goals; all policies meet the same episodes.
-        physics: an engine other than the run's own.
-        starts: `initial`, s0 ~ rho, or `uniform`, over the whole workspace (figure 5 of the paper), where the task has that.
+        episodes: the number of greedy episodes of H_E steps for each seed's policy.
+        seed: the seed of starts and goals, which are the same for all policies.
+        physics: an engine to use instead of the run's own.
+        starts: `initial` for s0 ~ rho, or `uniform` over the whole workspace (figure 5 of the paper), if the task has
+            that.
 
     Raises:
-        ValueError: not a run folder, or a missing or damaged checkpoint, or no such starts.
+        ValueError: `folder` is not a run folder, its checkpoint is missing or damaged, or the task has no such starts.
     """
     if starts not in STARTS:
         raise ValueError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")

@@ -1,4 +1,4 @@
-"""The first state of training: fresh agents, s0 ~ rho, and demonstrations as the first rows of the replay."""
+"""The initial state of training: new agents, s0 ~ rho, and demonstrations as the first rows of the replay."""
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +17,11 @@ def init_train_state(
 ) -> TrainState:
     """Return N lanes at step 0 from PRNG keys [N]; leaves of `method` and `rules` have a leading lane axis.
 
-    Without `rules`, those of the problem's protocol hold for every lane.
+    Without `rules`, every lane has those of the problem's protocol.
     """
     if rules is None:
         rules = jax.tree.map(lambda rule: jnp.full(keys.shape[0], rule), problem.protocol.rules)
-    lanes = jax.vmap(lambda *each: init_lane(problem, *each))(method, keys, rules)
+    lanes = jax.vmap(lambda *lane: init_lane(problem, *lane))(method, keys, rules)
     replay = init_replay(problem, method, keys.shape[0], capacity)
     start = lanes.env_state.obs[None, :, : problem.env.state_size]
     state = jax.lax.dynamic_update_slice(replay.state, start, (replay.row, 0, 0))
@@ -34,17 +34,17 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
     agent_key, method_key, env_key, goal_key, lane_key = jax.random.split(key, 5)
     method_state = method.init_state(method_key, env, goals)
     task = goals.draw_task(jax.random.fold_in(goal_key, 1))
-    phase, none = jnp.asarray(TASK, jnp.int32), jnp.zeros((), jnp.int32)
+    phase, phase_step = jnp.asarray(TASK, jnp.int32), jnp.zeros((), jnp.int32)
     goal_indices = method.next_goal(goal_key, goals, phase, GoalIndices(task, task), method_state)
 
-    def init_agent(part):
-        return sac.init(part, method.sac, env.obs_size, env.action_size, method.critics)
+    def init_agent(controller_key):
+        return sac.init(controller_key, method.sac, env.obs_size, env.action_size, method.critics)
 
     return LaneState(
         key=lane_key,
         env_state=env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal]),
         phase=phase,
-        phase_step=none,
+        phase_step=phase_step,
         goal_indices=goal_indices,
         agent=jax.vmap(init_agent)(jax.random.split(agent_key, method.controllers)),
         method_state=method_state,

@@ -1,4 +1,4 @@
-"""A whole lifetime as one pure function, for `jit`, `vmap` or a notebook."""
+"""A whole lifetime as a pure function, for `jit`, `vmap` or a notebook."""
 
 import jax
 import jax.numpy as jnp
@@ -17,23 +17,23 @@ def lifetime(problem: Problem, method: Method, keys: jax.Array, steps: int) -> t
     Args:
         problem: the environment and its protocol (static).
         method: the method, with scalar leaves or leaves [N].
-        keys: typed PRNG keys [N], one a seed.
+        keys: typed PRNG keys [N], one for each seed.
         steps: training steps, a multiple of the protocol's `eval_every`.
 
     Raises:
-        ValueError: the numbers don't fit together.
+        ValueError: `steps` and the protocol are inconsistent, or as `prepare`.
     """
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)
     state = init_train_state(problem, method, keys, plan.capacity)
-    exploring = -(-min(plan.random_steps, steps) // every) * every
+    explored = -(-min(plan.random_steps, steps) // every) * every
     early = []
-    for start in range(0, exploring, every):
+    for start in range(0, explored, every):
         state, metrics = _window(plan, method, state, start)
         early.append(metrics)
     state, rest = jax.lax.scan(
-        lambda carry, _: _window(plan, method, carry, exploring), state, length=(steps - exploring) // every
+        lambda carry, _: _window(plan, method, carry, explored), state, length=(steps - explored) // every
     )
     curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
     return state, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)

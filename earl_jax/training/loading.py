@@ -18,7 +18,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     """Return the env, method [N] and lanes [N] of a run folder's newest checkpoint.
 
     Raises:
-        ValueError: the folder has no checkpoint yet, or a damaged one.
+        ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
     config = folder.config
     env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
@@ -27,5 +27,5 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     shape = jax.eval_shape(functools.partial(init_train_state, problem, method, seed_keys(config.seeds), capacity))
     state = restore(folder.checkpoints, shape, with_replay=False)
     if state is None:
-        raise ValueError(f"{folder.path} has no checkpoint yet; earl-jax resume {folder.path} goes on with the run")
+        raise ValueError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
     return env, method, state.lanes

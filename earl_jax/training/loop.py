@@ -1,8 +1,9 @@
 """The one reset-free training step: act, step, store, sample, update, for every method and all lanes at once.
 
-`act_and_start`, `update` and `finish_and_store` are written for one lane and vmapped. Between them the replay is read and
-written unbatched, because it is one buffer. The gradient step of a control step samples what was stored before that step, so
-that a host can simulate while the accelerator learns. The release samples as late, through a prefetched dataset.
+`act_and_start`, `update` and `finish_and_store` are written for one lane and vmapped. Between them the replay is read
+and written unbatched, because it is one buffer. The gradient step of a control step samples transitions that were
+stored before it, so that the host can simulate while the accelerator learns. The released code has the same delay, due
+to a prefetched dataset.
 """
 
 import math
@@ -25,9 +26,9 @@ from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, Trai
 
 
 def train_step(problem: Problem, method: Method, state: TrainState, explore: bool = False) -> TrainState:
-    """Return all lanes one step later: act, store and, unless exploring, one gradient step a lane on what was stored before.
+    """Return all lanes one step later: act, store and, unless `explore`, take a gradient step on earlier transitions.
 
-    `method`'s float leaves have a leading lane axis.
+    The float leaves of `method` have a leading lane axis.
     """
     step, lanes, replay = state.step, state.lanes, state.replay
     controller = controller_of(method, lanes.phase)
@@ -35,12 +36,12 @@ def train_step(problem: Problem, method: Method, state: TrainState, explore: boo
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore))
     action, pending = act(method, lanes, keys.act)
     if not explore:
-        sampled_for = after(controller, pending.ticket)  # the host starts before the device samples
+        sampling_controller = after(controller, pending.ticket)  # the host starts before the device samples
         demo_share = jnp.asarray(method.sac.demo_share)
-        batch = replay_lib.sample(replay, keys.sample, sampled_for, method.sac.batch_size, demo_share)
+        batch = replay_lib.sample(replay, keys.sample, sampling_controller, method.sac.batch_size, demo_share)
         batch = jax.lax.optimization_barrier(batch)
-        replay = replay.replace(row=after(replay.row, batch))  # else XLA copies the whole buffer before it is written
-        updated = jax.vmap(lambda *each: update(problem, *each))(method, lanes, keys, batch, lanes.phase)
+        replay = replay.replace(row=after(replay.row, batch))  # otherwise XLA copies the whole buffer before the write
+        updated = jax.vmap(lambda *lane: update(problem, *lane))(method, lanes, keys, batch, lanes.phase)
         lanes = _unless_ended(lanes, updated) if problem.env.ends else updated
         pending = pending if pending.ticket is None else pending._replace(ticket=after(pending.ticket, lanes.agent))
     finish = jax.vmap(lambda m, *lane: finish_and_store(problem, m, *lane, step=step))
@@ -75,7 +76,7 @@ def finish_and_store(
     keys: StepKeys,
     step: jax.Array,
 ) -> tuple[LaneState, Transition, jax.Array]:
-    """Return the lane after its `pending` control step, the transition, and whether replay lists it, bool [].
+    """Return the lane after its `pending` control step, the transition, and whether the replay lists it, bool [].
 
     `step []` counts from 0.
     """
@@ -120,7 +121,7 @@ def _step_end(
 def _transition(
     problem: Problem, method: Method, lane: LaneState, action: jax.Array, env_state: Any, following: Any, end: StepEnd
 ) -> Transition:
-    """Return what replay stores of a step to `env_state`, after which training goes on from `following`."""
+    """Return the transition that the replay stores for a step to `env_state`; training continues from `following`."""
     absorbed = env_state.done > 0
     flags = TransitionFlags(
         goal=lane.goal_indices.goal,
@@ -129,13 +130,16 @@ def _transition(
         no_successor=end.reset,
         absorbed=absorbed,
     )
-    forever = jnp.where(absorbed, 1.0 / (1.0 - method.sac.discount), 1.0)
-    reward = jnp.where(end.fault, 0.0, env_state.reward * forever)
+    effective_horizon = jnp.where(absorbed, 1.0 / (1.0 - method.sac.discount), 1.0)
+    reward = jnp.where(end.fault, 0.0, env_state.reward * effective_horizon)
     return Transition(action, following.obs[: problem.env.state_size], reward, flags)
 
 
 def _is_listed(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
-    """Return whether a transition may be sampled: not after a fault or the end, nor where its target needs a lost successor."""
+    """Return whether a transition can be sampled, bool [].
+
+    It cannot after a fault or after the end of the lifetime, or if its target needs a successor that was not stored.
+    """
     bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
     return ~(end.reset & bootstrapped) & ~end.fault & ~(lane.env_state.done > 0)
 
@@ -143,7 +147,7 @@ def _is_listed(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
 def _next_goals(
     problem: Problem, method: Method, lane: LaneState, phase: jax.Array, key: jax.Array, end: StepEnd
 ) -> GoalIndices:
-    """Return the goals after a step. Where the environment sets goals, a method draws no other task goal than that one."""
+    """Return the goals after a step; if the environment sets goals, the method can only draw that task goal."""
     env_sets = lane.rules.goal_change > 0
     drawn = problem.goals.draw_task(jax.random.fold_in(key, 1))
     requested = jnp.where(end.goal_changes, drawn, lane.goal_indices.task)
@@ -165,7 +169,7 @@ def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Arr
 def update(
     problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, phase: jax.Array
 ) -> LaneState:
-    """Return the lane after one SAC step of the controller that acted in `phase`, on `sampled` transitions [B]."""
+    """Return the lane after a SAC update of the controller that acted in `phase`, on `sampled` transitions [B]."""
     table = jnp.asarray(problem.goals.table)
     sampled = method.relabel(keys.relabel, problem.env, problem.goals, sampled)
     goal = table[sampled.flags.goal]
@@ -186,7 +190,7 @@ def update(
 
 
 def controller_of(method: Method, phase: jax.Array) -> jax.Array:
-    """Return which controller acts in `phase`: with one controller always 0."""
+    """Return the index of the controller that acts in `phase`; with one controller it is always 0."""
     return jnp.minimum(phase, method.controllers - 1)
 
 
@@ -203,7 +207,7 @@ def _with_controller(stacked: Any, single: Any, index: jax.Array) -> Any:
 
 
 def _unless_ended(lanes: LaneState, updated: LaneState) -> LaneState:
-    """Return `updated` lanes, but with the old agent where the environment has come to its end: no more is learnt there."""
+    """Return the `updated` lanes, with the old agent in lanes whose lifetime has ended: they no longer learn."""
     ended = lanes.env_state.done > 0
 
     def keep(old, new):
@@ -214,10 +218,11 @@ def _unless_ended(lanes: LaneState, updated: LaneState) -> LaneState:
 
 
 def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: bool = False) -> TrainState:
-    """Return all lanes `steps` later in one scan; k calls of whole blocks equal one call of k times the steps, bit for bit.
+    """Return all lanes after `steps` steps in one scan.
 
-    A method's `refresh` runs at the start of every block of `refresh_every` steps counted from the call, or of the
-    largest common divisor with `steps` where that is smaller.
+    k calls of whole blocks equal one call with k times the steps, bit for bit. A method's `refresh` runs at the start
+    of every block. A block has `refresh_every` steps, counted from the call, or their greatest common divisor with
+    `steps` if that is smaller.
     """
     block = math.gcd(method.refresh_every, steps)
 
@@ -233,10 +238,10 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, e
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
-    """Return the lanes with their method's state updated from the agent."""
+    """Return the lanes with their method's state refreshed from the agent."""
 
-    def one_lane(m, lane):
+    def refresh_lane(m, lane):
         key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
         return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state)
 
-    return state.replace(lanes=state.lanes.replace(method_state=jax.vmap(one_lane)(method, state.lanes)))
+    return state.replace(lanes=state.lanes.replace(method_state=jax.vmap(refresh_lane)(method, state.lanes)))

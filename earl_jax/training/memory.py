@@ -1,4 +1,4 @@
-"""The memory of a run, known before it starts."""
+"""The memory of a run, computed before it starts."""
 
 import dataclasses
 import math
@@ -15,15 +15,15 @@ from earl_jax.training.init import init_train_state
 from earl_jax.training.state import Problem, TrainState
 
 ACTIVATIONS = 16
-"""Hidden activations of a batch that are alive at once in a gradient step, measured as 11 to 14 of them (temporary_mb of
-benchmarks/results/speed)."""
+"""Number of copies of a batch's hidden activations in memory during a gradient step; measured: 11 to 14 (temporary_mb
+of benchmarks/results/speed)."""
 GIGABYTE = 1e9
 FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
 
 
 @dataclasses.dataclass(frozen=True)
 class Need:
-    """Bytes a lane: its `replay`, the `agent` with the rest of its state, and `work` inside a gradient step."""
+    """Bytes of one lane: its `replay`, `agent` (with the rest of its state), and `work` during a gradient step."""
 
     lanes: int
     replay: int
@@ -42,19 +42,19 @@ class Need:
 
     def __str__(self) -> str:
         return (
-            f"{self.lanes} lanes take {self.total / GIGABYTE:.3g} GB: "
-            f"{self.replay / 1e6:.0f} MB of replay, {self.agent / 1e6:.0f} MB of agent and {self.work / 1e6:.0f} MB of work each"
+            f"{self.lanes} lanes take {self.total / GIGABYTE:.3g} GB: {self.replay / 1e6:.0f} MB of replay, "
+            f"{self.agent / 1e6:.0f} MB of agent and {self.work / 1e6:.0f} MB of work each"
         )
 
 
 def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
-    """Return the bytes of one lane's replay after `steps` steps; nothing is ever evicted."""
+    """Return the bytes of one lane's replay for `steps` steps; no row is ever evicted."""
     env, rows = problem.env, replay_capacity(problem, method, steps)
     return rows * replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
 
 
 def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
-    """Return the memory of `lanes` lanes of `steps` steps."""
+    """Return the memory that `lanes` lanes of `steps` steps need."""
     sac = method.sac
     capacity = replay_capacity(problem, method, steps)
     shape = jax.eval_shape(
@@ -70,7 +70,7 @@ def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
 
 
 def _single(method: Method) -> Method:
-    """Return `method` with leaves [1]: their values do not change a size."""
+    """Return `method` with leaves [1] of zeros, because sizes do not depend on their values."""
     return jax.tree.map(lambda leaf: jax.numpy.zeros((1,), jax.numpy.result_type(leaf)), method)
 
 
@@ -79,7 +79,7 @@ def _bytes(tree: TrainState) -> int:
 
 
 def free_bytes(device: Any) -> int | None:
-    """Return the bytes that programs on `device` may still take, or None where nothing says so."""
+    """Return the bytes that are free on `device`, or None if that is unknown."""
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
         return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
@@ -89,10 +89,11 @@ def free_bytes(device: Any) -> int | None:
 
 
 def require(needed: Need, mesh: Mesh | None = None) -> None:
-    """Raise a ValueError for a program that cannot fit on one device, or on those of `mesh`.
+    """Check that a program fits into the memory of one device, or of the devices of `mesh`.
 
     Raises:
-        ValueError: the lanes of one device need more than it has free; the message says how many would fit.
+        ValueError: the lanes of one device need more memory than it has free; the message gives the number that would
+            fit.
     """
     devices = [jax.devices()[0]] if mesh is None else mesh.local_devices
     count = 1 if mesh is None else mesh.size
@@ -105,6 +106,6 @@ def require(needed: Need, mesh: Mesh | None = None) -> None:
         else f"{count} devices have {free / GIGABYTE:.3g} GB each"
     )
     raise ValueError(
-        f"{needed}, and {available} free: {free // needed.lane * count} lanes would fit. Take fewer seeds or steps, "
+        f"{needed}, but {available} free: {free // needed.lane * count} lanes would fit. Use fewer seeds or steps, "
         f"more devices, or on a GPU a larger {FRACTION}, such as 0.95"
     )

@@ -1,4 +1,4 @@
-"""What a program needs before it starts: its problem, devices, memory, and the schedule of its jitted calls."""
+"""The plan of a program: its problem, devices, memory, and the schedule of its jitted calls."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ from earl_jax.training.state import Problem
 
 
 class Span(NamedTuple):
-    """Consecutive chunks of a program that act alike: uniformly at random with `explore`, else by the policy."""
+    """A number of consecutive chunks, which act uniformly at random with `explore`, else by the policy."""
 
     chunks: int
     explore: bool
@@ -26,8 +26,8 @@ class Span(NamedTuple):
 class Plan:
     """A program of `lanes` lanes and `steps` steps, in jitted calls of `chunk` steps.
 
-    `capacity`: rows of the replay; `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices that
-    share the lanes, None for one device; `memory`: what the program occupies.
+    `capacity`: rows of the replay; `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices
+    that share the lanes, None for one device; `memory`: the memory that the program needs.
     """
 
     problem: Problem
@@ -44,15 +44,15 @@ class Plan:
         stop = start + self.problem.protocol.eval_every
         middle = min(max(self.random_steps, start), stop)
         parts = ((start, middle, True), (middle, stop, False))
-        return [Span((end - begin) // self.chunk, explore) for begin, end, explore in parts if begin < end]
+        return [Span((end - first) // self.chunk, explore) for first, end, explore in parts if first < end]
 
 
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
-    """Return the plan of a program with `lanes` lanes on so many `devices` (`lane_mesh`).
+    """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
     Raises:
-        ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method needs,
-            the lanes don't divide over the devices, or the program does not fit into their memory.
+        ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
+            needs, the lanes don't divide over the devices, or the program does not fit into their memory.
     """
     every = problem.protocol.eval_every
     if steps < 1 or steps % every:
@@ -72,17 +72,17 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
 
 
 def per_lane(method: Method, lanes: int) -> Method:
-    """Return `method` with every float leaf as an array [lanes]; a leaf that is one already keeps its values.
+    """Return `method` with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
 
     Raises:
         ValueError: a leaf is neither a scalar nor of length `lanes`.
     """
 
-    def spread(leaf):
+    def broadcast(leaf):
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
-            raise ValueError(f"a hyper-parameter has shape {shape}; give one value, or one for each of {lanes} lanes")
+            raise ValueError(f"a hyper-parameter has shape {shape}; pass one value, or one for each of {lanes} lanes")
         dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 
-    return jax.tree.map(spread, method)
+    return jax.tree.map(broadcast, method)

@@ -27,7 +27,11 @@ class Policy(struct.PyTreeNode, eq=False):
         return cls(method.sac, actor, env.obs_size, env.action_size)
 
     def __call__(self, obs: jax.Array) -> jax.Array:
-        """Return the greedy action; an observation of another size is a ValueError."""
+        """Return the greedy action [..., a] at `obs [..., o]`.
+
+        Raises:
+            ValueError: `obs` has another size.
+        """
         if obs.shape[-1] != self.obs_size:
             raise ValueError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
         return sac.greedy(self.sac, self.actor, obs, self.action_size)

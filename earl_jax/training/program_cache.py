@@ -1,4 +1,4 @@
-"""A cache of compiled programs on the disk, so that a second start of the same program compiles nothing."""
+"""A cache of compiled programs on disk, so that a second start of the same program compiles nothing."""
 
 import os
 from pathlib import Path
@@ -17,9 +17,10 @@ def folder() -> Path:
 
 
 def keep_programs() -> None:
-    """Make jax store compiled programs in `folder()`, unless another folder is configured.
+    """Configure jax to store compiled programs in `folder()`, unless another folder is configured.
 
-    `JAX_ENABLE_COMPILATION_CACHE=false` stores none. The key of a program covers its code, shapes, jax and device.
+    `JAX_ENABLE_COMPILATION_CACHE=false` stores none. The key of a program covers its code, shapes, jax version and
+    device.
     """
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:

@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
-from earl_jax.algos.mixed import together
+from earl_jax.algos.mixed import mix_methods
 from earl_jax.envs import Env
 from earl_jax.protocol import Protocol, Rules
 from earl_jax.runs.checkpoint import restore_together, save
@@ -33,9 +33,10 @@ from earl_jax.training.state import Problem, TrainState, seed_keys
 
 @dataclasses.dataclass
 class Run:
-    """One run among those of a program, with the objects that its config stands for.
+    """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder` and `listeners` receive its metrics, if there are any; `rows` are those so far.
+    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `rows` are its metrics so
+    far.
     """
 
     config: RunConfig
@@ -48,7 +49,7 @@ class Run:
 
     @classmethod
     def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
-        """Return the run of `config`, with objects built from it where none are given."""
+        """Return the run of `config`; objects that are not passed are built from it."""
         env, method = env or config.build_env(), method or config.build_method()
         method = per_lane(method, len(config.seeds))
         return cls(config=config, env=env, method=method, protocol=config.protocol(env))
@@ -60,7 +61,7 @@ class Run:
 
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
-        """Open the logs of this run at `step`; what was logged after it is dropped and logged again."""
+        """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
         self.rows = self.folder.rows_until(step) if self.folder and first_host() else []
         unfinished = step < self.config.steps and first_host()
         self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
@@ -72,11 +73,11 @@ class Run:
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
         """Return the rows of `metrics [n]` at `step`, after writing them to every log."""
-        fresh = self.config.rows(step, metrics)
-        self.rows += fresh
+        rows = self.config.rows(step, metrics)
+        self.rows += rows
         for log in self._logs:
             log.log(step, metrics)
-        return fresh
+        return rows
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "capacity", "mesh"))
@@ -106,23 +107,23 @@ def _evaluate(
 
 
 def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
-    """Return the plan of one program for all lanes of `runs`, one after the other. Errors as `prepare`.
+    """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
 
-    The runs have env, lengths, the `program_signature` of their methods and the step of their newest checkpoint in common.
-    Their rules (H_T, settings) may differ, because lanes carry them as data.
+    The runs must have the same env, lengths, `program_signature` of their methods and step of their newest checkpoint.
+    Their rules (H_T, settings) can differ, because lanes carry them as arrays.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
     problem = Problem(first.env.for_lanes(lanes), first.protocol)
-    return prepare(problem, together([run.method for run in runs]), lanes, first.config.steps, devices)
+    return prepare(problem, mix_methods([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
 def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> TrainState:
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
-    The metrics of each run are added to its own `rows` and to its folder, with checkpoints of its own lanes.
+    Each run's metrics are added to its `rows` and to its folder, which also receives checkpoints of the run's lanes.
     """
     keep_programs()
-    method = placed(together([run.method for run in runs]), plan.mesh)
+    method = placed(mix_methods([run.method for run in runs]), plan.mesh)
     state = _restore_or_init(plan, method, runs)
     step = int(gathered(state.step))
     with contextlib.ExitStack() as stack:
@@ -144,20 +145,20 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> Trai
 def _train_to_evaluation(plan: Plan, method: Method, state: TrainState, step: int, bar: Progress) -> TrainState:
     for span in plan.spans(step):
         for _ in range(span.chunks):
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
             state.step.block_until_ready()
-            bar.advance(plan.chunk, time.perf_counter() - began)
+            bar.advance(plan.chunk, time.perf_counter() - start_time)
     return state
 
 
 def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar: Progress) -> None:
     """Add `metrics [N]` of all lanes to the runs that they belong to."""
-    fresh = [
+    rows = [
         run.add(step, {name: values[span] for name, values in metrics.items()})
         for run, span in zip(runs, _lane_spans(runs), strict=True)
     ]
-    bar.report(step, list(itertools.chain(*fresh)))
+    bar.report(step, list(itertools.chain(*rows)))
 
 
 def _progress(plan: Plan, runs: Sequence[Run], step: int, show: bool) -> Progress:
@@ -180,7 +181,7 @@ def _lane_spans(runs: Sequence[Run]) -> list[slice]:
 
 def _restore_or_init(plan: Plan, method: Method, runs: Sequence[Run]) -> TrainState:
     keys = placed(jnp.concatenate([seed_keys(run.config.seeds) for run in runs]), plan.mesh)
-    rules = placed(jax.tree.map(lambda *each: jnp.concatenate(each), *[run.rules for run in runs]), plan.mesh)
+    rules = placed(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[run.rules for run in runs]), plan.mesh)
     init = functools.partial(_init, plan.problem, method, keys, rules, plan.capacity, plan.mesh)
     folders = [run.folder.checkpoints for run in runs if run.folder]
     sizes = [len(run.config.seeds) for run in runs]

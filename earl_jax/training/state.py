@@ -1,4 +1,4 @@
-"""The state of training: lanes with their replay, the randomness of a step, and the problem that they learn."""
+"""The state of training: lanes with their replay, the random keys of a step, and the problem to learn."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from earl_jax.metrics.continuing import Counters
 from earl_jax.protocol import Protocol, Rules
 
 MAP_BINS = 64
-"""Bins along a side of the map of visited positions."""
+"""Number of bins along a side of the map of visited positions."""
 
 
 class LaneState(struct.PyTreeNode):
@@ -38,7 +38,7 @@ class LaneState(struct.PyTreeNode):
 
 
 class TrainState(struct.PyTreeNode):
-    """All lanes (leading axis N), their replay, and the number of steps that each has made."""
+    """All lanes (leading axis N), their replay, and the number of steps that each has taken."""
 
     lanes: LaneState
     replay: Replay
@@ -46,7 +46,7 @@ class TrainState(struct.PyTreeNode):
 
 
 class StepKeys(NamedTuple):
-    """A lane's randomness of one step, a function of its seed and the step alone."""
+    """The random keys of one lane at one step, which depend on its seed and the step alone."""
 
     act: jax.Array
     goal: jax.Array
@@ -57,7 +57,7 @@ class StepKeys(NamedTuple):
 
 
 def step_keys(key: jax.Array, step: jax.Array) -> StepKeys:
-    """Return the randomness of one lane at `step`."""
+    """Return the random keys at `step` of the lane with the key `key`."""
     parts = jax.random.split(jax.random.fold_in(key, step), len(StepKeys._fields))
     return StepKeys(*[parts[number] for number in range(len(StepKeys._fields))])
 
@@ -69,12 +69,12 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """The static half of a program: the environment and the protocol of its training."""
+    """The static arguments of a program: the environment and the protocol of its training."""
 
     env: Env
     protocol: Protocol
 
     @property
     def goals(self) -> Goals:
-        """The goal table that replay's indices refer to."""
+        """The goal table, to which the replay's indices refer."""
         return goal_table(self.env)

@@ -1,4 +1,4 @@
-"""What every task of the registry must keep, whoever wrote it."""
+"""The contract of an env, for every task of the registry."""
 
 import dataclasses
 
@@ -8,30 +8,30 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import list_envs, make, register_env
-from tests.conftest import assert_same
+from tests.conftest import assert_all_finite, assert_equal_trees, take_lane
 
-KEPT = pytest.mark.parametrize(("name", "reward_type"), [(n, make(n).reward_type) for n in list_envs()])
-"""With its own kind of reward only: what costs a compilation and does not depend on the reward."""
-EVERY = pytest.mark.parametrize(("name", "reward_type"), [(n, r) for n in list_envs() for r in ("sparse", "dense")])
+DEFAULT_REWARD = pytest.mark.parametrize(("name", "reward_type"), [(n, make(n).reward_type) for n in list_envs()])
+"""The task's own kind of reward alone: for tests that cost a compilation and do not depend on the reward."""
+EVERY_REWARD = pytest.mark.parametrize(("name", "reward_type"), [(n, r) for n in list_envs() for r in ("sparse", "dense")])
 
 
-def described(tree):
+def describe(tree):
     return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.tree.map(jax.typeof, tree))
 
 
-@EVERY
+@EVERY_REWARD
 def test_state_keeps_structure_dtypes_and_weak_types(name, reward_type):
     env = make(name, reward_type=reward_type)
     state = jax.jit(env.reset)(jax.random.key(0))
     after = jax.jit(env.step)(state, jnp.zeros(env.action_size))
-    assert described(state) == described(after)
-    assert described(state) == described(env.with_goal(after, jnp.asarray(env.initial_states[0])))
+    assert describe(state) == describe(after)
+    assert describe(state) == describe(env.with_goal(after, jnp.asarray(env.initial_states[0])))
     assert state.obs.shape == (env.obs_size,)
     assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
 
 
-@KEPT
-def test_step_compiles_once_and_scans(name, reward_type):
+@DEFAULT_REWARD
+def test_step_is_traced_once_and_scans(name, reward_type):
     env = make(name, reward_type=reward_type)
     traces = []
 
@@ -45,24 +45,32 @@ def test_step_compiles_once_and_scans(name, reward_type):
         state = step(state, jnp.ones(env.action_size))
     assert len(traces) == 1
     actions = jax.random.uniform(jax.random.key(1), (50, env.action_size), minval=-1, maxval=1)
-    final, rewards = jax.lax.scan(lambda s, a: (lambda n: (n, n.reward))(env.step(s, a)), state, actions)
+
+    def scanned_step(state, action):
+        state = env.step(state, action)
+        return state, state.reward
+
+    final, rewards = jax.lax.scan(scanned_step, state, actions)
     assert rewards.shape == (50,)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(final))
+    assert_all_finite(final)
 
 
-@KEPT
+@DEFAULT_REWARD
 def test_vmap_equals_a_loop(name, reward_type):
     env = make(name, reward_type=reward_type)
     keys = jax.random.split(jax.random.key(3), 4)
     actions = jax.random.uniform(jax.random.key(4), (4, env.action_size), minval=-1, maxval=1)
-    batch = jax.jit(jax.vmap(lambda k, a: env.step(env.reset(k), a)))(keys, actions)
-    for i in range(4):
-        one = jax.jit(lambda k, a: env.step(env.reset(k), a))(keys[i], actions[i])
-        assert_same(jax.tree.map(lambda leaf: leaf[i], batch), one, rtol=1e-6, atol=1e-6)  # noqa: B023
+
+    def reset_and_step(key, action):
+        return env.step(env.reset(key), action)
+
+    batch, single = jax.jit(jax.vmap(reset_and_step))(keys, actions), jax.jit(reset_and_step)
+    for lane in range(4):
+        assert_equal_trees(take_lane(batch, lane), single(keys[lane], actions[lane]), rtol=1e-6, atol=1e-6)
 
 
-@EVERY
-def test_goals_are_states_and_their_own_success(name, reward_type):
+@EVERY_REWARD
+def test_a_goal_is_a_success_of_itself_and_every_goal_is_drawn(name, reward_type):
     env = make(name, reward_type=reward_type)
     assert env.goal_states.shape[1] == env.goal_size
     if env.goal_size == env.state_size:
@@ -75,7 +83,7 @@ def test_goals_are_states_and_their_own_success(name, reward_type):
     assert {tuple(row) for row in np.asarray(draws).tolist()} == {tuple(row) for row in env.goal_states.tolist()}
 
 
-@EVERY
+@EVERY_REWARD
 def test_an_env_is_a_hashable_constant(name, reward_type):
     env = make(name, reward_type=reward_type)
     assert hash(env) == hash(make(name, reward_type=reward_type))
@@ -83,7 +91,7 @@ def test_an_env_is_a_hashable_constant(name, reward_type):
     assert reward_type in repr(env)
 
 
-@EVERY
+@EVERY_REWARD
 @pytest.mark.parametrize("bad", ["shape", "nan", "inf"])
 def test_bad_actions_are_refused(name, reward_type, bad):
     env = make(name, reward_type=reward_type)
@@ -94,7 +102,7 @@ def test_bad_actions_are_refused(name, reward_type, bad):
         env.step(state, action)
 
 
-def test_unknown_names_and_options_name_the_choices():
+def test_unknown_names_and_options_are_errors_that_list_the_choices():
     with pytest.raises(ValueError, match="tabletop_organization"):
         make("tabletop")
     with pytest.raises(ValueError, match=r"no option 'colour'.*reward_type"):

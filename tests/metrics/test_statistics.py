@@ -17,11 +17,11 @@ def test_summary_by_hand():
 
 
 def test_published_standard_errors_are_population_deviations():
-    """Five seeds of which one failed: the paper's 0.80 (0.11)-like cells divide by n, not n - 1."""
+    """Five seeds of which one failed: table cells like the paper's 0.80 (0.11) divide by n, not n - 1."""
     assert statistics.stderr(np.array([0.0, 1, 1, 1, 1])) == pytest.approx(0.4 / np.sqrt(5))
 
 
-def test_bootstrap_covers_the_truth_about_as_often_as_it_says():
+def test_the_bootstrap_interval_covers_the_truth_at_about_its_level():
     rng = np.random.default_rng(0)
     intervals = [statistics.bootstrap(rng.normal(size=20), np.mean, seed=i) for i in range(200)]
     covered = np.mean([low <= 0 <= high for low, high in intervals])
@@ -29,7 +29,7 @@ def test_bootstrap_covers_the_truth_about_as_often_as_it_says():
 
 
 def test_bootstrap_is_stratified_and_reproducible():
-    """Two tasks of constant but different scores: resampling within tasks leaves nothing to vary."""
+    """Two tasks of constant but different scores: resampling within tasks gives one value."""
     table = np.tile([0.0, 1.0], (10, 1))
     assert statistics.bootstrap(table) == statistics.bootstrap(table) == (0.5, 0.5)
     noisy = np.random.default_rng(1).normal(size=(10, 2))
@@ -37,15 +37,15 @@ def test_bootstrap_is_stratified_and_reproducible():
 
 
 @pytest.mark.parametrize("bad", [[], [np.nan, 1.0], [[1.0], [2.0]]])
-def test_what_cannot_be_summarised_is_refused(bad):
+def test_empty_or_non_finite_scores_are_refused(bad):
     with pytest.raises(ValueError, match="finite scores"):
         statistics.summarise(np.array(bad))
 
 
-def test_differences_have_the_interval_of_what_can_be_drawn():
+def test_the_interval_of_a_difference_covers_its_resamples():
     assert statistics.difference(np.array([5.0, 6.0]), np.array([1.0, 2.0])) == (4, 3, 5)
-    none = statistics.difference(np.ones(3), np.arange(3))
-    assert none.low < 0 < none.high
-    lone = statistics.difference(np.ones(1), np.zeros(5))
-    assert lone.value == 1
-    assert np.isnan([lone.low, lone.high]).all()
+    no_difference = statistics.difference(np.ones(3), np.arange(3))
+    assert no_difference.low < 0 < no_difference.high
+    single_seed = statistics.difference(np.ones(1), np.zeros(5))
+    assert single_seed.value == 1
+    assert np.isnan([single_seed.low, single_seed.high]).all()

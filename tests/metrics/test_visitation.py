@@ -1,4 +1,4 @@
-"""Measures of a map by hand."""
+"""Measures of a map of visits, computed by hand."""
 
 import math
 
@@ -8,7 +8,7 @@ import pytest
 from earl_jax.metrics.visitation import measure
 
 
-def test_a_map_is_measured_from_even_to_a_single_place():
+def test_measures_of_an_even_map_a_single_bin_two_bins_and_no_visit():
     even, single, two = np.full((20, 20), 3), np.zeros((20, 20), int), np.zeros((20, 20), int)
     single[4, 5] = 7
     two[0, :2] = 5

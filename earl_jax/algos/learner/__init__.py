@@ -1,1 +1,1 @@
-"""The learner of every method: soft actor-critic, its networks and its replay."""
+"""The learner of all methods: soft actor-critic, its networks and its replay."""

@@ -1,6 +1,7 @@
 """Forward and backward passes of the learner's networks in bfloat16, with float32 parameters, gradients and sums.
 
-Autodiff would write float32 copies of activations and cotangents; the passes here keep both in bfloat16.
+Automatic differentiation would write float32 copies of activations and cotangents. The passes here keep both in
+bfloat16.
 """
 
 import functools
@@ -21,8 +22,8 @@ def apply(network: Any, layers: Any, x: jax.Array) -> jax.Array:
 
 
 def _dot(a: jax.Array, b: jax.Array, over: tuple[int, int] = (1, 0), dtype: Any = jnp.bfloat16) -> jax.Array:
-    """Return the product of bfloat16 matrices over these axes in `dtype`, summed in float32."""
-    if jax.default_backend() == "cpu":  # whose products of bfloat16 give nothing else
+    """Return the product of bfloat16 matrices, contracted over the axes `over`, in `dtype`; sums are float32."""
+    if jax.default_backend() == "cpu":  # CPUs multiply bfloat16 into bfloat16 only
         a, b = a.astype(jnp.float32), b.astype(jnp.float32)
     out = jax.lax.dot_general(a, b, (((over[0],), (over[1],)), ((), ())), preferred_element_type=dtype)
     return out.astype(dtype)
@@ -35,22 +36,22 @@ def _apply_plain(network: Any, layers: Any, x: jax.Array) -> jax.Array:
 
 @jax.custom_vjp
 def _perceptron(weights: Weights, x: jax.Array) -> jax.Array:
-    """Return the float32 outputs [B, O] of the ReLU network of these kernels and biases at `x [B, K]`.
+    """Return the float32 outputs [B, O] of the ReLU network with the kernels and biases `weights` at `x [B, K]`.
 
-    The backward pass is written by hand: it masks by the saved activations and keeps cotangents in bfloat16, where
-    autodiff would write float32 copies of both. The first bias is one more row of its kernel, for a column of ones
-    beside the inputs, so that one product gives the gradients of both.
+    The backward pass is written by hand. It masks by the saved activations and keeps cotangents in bfloat16, where
+    automatic differentiation would write float32 copies of both. The first bias is an additional row of its kernel, and
+    the inputs have an additional column of ones, so that one product computes the gradients of kernel and bias.
     """
     return _forward(weights, x)[0]
 
 
 def _forward(weights: Weights, x: jax.Array) -> tuple[jax.Array, Saved]:
-    """Return the outputs, and for the backward pass every layer's kernel and inputs in bfloat16."""
+    """Return the outputs and, for the backward pass, the kernel and inputs of every layer in bfloat16."""
     (first, bias), *others = weights
     kernels = [jnp.concatenate([first, bias[None]]), *(kernel for kernel, _ in others)]
     lows = [kernel.astype(jnp.bfloat16) for kernel in kernels]
     inputs = jnp.concatenate([x, jnp.ones_like(x[:, :1])], axis=1).astype(jnp.bfloat16)
-    if lows[-1].shape[1] > 1:  # an actor, whose forward passes at two batches XLA would merge and then cut again
+    if lows[-1].shape[1] > 1:  # an actor: XLA would merge its forward passes at two batches and then split them again
         lows, inputs = jax.lax.optimization_barrier((lows, inputs))
     rows = [inputs, jnp.maximum(_dot(inputs, lows[0]), 0)]
     for low, (_, bias) in zip(lows[1:-1], others[:-1], strict=True):
@@ -59,10 +60,10 @@ def _forward(weights: Weights, x: jax.Array) -> tuple[jax.Array, Saved]:
 
 
 def _backward(saved: Saved, gradient: jax.Array) -> tuple[Weights, jax.Array]:
-    """Return the float32 gradients of the weights and of `x` for the outputs' `gradient [B, O]`."""
+    """Return the float32 gradients of the weights and of `x`, given the outputs' `gradient [B, O]`."""
     lows, rows = saved
     low, above = gradient.astype(jnp.bfloat16), lows[-1]
-    if above.shape[1] == 1:  # a product over one output, or for one, is a multiplication
+    if above.shape[1] == 1:  # with one output, both products are elementwise
         kernel = (rows[-1].astype(jnp.float32) * gradient).sum(axis=0)[:, None]
         low = (gradient * above[:, 0]).astype(jnp.bfloat16)
     else:
@@ -82,7 +83,7 @@ _perceptron.defvjp(_forward, _backward)
 
 
 def _apply_normalised(network: Any, layers: Any, x: jax.Array) -> jax.Array:
-    """Return the outputs of any network: hidden activations in bfloat16, biases, normalisation and outputs float32."""
+    """Return the outputs of any network; hidden activations are bfloat16, biases, normalisation and outputs float32."""
     hidden, last = x.astype(jnp.bfloat16), len(network.layer_sizes) - 1
     for number in range(last):
         layer = layers[f"hidden_{number}"]
@@ -95,7 +96,7 @@ def _apply_normalised(network: Any, layers: Any, x: jax.Array) -> jax.Array:
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _product(dtype: Any, x: jax.Array, kernel: jax.Array) -> jax.Array:
-    """Return `x @ kernel` in `dtype` for bfloat16 `x [B, K]` and a float32 `kernel`, whose gradient is float32."""
+    """Return `x @ kernel` in `dtype` for bfloat16 `x [B, K]` and a float32 `kernel`, with a float32 gradient."""
     return _product_forward(dtype, x, kernel)[0]
 
 
@@ -105,7 +106,7 @@ def _product_forward(dtype: Any, x: jax.Array, kernel: jax.Array) -> tuple[jax.A
 
 
 def _product_backward(dtype: Any, saved: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple:
-    """Without a rule of its own a product in float32 would multiply its float32 gradient in float32 too."""
+    """Return the gradients of `x` and `kernel` from bfloat16 products; the default rule would multiply in float32."""
     del dtype
     (x, low), gradient = saved, gradient.astype(jnp.bfloat16)
     return _dot(gradient, low, (1, 1)), _dot(x, gradient, (0, 0), jnp.float32)

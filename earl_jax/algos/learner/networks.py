@@ -1,6 +1,6 @@
 """The learner's networks: Brax's multilayer perceptron and tanh-squashed normal, with the paper's parameters.
 
-`apply` runs a network at a chosen precision; parameters are float32 at every one.
+`apply` evaluates a network at a chosen precision; parameters are always float32.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from flax import linen
 
 from earl_jax.algos.learner import bf16
 
-# Brax imports MJX, which prints a line to stdout for each optional engine that is not installed; stdout may be JSON.
+# Brax imports MJX, which prints a line for each missing optional engine to stdout, where a caller may write JSON.
 with contextlib.redirect_stdout(io.StringIO()):
     from brax.training import distribution, networks
 
@@ -24,17 +24,17 @@ PRECISIONS = ("float32", "tf32", "bf16")
 class TanhNormal(distribution.NormalTanhDistribution):
     """Tanh-squashed normal whose log standard deviation is the clipped network output, as in the paper.
 
-    Brax's own passes it through a softplus; everything else is Brax's.
+    Brax applies a softplus instead; the rest is unchanged.
     """
 
     def create_dist(self, parameters: jax.Array) -> Any:
-        """Return the normal before squashing, from `parameters [..., 2a]`: means, then log standard deviations."""
+        """Return the normal before squashing with `parameters [..., 2a]`: means, then log standard deviations."""
         loc, log_std = jnp.split(parameters, 2, axis=-1)
         return type(super().create_dist(parameters))(loc, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE)))
 
 
 def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> networks.MLP:
-    """Return a ReLU network with Glorot-uniform weights and zero biases, as the released TF-Agents code has them.
+    """Return a ReLU network with Glorot-uniform weights and zero biases, as in the released TF-Agents code.
 
     `layer_norm` normalises every hidden layer.
     """
@@ -43,7 +43,7 @@ def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -
 
 
 def check_precision(precision: str) -> None:
-    """Refuse a precision that `apply` does not know, by a ValueError."""
+    """Raise a ValueError if `precision` is not one of `PRECISIONS`."""
     if precision not in PRECISIONS:
         raise ValueError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")
 
@@ -51,8 +51,8 @@ def check_precision(precision: str) -> None:
 def apply(network: networks.MLP, params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     """Return the float32 outputs [..., O] of `network` at `x [..., K]`, differentiable in `params` and `x`.
 
-    "float32" multiplies matrices in float32 on every device, "tf32" at XLA's default (TF32 on NVIDIA GPUs, float32 on
-    CPUs), "bf16" with bfloat16 operands and activations, sums in float32.
+    Matrix products by `precision`: "float32" is float32 on every device; "tf32" is XLA's default (TF32 on NVIDIA GPUs,
+    float32 on CPUs); "bf16" has bfloat16 operands and activations and float32 sums.
     """
     if precision == "bf16":
         return bf16.apply(network, params["params"], x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], -1)

@@ -1,11 +1,11 @@
-"""One time-ordered replay buffer for all lanes, written in place and never evicted.
+"""One time-ordered replay buffer for all lanes, written in place; no transition is ever evicted.
 
-Rows are time: row t of `state` is s_t, of `action` a_t, and s_{t+1} is row t + 1. Goals are an index into a static table,
-so a relabelled copy costs nothing. Which rows may be sampled, and by which controller, is kept in one list a lane that
-fills from both ends: the task controller's rows from the left, the other's from the right.
+Rows are steps: row t of `state` is s_t, row t of `action` is a_t, and s_{t+1} is row t + 1. Goals are indices into a
+static table, so relabelling needs no copies. A list for each lane holds the rows that its controllers can sample: the
+task controller's rows fill it from the left, the other controller's rows from the right.
 
-Every function works on the whole batch of lanes: `jax.vmap` of a write would turn it into a scatter over the buffer, and
-of a read into a transpose of it.
+Every function works on the whole batch of lanes. `jax.vmap` would turn a write into a scatter over the buffer and a
+read into a transpose of it.
 """
 
 from typing import NamedTuple
@@ -19,9 +19,9 @@ REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED = (1 << (GOAL_BITS + bit) for bit in ra
 
 
 class TransitionFlags(NamedTuple):
-    """The `goal` index of a transition, and whether it `reached` the goal, hit a `timeout`, has `no_successor` or was `absorbed`.
+    """The `goal` index of a transition and its flags: `reached`, `timeout`, `no_successor` and `absorbed`.
 
-    It has no successor where a reset overwrote the next state, and it is absorbed where the lifetime ended.
+    A transition has no successor if a reset overwrote the next state. It is absorbed if the lifetime has ended.
     """
 
     goal: jax.Array
@@ -32,7 +32,7 @@ class TransitionFlags(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """What one step adds, one row a lane: `action [N, a]`, `next_state [N, s]` to go on from, `reward [N]`, `flags`."""
+    """The row that one step adds to each lane: `action [N, a]`, `next_state [N, s]`, `reward [N]`, `flags`."""
 
     action: jax.Array
     next_state: jax.Array
@@ -41,8 +41,7 @@ class Transition(NamedTuple):
 
 
 class TransitionBatch(NamedTuple):
-    """Sampled transitions of every lane: `row [N, B]` they stand in, `state, next_state [N, B, s]`, `action`, `reward`,
-    `flags`."""
+    """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`."""
 
     row: jax.Array
     state: jax.Array
@@ -53,11 +52,11 @@ class TransitionBatch(NamedTuple):
 
 
 class Replay(struct.PyTreeNode):
-    """The buffer of N lanes and capacity C; `reward` has no rows where the reward is a success bit.
+    """The buffer of N lanes with capacity C.
 
-    `state [C + 1, N, s]`, `action [C, N, a]`, packed `flags [C, N]`, `reward [C or 0, N]`, `index [C, N]` of row numbers,
-    `counts [N, 2]` rows listed for each controller, the first `demos [2]` of them demonstrations, `row []` the next free
-    row.
+    `state [C + 1, N, s]`, `action [C, N, a]`, packed `flags [C, N]` and `reward [C or 0, N]`, which has no rows if the
+    reward is a success bit. `index [C, N]` lists row numbers: `counts [N, 2]` of them for each controller, of which the
+    first `demos [2]` are demonstrations. `row []` is the next free row.
     """
 
     state: jax.Array
@@ -71,17 +70,17 @@ class Replay(struct.PyTreeNode):
 
     @property
     def capacity(self) -> int:
-        """Transitions that fit."""
+        """Number of transitions that the buffer can hold."""
         return self.action.shape[0]
 
 
 def bytes_per_transition(state_size: int, action_size: int, sparse: bool) -> int:
-    """Return what one transition of one lane occupies, in bytes."""
+    """Return the size of one transition of one lane, in bytes."""
     return 4 * (state_size + action_size + 2 + (not sparse))
 
 
 def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse: bool) -> Replay:
-    """Return an empty buffer; goals are packed into 16 bits, so a goal table may hold 65,536 entries."""
+    """Return an empty buffer; goals are packed into 16 bits, so a goal table can have 65,536 entries."""
     return Replay(
         state=jnp.zeros((capacity + 1, lanes, state_size)),
         action=jnp.zeros((capacity, lanes, action_size)),
@@ -95,7 +94,7 @@ def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse:
 
 
 def pack(flags: TransitionFlags) -> jax.Array:
-    """Return `flags` as int32 words."""
+    """Return `flags` packed into int32 words."""
     bits = (
         REACHED * flags.reached
         + TIMEOUT * flags.timeout
@@ -106,21 +105,21 @@ def pack(flags: TransitionFlags) -> jax.Array:
 
 
 def unpack(words: jax.Array) -> TransitionFlags:
-    """Return the flags of int32 `words`."""
+    """Return the flags that are packed in int32 `words`."""
     bits = [(words & bit) != 0 for bit in (REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED)]
     return TransitionFlags(words & (REACHED - 1), *bits)
 
 
 @jax.named_scope("store")
 def write(replay: Replay, transition: Transition, valid: jax.Array, controller: jax.Array) -> Replay:
-    """Append one transition a lane, listed for `controller [N]` where `valid [N]`.
+    """Return the replay with one more transition for each lane, listed for `controller [N]` where `valid [N]`.
 
-    After a reset the state to go on from is the new start, and the successor is lost.
+    After a reset, `transition.next_state` is the new start, and the successor is not stored.
     """
     row, lanes = replay.row, jnp.arange(valid.shape[0])
 
-    def put(buffer, values, at):
-        return jax.lax.dynamic_update_slice(buffer, values[None], (at,) + (0,) * values.ndim)
+    def put(buffer, values, at_row):
+        return jax.lax.dynamic_update_slice(buffer, values[None], (at_row,) + (0,) * values.ndim)
 
     filled = replay.counts[lanes, controller]
     slot = jnp.where(controller == 0, filled, replay.capacity - 1 - filled)
@@ -138,11 +137,11 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
 
 @jax.named_scope("sample")
 def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array) -> TransitionBatch:
-    """Return `size` transitions a lane, uniform with replacement over what is listed for `controller [N]`.
+    """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
-    A share `demo_share [N]` of them is drawn from the demonstrations alone. Where nothing is listed for a controller yet, at its
-    very first step, it is given what the other one did. A lane's draw depends on its own key and counts only, never on how many
-    lanes run beside it.
+    A share `demo_share [N]` is drawn from the demonstrations alone. At the first step of a controller without listed
+    transitions, it samples those of the other one. A lane's draw depends only on its own key and counts, not on the
+    number of lanes.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
@@ -157,7 +156,10 @@ def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, de
 
 
 def _draw(key: jax.Array, count: jax.Array, demos: jax.Array, demo_share: jax.Array, size: int) -> jax.Array:
-    """Return positions [size] in one lane's list of `count` rows; integers, because float32 tells no two of 2**24 apart."""
-    share_key, place_key = jax.random.split(key)
+    """Return random indices [size] into one lane's list of `count` rows.
+
+    They are drawn as integers, because float32 cannot represent all of them beyond 2**24.
+    """
+    share_key, index_key = jax.random.split(key)
     from_demos = (jax.random.uniform(share_key, (size,)) < demo_share) & (demos > 0)
-    return jax.random.randint(place_key, (size,), 0, jnp.maximum(jnp.where(from_demos, demos, count), 1))
+    return jax.random.randint(index_key, (size,), 0, jnp.maximum(jnp.where(from_demos, demos, count), 1))

@@ -1,7 +1,7 @@
-"""Soft actor-critic, the learner of every method: one gradient step on the critics, the actor and the temperature.
+"""Soft actor-critic, the learner of all methods: a gradient step on the critics, the actor and the temperature.
 
 Source: Haarnoja et al. 2018 (arXiv 1812.05905), with the shared hyper-parameters of Sharma et al. 2022, appendix.
-Where the paper is silent the defaults follow the authors' released TF-Agents code, as each field says.
+Defaults that the paper does not give follow the authors' released TF-Agents code; each field names its source.
 """
 
 import functools
@@ -20,36 +20,39 @@ DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
 
 
 class SAC(struct.PyTreeNode):
-    """Hyper-parameters of the learner; floats are leaves, so lanes of one program may differ in them."""
+    """Hyper-parameters of the learner; floats are leaves, so lanes of one program can have different values."""
 
     learning_rate: float = 3e-4
     """Adam's step size for actor, critics and temperature (paper)."""
     discount: float = 0.99
     """gamma (paper)."""
     target_rate: float = 0.005
-    """tau of the target critics, tracked every step (paper)."""
+    """tau of the target critics, which are updated every step (paper)."""
     reward_scale: float = 10.0
-    """Factor on the reward inside the learner only. The paper says 1; the released configurations of sparse tasks say 10,
-    which is what reproduces the published curves (docs/results.md). Training by name takes `Env.reward_scale` instead."""
+    """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
+    10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
     initial_temperature: float = 1.0
-    """alpha at step 0 (released code; the paper is silent)."""
+    """alpha at step 0 (released code; not given in the paper)."""
     entropy_per_action: float = -0.5
-    """Target entropy = this times the action size (released code: -|A|/2; the paper is silent)."""
+    """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
     timeout_bootstrap: bool = False
-    """Bootstrap through the end of a phase that timed out; off as in EARL, where every phase end is terminal."""
+    """Whether to bootstrap through the end of a phase that timed out; not in EARL, where every phase end is
+    terminal."""
     demo_share: float = 0.0
-    """Share of a batch drawn from the demonstrations alone; 0 as in EARL, whose sampling is uniform over all."""
+    """Share of a batch drawn from the demonstrations alone; 0 as in EARL, which samples all transitions uniformly."""
     batch_size: int = struct.field(pytree_node=False, default=256)
-    """Transitions a gradient step, uniform with replacement (paper)."""
+    """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256))
-    """ReLU layers of actor and critics (paper)."""
+    """Widths of the ReLU layers of actor and critics (paper)."""
     layer_norm: bool = struct.field(pytree_node=False, default=False)
-    """Normalise the critics' hidden layers; off as in the paper, on in later work (MEDAL, RLPD), where it tames them."""
+    """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
+    stability."""
     random_steps: int = struct.field(pytree_node=False, default=1000)
-    """Uniformly random actions, without updates, at the start of a life (paper)."""
+    """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     precision: str = struct.field(pytree_node=False, default="tf32")
-    """Arithmetic of the networks' matrix products: "float32" everywhere, "tf32" (XLA's default: TF32 on NVIDIA GPUs,
-    float32 on CPUs) or "bf16" (bfloat16 operands and activations; parameters, sums, losses and Adam stay float32)."""
+    """Precision of the networks' matrix products: "float32" (on every device), "tf32" (XLA's default: TF32 on NVIDIA
+    GPUs, float32 on CPUs) or "bf16" (bfloat16 operands and activations; parameters, sums, losses and Adam stay
+    float32)."""
 
     def __post_init__(self):
         networks.check_precision(self.precision)
@@ -58,7 +61,7 @@ class SAC(struct.PyTreeNode):
 
 
 class Batch(NamedTuple):
-    """Transitions to learn from: `obs [B, o]`, `action [B, a]`, `reward [B]`, bool `terminal [B]`, `next_obs [B, o]`."""
+    """Transitions to learn from: `obs, next_obs [B, o]`, `action [B, a]`, `reward [B]`, bool `terminal [B]`."""
 
     obs: jax.Array
     action: jax.Array
@@ -70,7 +73,7 @@ class Batch(NamedTuple):
 class Agent(struct.PyTreeNode):
     """One controller: actor, K stacked critics and their targets, log temperature, Adam's moments.
 
-    The first two critics are SAC's. Critics beyond them are trained without the entropy term, for methods that read
+    The first two critics are SAC's. Further critics are trained without the entropy term, for methods that interpret
     values as success probabilities.
     """
 
@@ -97,8 +100,8 @@ def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int
     """Return a fresh `Agent` for observations [o] and actions [a] with `critics` >= 2 stacked critics."""
     actor_key, critic_key = jax.random.split(key)
     actor = mlp(sac.hidden_sizes, 2 * action_size).init(actor_key, jnp.zeros((obs_size,)))
-    blank = jnp.zeros((obs_size + action_size,))
-    critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critics), blank)
+    example = jnp.zeros((obs_size + action_size,))
+    critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critics), example)
     log_temperature = jnp.log(jnp.asarray(sac.initial_temperature, jnp.float32))
     moments = {
         "actor": ADAM.init(actor),
@@ -114,7 +117,7 @@ def act(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, action_size: int) 
 
 
 def greedy(sac: SAC, actor: Any, obs: jax.Array, action_size: int) -> jax.Array:
-    """Return the mode of the policy [..., a] at `obs [..., o]`, the action of every evaluation."""
+    """Return the policy's mode [..., a] at `obs [..., o]`, the action in evaluations."""
     return TanhNormal(action_size).mode(_policy(sac, actor, obs, action_size))
 
 
@@ -126,12 +129,12 @@ def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size
 
 
 def q_values(sac: SAC, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
-    """Return the values [K, ...] that K stacked critics give to `obs [..., o]` and `action [..., a]`."""
+    """Return the values [K, ...] of K stacked critics at `obs [..., o]` and `action [..., a]`."""
     pair = jnp.concatenate([obs, action], axis=-1)
-    one, axis = functools.partial(networks.apply, _critic(sac), precision=sac.precision), None
-    if sac.precision == "bf16":  # repeated for every critic, so that all products of a stack have one batch axis
+    critic, axis = functools.partial(networks.apply, _critic(sac), precision=sac.precision), None
+    if sac.precision == "bf16":  # repeated for every critic, so that all products of the stack have one batch axis
         pair, axis = jnp.broadcast_to(pair, (jax.tree.leaves(critics)[0].shape[0], *pair.shape)), 0
-    return jax.vmap(one, (0, axis))(critics, pair)[..., 0]
+    return jax.vmap(critic, (0, axis))(critics, pair)[..., 0]
 
 
 def _pair_min(values: jax.Array) -> jax.Array:
@@ -143,8 +146,8 @@ def _pair_min(values: jax.Array) -> jax.Array:
 def td_target(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> jax.Array:
     """Return the regression targets [K, B]: `scale r + (1 - terminal) gamma (min Q'(s', a') - alpha log pi(a'|s'))`.
 
-    At a terminal transition, time-outs included, this is exactly the scaled reward: the biased TD update of the EARL
-    paper, section 5.1. Critics beyond the first two leave out the entropy term.
+    At a terminal transition, time-outs included, the target is the scaled reward alone: the biased TD update of the
+    EARL paper, section 5.1. Critics after the first two omit the entropy term.
     """
     next_action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, batch.action.shape[-1])
     values = _pair_min(q_values(sac, agent.targets, batch.next_obs, next_action))
@@ -154,7 +157,7 @@ def td_target(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> jax.Array
 
 
 def descend(params: Any, grads: Any, moments: Any, rate: float) -> tuple[Any, Any]:
-    """Return parameters and Adam moments after one step of size `rate` down `grads`."""
+    """Return parameters and Adam moments after one descent step of size `rate` along `grads`."""
     direction, moments = ADAM.update(grads, moments)
     return jax.tree.map(lambda p, d: p - rate * d, params, direction), moments
 
@@ -172,7 +175,7 @@ def _update_critics(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tup
 
 
 def _update_actor(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, jax.Array]:
-    """Descend `alpha log pi - min Q` and return the mean log-probability with the agent."""
+    """Return the agent after a descent step on `alpha log pi - min Q`, and the mean log-probability."""
     temperature = jnp.exp(agent.log_temperature)
     soft = jax.tree.map(lambda leaf: leaf[:SOFT_CRITICS], agent.critics)
 
@@ -187,18 +190,18 @@ def _update_actor(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple
 
 
 def _update_temperature(sac: SAC, agent: Agent, log_prob: jax.Array, action_size: int) -> Agent:
-    """Descend `-log alpha (log pi + target entropy)`, the released code's loss in log alpha."""
+    """Return the agent after a descent step on `-log alpha (log pi + target entropy)`, the released code's loss."""
     grad = -(log_prob + sac.entropy_per_action * action_size)
     value, moments = descend(agent.log_temperature, grad, agent.moments["temperature"], sac.learning_rate)
     return agent.replace(log_temperature=value, moments={**agent.moments, "temperature": moments})
 
 
 def update(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, dict[str, jax.Array]]:
-    """Return the agent after one step on critics, actor (against the fresh critics) and temperature, and diagnostics."""
+    """Return the agent after a step on critics, actor (with the updated critics) and temperature, and diagnostics."""
     critic_key, actor_key = jax.random.split(key)
     agent, critic_loss = _update_critics(sac, agent, batch, critic_key)
     agent, log_prob = _update_actor(sac, agent, batch, actor_key)
     agent = _update_temperature(sac, agent, log_prob, batch.action.shape[-1])
     targets = jax.tree.map(lambda slow, fast: slow + sac.target_rate * (fast - slow), agent.targets, agent.critics)
-    said = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
-    return agent.replace(targets=targets), dict(zip(DIAGNOSTICS, said, strict=True))
+    diagnostics = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
+    return agent.replace(targets=targets), dict(zip(DIAGNOSTICS, diagnostics, strict=True))

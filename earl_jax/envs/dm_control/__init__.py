@@ -1,1 +1,1 @@
-"""The two tasks of the paper's figure 2, after dm_control's suite."""
+"""The two tasks of the paper's figure 2, from the DeepMind Control Suite."""

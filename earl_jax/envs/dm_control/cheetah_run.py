@@ -1,7 +1,7 @@
-"""Cheetah run: a planar cheetah that is to run at 10 m/s, the DeepMind Control Suite's `cheetah-run` without episodes.
+"""Cheetah run: a planar cheetah learns to run at 10 m/s, the DeepMind Control Suite's `cheetah-run` without episodes.
 
-Source: dm_control 1.0.50, `suite/cheetah`; the model is our own MJCF with its numbers, equal to rounding.
-`python -m earl_jax.envs.dm_control.cheetah_run FILE.npz` makes assets/starts/cheetah_run.npz anew.
+Source: dm_control 1.0.50, `suite/cheetah`. The model is our own MJCF with the suite's numbers, equal up to
+rounding. `python -m earl_jax.envs.dm_control.cheetah_run FILE.npz` regenerates assets/starts/cheetah_run.npz.
 """
 
 import dataclasses
@@ -21,27 +21,28 @@ from earl_jax.envs.state import NextState, State
 from earl_jax.physics import EngineCost, PhysicsState, load_model
 
 TARGET_SPEED = 10.0
-"""Metres a second from which the reward is 1."""
+"""Speed in metres per second at and above which the reward is 1."""
 SLIDES = 2
-"""Joints forward and up, before the seven hinges."""
+"""Number of slide joints, forward and up; the seven hinges follow."""
 POSITIONS = 8
-"""Length of the observed position: all joints but the one forward."""
+"""Length of the observed position: all joints but the forward slide."""
 LAP = 200.0
-"""Metres after which the place along the track, which nothing observes, starts over."""
+"""Metres after which the position along the track, which is not observed, wraps."""
 SETTLING = 200
-"""Steps without torque that a start is settled for."""
+"""Steps without torque that settle a start."""
 STARTS = 512
 HEIGHTS = (-1.0, 10.0)
-"""Metres between which the trunk's height, 0 where it starts, stays in sound physics."""
+"""Range in metres of the trunk's height, 0 at the start; outside it, the simulation broke."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CheetahRun(MujocoEnv):
-    """Run: `obs [17]` = height, pitch, six joint angles, then velocities of these and forward; `action [6]` = joint torques.
+    """Run: `obs [17]` = height, pitch, 6 joint angles, then velocities of forward and of these; `action [6]` = torques.
 
-    There is no goal, so goals have length 0 and an observation is a state. The suite has no success either: here it is
-    running at 10 m/s or more, where the suite's reward is 1. Starts are drawn from 512 states settled by the suite's procedure,
-    which itself settles a new one for each episode. The place along the track wraps every 200 m, where the suite's grows.
+    The task has no goal, so goals have length 0 and an observation is a state. The suite defines no success; here it is
+    a speed of 10 m/s or more, where the suite's reward is 1. Starts are drawn from 512 states settled by the suite's
+    procedure; the suite settles a new one for each episode. The position along the track wraps every 200 m; in the
+    suite it grows.
     """
 
     reward_type: str = "dense"
@@ -72,8 +73,8 @@ class CheetahRun(MujocoEnv):
 
     def reset(self, key: jax.Array) -> State:
         table = assets.starts(self.name)
-        one = jax.random.randint(key, (), 0, len(table["qpos"]))
-        data = PhysicsState.at(**{field: jnp.asarray(values)[one] for field, values in table.items()})
+        index = jax.random.randint(key, (), 0, len(table["qpos"]))
+        data = PhysicsState.at(**{field: jnp.asarray(values)[index] for field, values in table.items()})
         return self.make_state(data, _observed(data), {"goal": jnp.zeros((0,))})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
@@ -86,7 +87,8 @@ class CheetahRun(MujocoEnv):
 
     @functools.cached_property
     def levers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which hinges turn each link, bool [7, 7], and its lever, [7, 2]: metres (x, z) that its turning moves the whole by."""
+        """The hinges that turn each link, bool [7, 7], and the link's lever, [7, 2]: metres (x, z) by which its
+        rotation moves the whole cheetah's centre of mass."""
         model = self.simulator.mujoco_model()
         parents, total = model.body_parentid[1:] - 1, model.body_mass.sum()
         turned_by, levers = np.eye(len(parents), dtype=bool), model.body_mass[1:, None] * model.body_ipos[1:]
@@ -96,9 +98,9 @@ class CheetahRun(MujocoEnv):
         return turned_by, (levers[:, ::2] / total).astype(np.float32)
 
     def speed(self, obs: jax.Array) -> jax.Array:
-        """Return the forward speed [...] of the whole cheetah's centre of mass in `obs [..., 17]`, metres a second.
+        """Return the forward speed [...] of the whole cheetah's centre of mass in `obs [..., 17]`, metres per second.
 
-        The suite reads it from a sensor, which it brings up to date after each step; it is a function of what is observed.
+        The suite reads it from a sensor, which it updates after each step. It is a function of the observation.
         """
         turned_by, levers = self.levers
         angles = obs[..., None, SLIDES - 1 : POSITIONS] * turned_by
@@ -122,15 +124,15 @@ class CheetahRun(MujocoEnv):
 
 
 def _observed(data: PhysicsState) -> jax.Array:
-    """Return the state [17] of `data`: positions without the one along the track, then velocities."""
+    """Return the state [17] of `data`: positions except the one along the track, then velocities."""
     return jnp.concatenate([data.qpos[1:], data.qvel])
 
 
 def settle(count: int = STARTS, seed: int = 0) -> dict[str, np.ndarray]:
     """Return `count` settled starts as float32 `qpos, qvel, qacc_warmstart [count, 9]`.
 
-    The suite's procedure: every limited joint uniform in its range, the trunk where the model has it, 200 steps at rest of
-    MuJoCo's C engine, each lane from its own cold start.
+    The suite's procedure: every limited joint is uniform in its range, the trunk has the model's pose, and MuJoCo's C
+    engine takes 200 steps without torque from a cold start.
     """
     mujoco: Any = importlib.import_module("mujoco")
     model, random = load_model(CheetahRun.name), np.random.default_rng(seed)

@@ -1,6 +1,6 @@
-"""Fish swim: bring the mouth to a place in the water, the DeepMind Control Suite's `fish-swim` as a goal-conditioned task.
+"""Fish swim: bring the mouth to a target in the water, the DeepMind Control Suite's `fish-swim` with goals.
 
-Source: dm_control 1.0.50, `suite/fish`; the model is our own MJCF with its numbers.
+Source: dm_control 1.0.50, `suite/fish`. The model is our own MJCF with the suite's numbers.
 """
 
 import dataclasses
@@ -18,28 +18,30 @@ from earl_jax.physics import EngineCost, PhysicsState
 
 JOINTS = 7
 ROOT = 7
-"""Where the joints begin in MuJoCo's positions: behind the trunk's place and quaternion."""
+"""Index of the first joint in MuJoCo's qpos, after the trunk's position and quaternion."""
 START = np.array([0.0, 0.0, 0.1], np.float32)
-"""Where the trunk is put by a reset."""
+"""The trunk's position after a reset, metres."""
 MOUTH = 0.0745
-"""Metres from the trunk's middle forward to the mouth's."""
+"""Metres from the trunk's middle forward to the mouth."""
 RADIUS = 0.045
-"""Metres from the mouth's middle to the target's within which the target is reached: both their radii."""
+"""Distance in metres between mouth and target within which the target is reached: the sum of their radii."""
 BEND = 0.2
-"""Radians up to which the joints of a start are bent."""
+"""Half-width in radians of the uniform joint angles of a start."""
 TURN = 2 * np.pi
-"""Radians that no joint reaches unless something broke: servos and springs hold them within 1.4."""
-WATERS = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.4, 0.4, 9), np.linspace(0.1, 0.3, 5)), axis=-1)
-"""The grid of targets over the suite's box, 10 cm across and 5 cm up: no place in the box is further than 7.5 cm from one."""
+"""Joint angle in radians beyond which the simulation broke; servos and springs hold the joints within 1.4."""
+TARGETS = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.4, 0.4, 9), np.linspace(0.1, 0.3, 5)), axis=-1)
+"""The grid of targets over the suite's box, with steps of 10 cm across and 5 cm up: no position in the box is further
+than 7.5 cm from a target."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FishSwim(MujocoEnv):
-    """Swim to a target: `obs [36]` = state 33, target place 3; `action [5]` = tail, tail twist, flap, left and right fin pitch.
+    """Swim to a target: `obs [36]` = state 33, target 3; `action [5]` = tail, tail twist, flap, left, right fin pitch.
 
-    State: joint angles 7, uprightness 1, velocities 13, the mouth's place 3 and frame 9 (a matrix, row by row). The suite shows
-    the target in the mouth's frame instead: `target_seen`. Its targets are uniform in a box; ours are 405 grid points of that
-    box, because a replay names goals by number. Success, which the suite does not have, is where the target's tolerance is 1.
+    State: joint angles 7, uprightness 1, velocities 13, the mouth's position 3 and frame 9 (a matrix, row by row). The
+    suite observes the target in the mouth's frame instead: `target_seen`. Its targets are uniform in a box. Ours are
+    405 grid points of that box, because the replay stores goals as indices. The suite defines no success; here it is a
+    tolerance of 1.
     """
 
     reward_type: str = "dense"
@@ -52,7 +54,7 @@ class FishSwim(MujocoEnv):
     action_size: ClassVar[int] = 5
     goal_change: ClassVar[int] = 1000
     map_bounds: ClassVar[np.ndarray] = np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32)
-    """Twice the targets' box and more: the water has no walls, and a fish may leave it."""
+    """More than twice the targets' box; the water has no walls, so a fish may leave these bounds."""
     control_step: ClassVar[float] = 0.04
 
     @property
@@ -65,13 +67,13 @@ class FishSwim(MujocoEnv):
 
     @property
     def goal_states(self) -> np.ndarray:
-        return WATERS.reshape(-1, 3).astype(np.float32)
+        return TARGETS.reshape(-1, 3).astype(np.float32)
 
     @property
     def initial_states(self) -> np.ndarray:
-        """Where the mouth is at a start, which faces anywhere: 26 places [26, 3] all around the trunk's."""
-        ways = np.array([way for way in itertools.product((-1, 0, 1), repeat=3) if any(way)], np.float32)
-        return START + np.float32(MOUTH) * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        """Positions of the mouth at a start, float32 [26, 3], around the trunk: a start faces anywhere."""
+        directions = np.array([step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)], np.float32)
+        return START + np.float32(MOUTH) * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
     def reset(self, key: jax.Array) -> State:
         goal_key, turn_key, bend_key = jax.random.split(key, 3)
@@ -100,9 +102,9 @@ class FishSwim(MujocoEnv):
         return super().fault(state) | (jnp.abs(state.obs[:JOINTS]) > TURN).any()
 
     def target_seen(self, obs: jax.Array) -> jax.Array:
-        """Return the way [..., 3] from mouth to target in the mouth's frame, metres: the suite's `target` in `obs [..., 36]`.
+        """Return the vector [..., 3] from mouth to target in `obs [..., 36]`, metres, in the mouth's frame.
 
-        The frame is MuJoCo's for the mouth: x to the right of the fish, y down through its belly, z ahead.
+        This is the suite's `target`. The frame is MuJoCo's for the mouth: x to the fish's right, y down, z ahead.
         """
         frame = obs[..., 24:33].reshape(*obs.shape[:-1], 3, 3)
         return jnp.einsum("...w,...wm->...m", obs[..., 33:36] - obs[..., 21:24], frame, precision="highest")
@@ -117,8 +119,8 @@ class FishSwim(MujocoEnv):
     def reward(self, obs: jax.Array) -> jax.Array:
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
-        there = tolerance(self.to_target(obs), 0.0, RADIUS, jnp.asarray(2 * RADIUS))
-        return (7.0 * there + 0.5 * (obs[..., JOINTS] + 1.0)) / 8.0
+        reached = tolerance(self.to_target(obs), 0.0, RADIUS, jnp.asarray(2 * RADIUS))
+        return (7.0 * reached + 0.5 * (obs[..., JOINTS] + 1.0)) / 8.0
 
 
 def _observed(data: PhysicsState) -> jax.Array:

@@ -1,7 +1,7 @@
-"""Franka kitchen: close what stands open; a reset-free agent has to open it again by itself.
+"""Franka kitchen: close the open appliances; a reset-free agent must open them again itself.
 
-Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our own MJCF
-(assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference.
+Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our
+own MJCF (assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from earl_jax.physics import EngineCost, PhysicsState
 REACH = 0.02
 """Metres that the mocap target moves at action 1: the released scale of 2 times 0.01."""
 FINGER_REACH = 0.16
-"""What an action of 1 adds to a finger's target: the released scale of 2 times a step of 0.08 s."""
+"""Radians that an action of 1 adds to a finger's target: the released scale of 2 times a step of 0.08 s."""
 MOCAP_LOW = np.array([-0.7, -0.1, 1.8], np.float32)
 MOCAP_HIGH = np.array([0.4, 0.5, 2.6], np.float32)
 HELD_UPRIGHT = np.array([0.65359542, -0.65307515, -0.27036028, -0.27057566], np.float32)
@@ -29,7 +29,7 @@ RADIUS = 0.3
 ROBOT_NOISE = 0.01
 OBJECT_NOISE = (0.0005, 0.0005, *[5e-5] * 6, *[5e-4] * 3, *[0.01] * 3)
 NOISE = np.array([*[ROBOT_NOISE] * 9, *OBJECT_NOISE], np.float32)
-"""Half the width of the uniform noise on each number of a state."""
+"""Half-width of the uniform noise on each number of a state."""
 CLOSED = np.array(
     [
         -4.1336253e-01, -1.6970085e00, 1.4286385e00, -2.5005307e00, 6.2198675e-01, 1.2632011e00, 8.8903642e-01,
@@ -41,7 +41,7 @@ CLOSED = np.array(
 )  # fmt: skip
 """The goal: a noisy observation, as published."""
 OPEN = {"micro": {22: -0.7}, "hinge": {20: 0.0, 21: 1.45}, "slide": {19: 0.37}, "light": {17: -0.69, 18: -0.05}}
-"""Places in a state, and their values, of what stands open."""
+"""For each open appliance: indices into a state and their values."""
 PAIRS = (
     ("micro", "hinge"), ("micro", "slide"), ("micro", "light"), ("light", "slide"), ("light", "hinge"), ("slide", "hinge"),
 )  # fmt: skip
@@ -57,30 +57,32 @@ ARM_WARMSTART = (
     0.0394256909, -0.0113677043, -0.0664968568, -0.0486054008, 0.10585123, -0.0560178579, -0.605053158, -0.000547454585,
     0.00923499635,
 )  # fmt: skip
-"""Arm and fingers after the released reset of ten steps of zero action at the released time step: still moving, and the left
-finger open, for its target is what joint 1 read before."""
+"""Arm and fingers after the released reset: ten steps of zero action at the released time step. The arm still moves,
+and the left finger is open, because its target is the previous reading of joint 1."""
 SHUT = (
     -0.000292405254, 2.75470406e-08, 2.75470406e-08, 2.75470406e-08, -0.00012477605, 0.0, -0.00092229841, 0.0072293887, 0.0,
 )  # fmt: skip
-"""The objects' joints after those ten steps, started where the goal says: limits and friction hold them a little elsewhere."""
+"""The objects' joints after those ten steps from the goal; limits and friction move them slightly."""
 JOINT_SPEED = np.array([1.0, 4.0], np.float32)
 LEASH = np.array([0.2, 0.08], np.float32)
-"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear between."""
+"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear
+between."""
 OBJECT_SLACK = 0.3
 ARM_SLACK = 20.0
-"""How far (rad, m) beyond its limits an object or a joint of the arm may be before something is broken. The arm's are soft, as
-in the original: dragged about for long, its last joint winds itself up by 10 rad."""
+"""Distances (rad, m) beyond their limits at which object and arm joints count as a broken simulation. The arm's limits
+are soft, as in the original: after long dragging, the last joint is 10 rad beyond its limit."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FrankaKitchen(MujocoEnv):
-    """Close two open things of four: `obs [46]` = robot 9, objects 14, goal 23; `action [9]`, of which three do something.
+    """Close two open appliances of four: `obs [46]` = robot 9, objects 14, goal 23; `action [9]`, three effective.
 
-    `action[:3]` moves a mocap body by up to 2 cm an axis, which drags the hand. The released code sends two of the nine to the
-    fingers as a target of joint angle plus action, which clips to closed or open by the arm's place, and drops the others: here
-    as there. The return over `eval_horizon` steps is the metric (success, all 14 object numbers within 0.3 of the goal, is
-    reported beside it). `noise=False` observes exactly; `variant="paper"` is the reward of the paper's text, as
-    `kitchen_reward.published` reads it; `substeps=40` is the released time step of 2 ms.
+    `action[:3]` moves a mocap body, which drags the hand, by up to 2 cm along each axis. As in the released code, the
+    fingers' targets are the observed angles of the first two arm joints plus `FINGER_REACH * action[:2]`, which clips
+    to closed or open depending on the arm's pose, and the other components are dropped. The metric is the return over
+    `eval_horizon` steps. Success is reported as well: the 14 object numbers are within 0.3 of the goal. `noise=False`
+    observes exactly. `variant="paper"` has the reward of the paper's text, as `reward.published` reads it.
+    `substeps=40` is the released time step of 2 ms.
     """
 
     reward_type: str = "dense"
@@ -117,17 +119,17 @@ class FrankaKitchen(MujocoEnv):
     def initial_states(self) -> np.ndarray:
         states = np.tile(CLOSED, (len(PAIRS), 1))
         for state, pair in zip(states, PAIRS, strict=True):
-            for what in pair:
-                state[list(OPEN[what])] = list(OPEN[what].values())
+            for appliance in pair:
+                state[list(OPEN[appliance])] = list(OPEN[appliance].values())
         return states
 
     def reset(self, key: jax.Array) -> State:
         pair_key, noise_key = jax.random.split(key)
         starts = self.initial_states[:, rewards.FIRST[rewards.ROBOT :]]
         untouched = starts == CLOSED[rewards.FIRST[rewards.ROBOT :]]
-        split_setting = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), starts))
-        objects = split_setting[jax.random.randint(pair_key, (), 0, len(split_setting))]
-        qpos, rest = jnp.append(jnp.array(ARM_QPOS, jnp.float32), objects), jnp.zeros(split_setting.shape[1])
+        start_objects = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), starts))
+        objects = start_objects[jax.random.randint(pair_key, (), 0, len(start_objects))]
+        qpos, rest = jnp.append(jnp.array(ARM_QPOS, jnp.float32), objects), jnp.zeros(start_objects.shape[1])
         data = PhysicsState.at(
             qpos=qpos,
             qvel=jnp.append(jnp.array(ARM_QVEL, jnp.float32), rest),
@@ -136,11 +138,11 @@ class FrankaKitchen(MujocoEnv):
             qacc_warmstart=jnp.append(jnp.array(ARM_WARMSTART, jnp.float32), rest),
         )
         vector, changed = self._observe(data, jax.random.key_data(noise_key))
-        sites = rewards.site_places(rewards.observed(qpos))
+        sites = rewards.site_positions(rewards.observed(qpos))
         return self.make_state(data, vector, {"goal": jnp.asarray(CLOSED), "sites": sites, **changed})
 
     def _observe(self, data: PhysicsState, noise: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Return what is observed [23] of `data`, and what that changes in `info`: the noise's key, the mocap's place."""
+        """Return the observation [23] of `data`, and the changed fields of `info`: noise key and mocap position."""
         following, drawn = jax.random.split(jax.random.wrap_key_data(noise))
         vector = rewards.observed(data.qpos)
         if self.noise:
@@ -167,18 +169,19 @@ class FrankaKitchen(MujocoEnv):
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 46]`.
 
-        The released reward also depends on the mocap body and on exact handles; from `obs` alone these are taken as where the
-        observed arm and objects put them (centimetres apart with the noise). `step` and `goal_reward` know them.
+        The released reward also depends on the mocap body and on exact handle positions. Here both are computed from
+        the observed arm and objects, and the noise makes them centimetres wrong. `step` and `goal_reward` use the exact
+        positions.
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
         if self.variant == "paper":
             return jnp.vectorize(rewards.published, signature="(o)->()")(obs)
 
-        def one(obs):
-            return rewards.released(obs, rewards.dragging_place(obs[:23]), rewards.site_places(obs[:23]))
+        def reward_of(obs):
+            return rewards.released(obs, rewards.dragging_position(obs[:23]), rewards.site_positions(obs[:23]))
 
-        return jnp.vectorize(one, signature="(o)->()")(obs)
+        return jnp.vectorize(reward_of, signature="(o)->()")(obs)
 
     def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
         if self.sparse or self.variant == "paper":
@@ -193,16 +196,16 @@ class FrankaKitchen(MujocoEnv):
 
 
 def _target(state: State, action: jax.Array) -> jax.Array:
-    """Return where [3] `action` moves the place that the hand is drawn to."""
+    """Return the position [3] to which `action` moves the hand's target."""
     return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], MOCAP_LOW, MOCAP_HIGH)
 
 
 def _pulled_target(state: State, target: jax.Array) -> jax.Array:
-    """Return the place [3] that the weld pulls the hand to: `target [3]`, or nearer to the hand where that would throw it.
+    """Return the position [3] that the weld pulls the hand to: `target [3]`, or a nearer one if the target is too far.
 
-    A difference from the original: with the target half a metre behind furniture or where the arm cannot follow, a joint that
-    breaks loose reaches 87 rad/s (28 on the leash) and throws what it hits past its limits. A leash that stays short when the
-    arm is slow would leave it stuck where it has folded up.
+    A difference from the original: with the target half a metre behind furniture or out of the arm's reach, a joint
+    that comes free reaches 87 rad/s (28 with this limit) and knocks objects past their limits. If the limit stayed
+    short while the arm is slow, a folded arm would be stuck.
     """
-    hand = rewards.dragging_place(rewards.observed(state.data.qpos))
+    hand = rewards.dragging_position(rewards.observed(state.data.qpos))
     return leashed_target(target, hand, jnp.abs(state.data.qvel[:7]).max(), JOINT_SPEED, LEASH)

@@ -1,7 +1,7 @@
-"""The Minitaur's body as it differs from life to life: masses, inertias and the friction of its feet.
+"""The randomised parameters of the Minitaur's body: masses, inertias and the friction of its feet.
 
-Source: the randomiser that the released EARL code switches on. It scales masses of chassis, motors and lower legs; here the upper
-legs, which are fused with their motors, are scaled with them.
+Source: the randomiser that the released EARL code enables. It scales the masses of chassis, motors and lower legs. Here
+the upper legs are fused with their motors and are scaled with them.
 """
 
 import functools
@@ -21,9 +21,11 @@ FRICTIONS = (0.8, 1.5)
 
 
 class Body(NamedTuple):
-    """The nominal robot: of each of B bodies `kind [B]`, mass, inertia and, in row i of `carried [B, B]`, who hangs on it.
+    """The nominal robot with B bodies and P contact pairs.
 
-    `friction [P, 5]` of the contact pairs, and of each entry whether it is a foot's sliding friction on the floor.
+    `kind [B]` indexes `KINDS`. `mass [B]` and `inertia [B, 3]` are the bodies' own. `carried [B, B]`: row i marks the
+    bodies in the subtree of body i. `friction [P, 5]` belongs to the contact pairs, and `slides [P, 5]` marks the
+    entries that are a foot's sliding friction on the floor.
     """
 
     kind: np.ndarray
@@ -36,7 +38,7 @@ class Body(NamedTuple):
 
 @functools.cache
 def nominal(name: str) -> Body:
-    """Return the robot of the model `name` as it was compiled."""
+    """Return the compiled parameters of the robot in the model `name`."""
     model = load_model(name)
     kinds = [
         next((n for n, kind in enumerate(KINDS) if model.body(i).name.startswith(kind)), 0) for i in range(model.nbody)
@@ -54,7 +56,7 @@ def nominal(name: str) -> Body:
 
 
 def draw(key: jax.Array, name: str) -> jax.Array:
-    """Return a lane's own values [k] of the fields `VARIED` of the model `name`, flat and in that order."""
+    """Return random values [k] of the fields `VARIED` of the model `name`, flat and in that order."""
     body = nominal(name)
     mass_key, friction_key = jax.random.split(key)
     factor = jax.random.uniform(mass_key, (len(KINDS),), minval=MASSES[0], maxval=MASSES[1])[body.kind]

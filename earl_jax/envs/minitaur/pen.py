@@ -1,7 +1,7 @@
-"""Minitaur pen: a quadruped with eight motors walks to a place in a pen; nobody turns it over when it falls.
+"""Minitaur pen: a quadruped with eight motors walks to a position in a pen; a fall does not end an episode.
 
-Source: the released EARL environment on PyBullet's Minitaur. The physics are our own MJCF (assets/mjcf), held to poses and trots
-that were recorded there; docs/environments.md lists every difference.
+Source: the released EARL environment on PyBullet's Minitaur. The physics are our own MJCF (assets/mjcf), tested against
+poses and trots that were recorded there; docs/environments.md lists every difference.
 """
 
 import dataclasses
@@ -23,14 +23,15 @@ RADIUS = 0.1
 GOALS = np.array([(x, y) for x in (-0.4, -0.2, 0.2, 0.4) for y in (0.0, 0.2, 0.4)], np.float32)
 VOLTS, NOMINAL_VOLTS = (14.8, 16.8), 16.0
 VISCOSITIES, NOMINAL_VISCOSITY = (0.0, 0.01), 0.0
-"""V s/rad, beside the back-EMF."""
+"""Range of the viscosity, V s/rad, which adds to the back-EMF."""
 EFFORT = {"released": -0.005 * 0.002, "paper": 0.02}
-"""Weight of the motors' power in each variant's reward: the released code pays 0.005 for the work of one 2 ms substep."""
+"""Weight of the motors' power in each variant's reward; the released reward is -0.005 times the work of one 2 ms
+substep."""
 FAR = {"closed": 1.75, "floating": 100.0}
-"""Metres from the middle that the robot never reaches unless something broke."""
+"""Distance in metres from the middle beyond which the simulation broke, for each kind of walls."""
 HIGH = 2.0
 ON_ITS_BACK = -0.5
-"""Cosine of the body's upward axis to the vertical, below which no robot was ever seen to come back: docs/irreversible.md."""
+"""Cosine between the body's up axis and the vertical below which no robot ever recovered: docs/irreversible.md."""
 WALL = 1.5
 """Metres from the middle to the walls."""
 
@@ -51,19 +52,21 @@ STANDING = (
         -38.2282875, -35.898999, -39.0575368, -35.6630831, -37.7938118, -35.3936648, -38.6194129, -35.156471,
     ),
 )  # fmt: skip
-"""qpos, qvel and warm start of the nominal robot after the released reset: 0.2 s of holding its motors at 90 degrees."""
+"""qpos, qvel and warm start of the nominal robot after the released reset, which holds its motors at 90 degrees for 0.2
+s."""
 REPORTED = (0.424335717, 0.477845813, 0.451270707, 0.511036733, 0.485318034, 0.428432067, 0.51529674, 0.455987717)
-"""The torques that its motors report then."""
+"""The torques that its motors report after that reset."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MinitaurPen(MujocoEnv):
-    """Walk to one of 12 places: `obs [32]` = motor angles 8, speeds 8, torques 8, orientation xyzw 4, place 2, goal 2.
+    """Walk to one of 12 goals: `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2.
 
-    `action [8]` is in leg space: four swings, then four extensions, front left, back left, front right, back right. `randomize`
-    draws masses (20 %), battery, viscosity and the feet's friction at every reset, as released; `overheat` shuts a motor down
-    that was above 2.45 N m for a second, until the next reset. `walls="floating"` has the released pen, out of which a robot that
-    crouches can walk; `variant="paper"` the reward of the paper's text. A fall ends nothing, as released.
+    The quaternion is xyzw. `action [8]` is in leg space: four swings, then four extensions; legs: front left, back
+    left, front right, back right. `randomize` draws masses (20 %), battery, viscosity and the feet's friction at every
+    reset, as released. `overheat` shuts down a motor that was above 2.45 N m for a second, until the next reset.
+    `walls="floating"` has the released pen, out of which a crouching robot can walk. `variant="paper"` has the reward
+    of the paper's text. A fall does not end an episode, as released.
     """
 
     reward_type: str = "dense"
@@ -109,7 +112,7 @@ class MinitaurPen(MujocoEnv):
 
     @property
     def reward_scale(self) -> float:
-        """0.1 for the dense reward, the released default for such tasks; at 1 and 10 learning was slower (docs/results.md)."""
+        """0.1 for the dense reward, as released for such tasks; learning was slower at 1 and 10 (docs/results.md)."""
         return 10.0 if self.sparse else 0.1
 
     @property
@@ -146,20 +149,23 @@ class MinitaurPen(MujocoEnv):
         return jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], axis=-1) < RADIUS
 
     def irreversible(self, state: State) -> jax.Array:
-        """Return whether the robot is on its back (or at fault): its upward axis more than 120 degrees from the vertical.
+        """Return whether the robot is on its back, its up axis more than 120 degrees from the vertical, or at fault.
 
-        At rest it stands (cosine 1), lies on a side (about 0.1) or on its back (below -0.9).
+        At rest it stands (cosine 1), lies on a side (about 0.1) or lies on its back (below -0.9).
         """
         x, y = state.obs[24:26]
         return super().irreversible(state) | (1.0 - 2.0 * (x**2 + y**2) < ON_ITS_BACK)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave the `area`."""
+        """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave `map_bounds`."""
         return obs[..., 28:30]
 
     def reward(self, obs: jax.Array) -> jax.Array:
-        """Return the reward [...]: released, minus twice the L1 distance and a little of the motors' power; in the paper's text
-        the distance is L2 and the power counts for the robot, a thousand times as much."""
+        """Return the reward [...] of arriving in `obs [..., 32]`.
+
+        The released reward is minus twice the L1 distance minus a small multiple of the motors' power. In the paper's
+        text the distance is L2, and the power is rewarded, with a weight two thousand times as large.
+        """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
         power = jnp.abs((obs[..., 8:16] * obs[..., 16:24]).sum(axis=-1))
@@ -175,7 +181,7 @@ class MinitaurPen(MujocoEnv):
 
 
 def observed(data: PhysicsState) -> jax.Array:
-    """Return the state vector [30] of a robot at `data`: motors in their own sense, orientation as xyzw."""
+    """Return the state [30] of a robot at `data`: angles and speeds with the motors' sign, orientation as xyzw."""
     angles, speeds = data.qpos[POSITIONS] * DIRECTION, data.qvel[SPEEDS] * DIRECTION
     reported, orientation = data.memory[MOTORS : 2 * MOTORS], jnp.roll(data.qpos[3:7], -1)
     return jnp.concatenate([angles, speeds, reported, orientation, data.qpos[:2]])

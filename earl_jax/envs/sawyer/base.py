@@ -1,4 +1,4 @@
-"""What both Sawyer tasks share: an arm dragged by its hand, two fingers, an object, 14 numbers of observation.
+"""The base class of both Sawyer tasks: an arm dragged by its hand, two fingers, an object, 14 numbers of observation.
 
 Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 2021. The physics are our own MJCF
 (assets/mjcf), fitted to the recorded demonstrations; docs/environments.md lists every difference.
@@ -26,22 +26,23 @@ POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0], np.float32) / np.float32(np.sqrt(
 OPENING = 0.1
 """Metres between the finger tips at which the gripper reads 1."""
 GRIPPER = 3
-"""The place of the gripper's opening in a state, which the paper's observation leaves out."""
+"""Index of the gripper's opening in a state; the paper's observation omits it."""
 VARIANTS = ("released", "paper")
 ARM = 9
-"""Joints of arm and fingers, before those of the object."""
+"""Number of joints of arm and fingers; the object's joints follow."""
 WRIST = 6
-"""The arm's last joint, which turns the hand about itself and moves it nowhere."""
+"""Index of the arm's last joint, which rotates the hand in position."""
 JOINT_SPEED = np.array([2.8, 3.6], np.float32)
 LEASH = np.array([0.38, 0.03], np.float32)
-"""Metres by which the mocap target may lead the hand while the fastest joint before the wrist turns at `JOINT_SPEED` [rad/s];
-linear between."""
+"""Metres by which the mocap target may lead the hand while the fastest joint before the wrist turns at `JOINT_SPEED`
+[rad/s]; linear between."""
 
 
 class Pose(NamedTuple):
-    """How the arm stands after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`.
+    """The arm after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`.
 
-    The original settles for 250 substeps at every reset and is not at rest then; these are the states it ends in.
+    The original simulates 250 substeps at every reset, after which it is not yet at rest. These are the resulting
+    states.
     """
 
     target: tuple[float, ...]
@@ -56,9 +57,9 @@ class Pose(NamedTuple):
 class Sawyer(MujocoEnv):
     """An arm and an object: `obs [14]` = hand 3, gripper opening 1, object 3, goal 7; `action [4]` = dx, dy, dz, grip.
 
-    A step moves the mocap target by up to 1 cm an axis; `grip` +1 closes, -1 opens. `variant="paper"` leaves the gripper out
-    of state and goal (obs [12]) as the paper's text does. `reset_at_goal` starts at the task's goal, as the released option
-    for backward evaluations and demonstrations does. A released `substeps` of 5 is 2.5 ms each.
+    A step moves the mocap target by up to 1 cm along each axis; `grip` +1 closes, -1 opens. `variant="paper"` omits the
+    gripper from state and goal (obs [12]), as the paper's text does. `reset_at_goal` starts at the task's goal, as the
+    released option for backward evaluations and demonstrations does. The released 5 `substeps` are 2.5 ms each.
     """
 
     substeps: int = 5
@@ -69,49 +70,49 @@ class Sawyer(MujocoEnv):
     control_step: ClassVar[float] = 0.0125
     demo_noise: ClassVar[float | None] = 0.2
     demo_count: ClassVar[int]
-    """Scripted demonstrations in each direction, as in the paper's table."""
+    """Number of scripted demonstrations in each direction, as in the paper's table."""
     radius: ClassVar[dict[str, float]]
-    """How near [m] its goal the object must be, for each variant."""
+    """Largest distance [m] of the object to its goal that counts as success, for each variant."""
     object_low: ClassVar[np.ndarray]
     object_high: ClassVar[np.ndarray]
-    """The box [m] that the object never leaves unless something broke."""
+    """The box [m] of the object's positions; outside it, the simulation broke."""
 
     def __post_init__(self):
         super().__post_init__()
         self._require_choice("variant", VARIANTS)
 
     @property
-    def kept(self) -> np.ndarray:
+    def observed_indices(self) -> np.ndarray:
         """Indices of the released state [7] that this variant observes."""
         return np.arange(7) if self.variant == "released" else np.delete(np.arange(7), GRIPPER)
 
     @property
     def state_size(self) -> int:
-        return len(self.kept)
+        return len(self.observed_indices)
 
     @property
     def goal_size(self) -> int:
-        return len(self.kept)
+        return len(self.observed_indices)
 
     @property
     @abc.abstractmethod
     def pose(self) -> Pose:
-        """How the arm stands after a reset."""
+        """The arm's pose after a reset."""
 
     @abc.abstractmethod
-    def joints_at(self, where: jax.Array) -> jax.Array:
-        """Return the object's joints [j] with which it is seen at `where [3]`."""
+    def joints_at(self, position: jax.Array) -> jax.Array:
+        """Return the object's joints [j] at which its observed position is `position [3]`."""
 
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
-        where = vector[-3:]
-        return self.start_at(self.joints_at(where), where, goal)
+        position = vector[-3:]
+        return self.start_at(self.joints_at(position), position, goal)
 
     def render_goal(self, state: State) -> PhysicsState:
         object_joints = self.joints_at(state.info["goal"][-3:])
         return state.data.replace(qpos=jnp.concatenate([state.data.qpos[:ARM], object_joints]))
 
-    def start_at(self, joints: jax.Array, where: jax.Array, goal: jax.Array, **info: jax.Array) -> State:
-        """Return the state with the arm in its reset pose and the object's `joints [j]` such that it is seen at `where [3]`."""
+    def start_at(self, joints: jax.Array, position: jax.Array, goal: jax.Array, **info: jax.Array) -> State:
+        """Return the state with the arm in its reset pose and the object at `joints [j]`, observed at `position`."""
         pose, rest = self.pose, jnp.zeros_like(joints)
 
         def join(arm, rest):
@@ -124,7 +125,7 @@ class Sawyer(MujocoEnv):
             mocap_quat=jnp.asarray(POINTING_DOWN)[None],
             qacc_warmstart=join(pose.warmstart, rest),
         )
-        vector = jnp.concatenate([jnp.asarray([*pose.hand, pose.grip], jnp.float32), where])[self.kept]
+        vector = jnp.concatenate([jnp.asarray([*pose.hand, pose.grip], jnp.float32), position])[self.observed_indices]
         return self.make_state(data, vector, {"goal": goal, **info})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
@@ -133,19 +134,21 @@ class Sawyer(MujocoEnv):
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         data = data.replace(mocap_pos=_target(state, action)[None])
-        hand, right, left, seen = jnp.split(sensors, 4)
+        hand, right, left, object_position = jnp.split(sensors, 4)
         grip = jnp.clip(jnp.linalg.norm(right - left) / OPENING, 0.0, 1.0)
-        vector = jnp.concatenate([hand, grip[None], seen])[self.kept]
-        return data, vector, self._changed(state, action, jnp.stack([right, left]), seen)
+        vector = jnp.concatenate([hand, grip[None], object_position])[self.observed_indices]
+        return data, vector, self._changed_info(state, action, jnp.stack([right, left]), object_position)
 
-    def _changed(self, state: State, action: jax.Array, tips: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
-        """Return what a step changes in `info`, given finger `tips [2, 3]` and the object's place [3]."""
-        del state, action, tips, seen
+    def _changed_info(
+        self, state: State, action: jax.Array, tips: jax.Array, object_position: jax.Array
+    ) -> dict[str, jax.Array]:
+        """Return the fields of `info` that a step changes, given finger `tips [2, 3]` and the `object_position [3]`."""
+        del state, action, tips, object_position
         return {}
 
     def demos(self, direction: str) -> assets.Demos:
         demos = super().demos(direction)
-        parts = {name: getattr(demos, name)[:, self.kept] for name in ("states", "goals", "next_states")}
+        parts = {name: getattr(demos, name)[:, self.observed_indices] for name in ("states", "goals", "next_states")}
         return demos._replace(**parts)
 
     def demo_starts(self, seed: int) -> Iterator[DemoStart]:
@@ -156,12 +159,12 @@ class Sawyer(MujocoEnv):
             yield DemoStart(forward=self.reset(key), backward=self._backward_demo_start(key), backward_goal=goal)
 
     def _backward_demo_start(self, key: jax.Array) -> State | None:
-        """Return where a backward demonstration starts; None where the forward one ended."""
+        """Return the start of a backward demonstration; None for the end of the forward one."""
         del key
 
     def fault(self, state: State) -> jax.Array:
-        seen, hand = state.obs[self.state_size - 3 : self.state_size], state.obs[:3]
-        inside = ((seen >= self.object_low) & (seen <= self.object_high)).all()
+        object_position, hand = state.obs[self.state_size - 3 : self.state_size], state.obs[:3]
+        inside = ((object_position >= self.object_low) & (object_position <= self.object_high)).all()
         inside &= ((hand >= HAND_LOW - 0.2) & (hand <= HAND_HIGH + 0.2)).all()
         return super().fault(state) | ~inside
 
@@ -176,14 +179,15 @@ class Sawyer(MujocoEnv):
 
 
 def _target(state: State, action: jax.Array) -> jax.Array:
-    """Return where [3] `action` moves the place that the hand is drawn to."""
+    """Return the position [3] to which `action` moves the hand's target."""
     return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], HAND_LOW, HAND_HIGH)
 
 
 def _pulled_target(state: State, target: jax.Array) -> jax.Array:
-    """Return the place [3] that the weld pulls the hand to: `target [3]`, or nearer to the hand where that would throw it.
+    """Return the position [3] that the weld pulls the hand to: `target [3]`, or a nearer one if the target is too far.
 
-    A difference from the original: a hand that slips off the handle with its target half a metre away reaches 9 m/s there, 22 mm
-    a substep, and passes through what comes next. The recordings stay below 0.36 m and 2.8 rad/s and never feel the leash.
+    A difference from the original: there, a hand that slips off the handle with its target half a metre away reaches 9
+    m/s, 22 mm per substep, and passes through the next obstacle. The recordings stay below 0.36 m and 2.8 rad/s, where
+    this has no effect.
     """
     return leashed_target(target, state.obs[:3], jnp.abs(state.data.qvel[:WRIST]).max(), JOINT_SPEED, LEASH)

@@ -1,4 +1,4 @@
-"""Sawyer door: close an open door by its handle; a reset-free agent must open it again by itself."""
+"""Sawyer door: close an open door by its handle; a reset-free agent must open it again itself."""
 
 import dataclasses
 from typing import ClassVar
@@ -15,18 +15,18 @@ from earl_jax.physics import EngineCost
 
 HINGE = np.array([-0.085, 0.85], np.float32)
 HANDLE = np.array([0.375722, -0.10714], np.float32)
-"""The handle seen from the hinge, in the door's frame."""
+"""The handle's position relative to the hinge, in the door's frame."""
 HEIGHT = np.float32(0.100036)
 OPEN = -np.pi / 3
 NOISE = np.pi / 20
 DOOR = np.array([0.1, 0.95, 0.1], np.float32)
-"""The door's own place: the released dense reward takes it for where the handle starts."""
+"""The door's own position, which the released dense reward uses as the handle's start."""
 CLOSED = np.array([0.29072163, 0.74286009, 0.10003595], np.float32)
 START = np.array([0.00591636, 0.39968333, 0.19493164, 1.0, 0.01007495, 0.47104556, 0.10003595], np.float32)
 GOAL_RADIUS = 0.05
-"""Metres within which the dense reward is at its highest."""
-OVERSHOOT = np.float32(0.05)
-"""Metres beyond the target's box that a map of the hand's places shows."""
+"""Distance in metres within which the dense reward is at its maximum."""
+MAP_MARGIN = np.float32(0.05)
+"""Metres by which the map of the hand's positions extends beyond the target's box."""
 HOME = Pose(
     target=(0.0, 0.4, 0.2),
     qpos=(
@@ -55,12 +55,12 @@ AT_HANDLE = Pose(
     hand=(0.29223742, 0.68626189, 0.11374819),
     grip=0.69962465,
 )  # fmt: skip
-"""Settled by our own model against the closed door: the released procedure, in contact, so not the original's to the digit."""
+"""Result of the released reset at the closed door on our own model; in contact, so not identical to the original's."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SawyerDoor(Sawyer):
-    """Close the door: start at -60 degrees plus up to 9 of noise, success with the handle within 2 cm (paper: 8 cm) of its goal.
+    """Close the door from -60 degrees plus noise up to 9; success: the handle is within 2 cm (paper: 8 cm) of its goal.
 
     `door_noise=False` starts every episode at -60 degrees.
     """
@@ -73,18 +73,18 @@ class SawyerDoor(Sawyer):
     demo_count: ClassVar[int] = 5
     goal_change: ClassVar[int] = 600
     continuing_horizon: ClassVar[int | None] = 50_000
-    map_bounds: ClassVar[np.ndarray] = np.stack([HAND_LOW[:2] - OVERSHOOT, HAND_HIGH[:2] + OVERSHOOT])
+    map_bounds: ClassVar[np.ndarray] = np.stack([HAND_LOW[:2] - MAP_MARGIN, HAND_HIGH[:2] + MAP_MARGIN])
     radius: ClassVar[dict[str, float]] = {"released": 0.02, "paper": 0.08}
     object_low: ClassVar[np.ndarray] = np.array([-0.2, 0.4, 0.05], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.35, 0.85, 0.15], np.float32)
 
     @property
     def goal_states(self) -> np.ndarray:
-        return np.concatenate([CLOSED, [np.float32(1.0)], CLOSED])[None, self.kept]
+        return np.concatenate([CLOSED, [np.float32(1.0)], CLOSED])[None, self.observed_indices]
 
     @property
     def initial_states(self) -> np.ndarray:
-        return START[None, self.kept]
+        return START[None, self.observed_indices]
 
     @property
     def pose(self) -> Pose:
@@ -96,9 +96,9 @@ class SawyerDoor(Sawyer):
         angle = -noise if self.reset_at_goal else OPEN + noise
         return self.start_at(angle[None], handle_at(angle), goal)
 
-    def joints_at(self, where: jax.Array) -> jax.Array:
-        """Return the door's angle [1] with its handle at `where [3]`."""
-        x, y = where[:2] - HINGE
+    def joints_at(self, position: jax.Array) -> jax.Array:
+        """Return the door's angle [1] with its handle at `position [3]`."""
+        x, y = position[:2] - HINGE
         return (jnp.arctan2(y, x) - np.arctan2(HANDLE[1], HANDLE[0]))[None]
 
     def map_position(self, obs: jax.Array) -> jax.Array:

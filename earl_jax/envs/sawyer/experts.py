@@ -1,4 +1,4 @@
-"""Scripted controllers of the Sawyer tasks: pure functions of the state, forward and backward by the goal they are given."""
+"""Scripted controllers of the Sawyer tasks: pure functions of state and goal, for forward and backward goals."""
 
 import jax
 import jax.numpy as jnp
@@ -7,21 +7,22 @@ import numpy as np
 GAIN = 25.0
 """Action per metre of distance: full speed from 4 cm on."""
 HOVER = 0.21
-"""Height [m] at which the hand travels above everything."""
+"""Height [m] at which the hand travels above all objects."""
 STEEP = 1.0
-"""Slope of the cone in which it comes down on a target."""
+"""Slope of the cone along which the hand descends to a target."""
 CLOSE, OPEN = 1.0, -1.0
 
 HINGE = np.array([-0.085, 0.85], np.float32)
 HANDLE_ANGLE = np.arctan2(-0.10714, 0.375722)
 PUSH, PULL = np.array([0.375, -0.175], np.float32), np.array([0.415, -0.055], np.float32)
-"""Where the hand works, in the door's frame: in front of the handle to close, behind its free end to open."""
+"""Positions from which the hand moves the door, in its frame: in front of the handle to close, behind its free end to
+open."""
 BAR = -0.12
 """Depth of the handle's bar in the door's frame."""
 HANDLE_HEIGHT = 0.1
 
-ALONG = np.array([0.14, 0.0, 0.0], np.float32)
-"""Where the hand holds the peg, seen from its head."""
+GRASP = np.array([0.14, 0.0, 0.0], np.float32)
+"""Grasp position of the script, relative to the peg's head."""
 PEG_GRIP = 0.05
 LIFTED = 0.13
 OUT = -0.05
@@ -34,7 +35,7 @@ def steer(hand: jax.Array, target: jax.Array, grip: jax.Array | float) -> jax.Ar
 
 
 def travel(hand: jax.Array, target: jax.Array, near: float) -> jax.Array:
-    """Return the next waypoint [3] to `target [3]`: up, across, and down a cone whose tip is `near` wide."""
+    """Return the next waypoint [3] to `target [3]`: up, across, and down a cone with a tip of radius `near`."""
     away = jnp.linalg.norm((target - hand)[:2])
     height = jnp.clip(target[2] + STEEP * (away - near), target[2], HOVER)
     clear = hand[2] > height - 0.03
@@ -43,28 +44,30 @@ def travel(hand: jax.Array, target: jax.Array, near: float) -> jax.Array:
 
 
 def door(hand: jax.Array, handle: jax.Array, goal: jax.Array) -> jax.Array:
-    """Return the action [4] that turns the door so that its `handle [3]` comes to `goal [3]`, from wherever the hand is."""
-    angle, aim = (jnp.arctan2(*(place[:2] - HINGE)[::-1]) - HANDLE_ANGLE for place in (handle, goal))
+    """Return the action [4] that moves the door's `handle [3]` to `goal [3]`, for any position of the hand."""
+    angle, aim = (jnp.arctan2(*(point[:2] - HINGE)[::-1]) - HANDLE_ANGLE for point in (handle, goal))
     turn = jnp.array([[jnp.cos(angle), -jnp.sin(angle)], [jnp.sin(angle), jnp.cos(angle)]])
     closing = aim > angle
-    spot, onward = jnp.where(closing, PUSH, PULL), jnp.where(closing, 0.12, -0.12)
-    seen = turn.T @ (hand[:2] - HINGE)
-    side = jnp.where(closing, BAR - seen[1], seen[1] - BAR)
+    start, onward = jnp.where(closing, PUSH, PULL), jnp.where(closing, 0.12, -0.12)
+    local_hand = turn.T @ (hand[:2] - HINGE)
+    side = jnp.where(closing, BAR - local_hand[1], local_hand[1] - BAR)
     width = jnp.where(closing, 0.08, 0.045)
-    ready = (side > 0.015) & (side < 0.12) & (jnp.abs(seen[0] - spot[0]) < width) & (hand[2] < HANDLE_HEIGHT + 0.035)
-    working = jnp.array([spot[0], seen[1] + onward])
-    flat = HINGE + turn @ jnp.where(ready, working, spot)
-    target = jnp.append(flat, HANDLE_HEIGHT + 0.01)
+    ready = (
+        (side > 0.015) & (side < 0.12) & (jnp.abs(local_hand[0] - start[0]) < width) & (hand[2] < HANDLE_HEIGHT + 0.035)
+    )
+    working = jnp.array([start[0], local_hand[1] + onward])
+    across = HINGE + turn @ jnp.where(ready, working, start)
+    target = jnp.append(across, HANDLE_HEIGHT + 0.01)
     return steer(hand, jnp.where(ready, target, travel(hand, target, 0.03)), CLOSE)
 
 
 def peg(hand: jax.Array, grip: jax.Array, head: jax.Array, goal: jax.Array) -> jax.Array:
-    """Return the action [4] that brings the peg's `head [3]` to `goal [3]`: into the hole, or out of it and down."""
-    hold = jnp.maximum(head + ALONG + jnp.array([0.0, 0.0, 0.025]), jnp.array([-1.0, 0.0, PEG_GRIP]))
-    apart = hand - hold
-    around = (jnp.abs(apart[0]) < 0.03) & (jnp.abs(apart[1]) < 0.025) & (jnp.abs(apart[2]) < 0.02)
-    held = around & (grip < 0.5)
-    fetch = steer(hand, travel(hand, hold, 0.02), jnp.where(around, CLOSE, OPEN))
+    """Return the action [4] that moves the peg's `head [3]` to `goal [3]`: into the hole, or out of it and down."""
+    grasp_position = jnp.maximum(head + GRASP + jnp.array([0.0, 0.0, 0.025]), jnp.array([-1.0, 0.0, PEG_GRIP]))
+    offset = hand - grasp_position
+    enclosed = (jnp.abs(offset[0]) < 0.03) & (jnp.abs(offset[1]) < 0.025) & (jnp.abs(offset[2]) < 0.02)
+    held = enclosed & (grip < 0.5)
+    fetch = steer(hand, travel(hand, grasp_position, 0.02), jnp.where(enclosed, CLOSE, OPEN))
     inserting = goal[2] > 0.08
     inside = head[0] < -0.15
     aligned = (jnp.abs(head[1] - goal[1]) < 0.012) & (jnp.abs(head[2] - LIFTED) < 0.012)

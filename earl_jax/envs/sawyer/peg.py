@@ -14,16 +14,16 @@ from earl_jax.envs.state import State
 from earl_jax.physics import EngineCost
 
 HEAD = np.array([-0.1, 0.0, 0.0], np.float32)
-"""The peg's head, the observed object, seen from the peg's middle."""
+"""Position of the peg's head, the observed object, relative to the peg's middle."""
 GRASP = np.array([0.03, 0.0, 0.01], np.float32)
-"""Where the peg is to be held, seen from its middle."""
+"""Grasp position of the dense reward, relative to the peg's middle."""
 LOW = np.array([0.0, 0.5, 0.02], np.float32)
 HIGH = np.array([0.2, 0.7, 0.02], np.float32)
 SCATTER = 0.02
 RADIUS = 0.05
 NEAREST, WIDEST = 0.335, 0.64
-"""Metres: nearer to the robot than this y, and further to a side than this x, a hand inside its range can touch the middle of the
-peg's length no more, or only push it on: docs/irreversible.md."""
+"""Metres: if the middle of the peg has a smaller y or a larger |x|, a hand inside its range cannot touch it or can only
+push it further away: docs/irreversible.md."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -43,10 +43,10 @@ FAR_HEADS = np.array(
     ],
     np.float32,
 )  # fmt: skip
-"""x, y of the peg's head in the 22 wide starts."""
+"""x, y of the peg's head in the 22 starts of `wide`."""
 BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
 LIPS = np.array([[[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]], [[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]]], np.float32)
-"""Two boxes in front of the block, below and above the hole, in the block's frame: corners where the dense reward is 0 and 1."""
+"""Two boxes in front of the block, below and above the hole, in the block's frame: corners of dense reward 0 and 1."""
 HOME = Pose(
     target=(0.0, 0.6, 0.2),
     qpos=(
@@ -63,15 +63,15 @@ HOME = Pose(
 )  # fmt: skip
 
 START_TIPS = np.array([0.00599209, 0.60039713, 0.14930194], np.float32)
-"""Between the finger tips in that pose."""
+"""The point between the finger tips in that pose."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SawyerPeg(Sawyer):
-    """Insert the peg: it lies anywhere in 20 by 20 cm, success with its head within 5 cm of the end of the hole.
+    """Insert the peg: it starts anywhere in 20 by 20 cm; success is a head within 5 cm of the end of the hole.
 
-    `listed=True` starts at one of the 15 published initial states; `wide=True` at one of 22 places all over the table
-    (within 2 cm) half of the time, as the released option `wide_init` does.
+    `listed=True` starts at one of the 15 published initial states. `wide=True` starts half of the time at one of 22
+    positions all over the table (within 2 cm), as the released option `wide_init` does.
     """
 
     train_horizon: int = 100_000
@@ -91,60 +91,65 @@ class SawyerPeg(Sawyer):
     def __post_init__(self):
         super().__post_init__()
         if self.listed + self.wide + self.reset_at_goal > 1:
-            raise ValueError("listed, wide and reset_at_goal are different starts: choose one of them")
+            raise ValueError("listed, wide and reset_at_goal are different starts: choose only one")
 
     @property
     def goal_states(self) -> np.ndarray:
-        return np.concatenate([np.array([0.0, 0.6, 0.2, 1.0], np.float32), INSERTED])[None, self.kept]
+        return np.concatenate([np.array([0.0, 0.6, 0.2, 1.0], np.float32), INSERTED])[None, self.observed_indices]
 
     @property
     def initial_states(self) -> np.ndarray:
         arm = np.tile(np.array([*HOME.hand, HOME.grip], np.float32), (len(HEADS), 1))
         height = np.full((len(HEADS), 1), LOW[2])
-        return np.concatenate([arm, HEADS, height], axis=1)[:, self.kept]
+        return np.concatenate([arm, HEADS, height], axis=1)[:, self.observed_indices]
 
     @property
     def pose(self) -> Pose:
         return HOME
 
     def reset(self, key: jax.Array) -> State:
-        place_key, goal_key = jax.random.split(key)
+        start_key, goal_key = jax.random.split(key)
         goals = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)
-        peg = self._peg_start(place_key)
-        return self._start_with_peg(peg, goals[jax.random.randint(goal_key, (), 0, len(goals))])
+        start = self._peg_start(start_key)
+        return self._start_with_peg(start, goals[jax.random.randint(goal_key, (), 0, len(goals))])
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
-        """Return a start with the middle of the peg at `peg [3]`."""
+        """Return a start state with the middle of the peg at `peg [3]`."""
         return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()))
 
-    def joints_at(self, where: jax.Array) -> jax.Array:
-        """Return the peg's middle [3] with its head at `where [3]`."""
-        return where - HEAD
+    def joints_at(self, position: jax.Array) -> jax.Array:
+        """Return the peg's middle [3] with its head at `position [3]`."""
+        return position - HEAD
 
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
         return self._start_with_peg(self.joints_at(vector[-3:]), goal)
 
     def _backward_demo_start(self, key: jax.Array) -> State:
-        """Return the start of a backward demonstration: the peg inserted and the hand at home, as published."""
+        """Return the start of a backward demonstration: peg inserted, arm in its reset pose, as published."""
         return dataclasses.replace(self, reset_at_goal=True).reset(key)
 
     def _peg_start(self, key: jax.Array) -> jax.Array:
-        which, where, spread, coin = jax.random.split(key, 4)
-        scatter = jax.random.uniform(spread, (3,), minval=-SCATTER, maxval=SCATTER)
-        near = jax.random.uniform(where, (3,), minval=LOW, maxval=HIGH)
+        """Return a random start [3] of the middle of the peg."""
+        head_key, uniform_key, scatter_key, wide_key = jax.random.split(key, 4)
+        scatter = jax.random.uniform(scatter_key, (3,), minval=-SCATTER, maxval=SCATTER)
+        uniform = jax.random.uniform(uniform_key, (3,), minval=LOW, maxval=HIGH)
         if self.reset_at_goal:
             return jnp.asarray(INSERTED - HEAD) + scatter
         if self.listed:
-            return _lying_peg(HEADS, which)
+            return _lying_peg(HEADS, head_key)
         if self.wide:
-            return jnp.where(jax.random.bernoulli(coin), near, _lying_peg(FAR_HEADS, which) + scatter)
-        return near
+            return jnp.where(jax.random.bernoulli(wide_key), uniform, _lying_peg(FAR_HEADS, head_key) + scatter)
+        return uniform
 
-    def _changed(self, state: State, action: jax.Array, tips: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
-        return {"grasp": jnp.zeros(()) if self.sparse else _caging(tips, seen, state.info["start"], action[GRIPPER])}
+    def _changed_info(
+        self, state: State, action: jax.Array, tips: jax.Array, object_position: jax.Array
+    ) -> dict[str, jax.Array]:
+        if self.sparse:
+            return {"grasp": jnp.zeros(())}
+        return {"grasp": _caging(tips, object_position, state.info["start"], action[GRIPPER])}
 
     def irreversible(self, state: State) -> jax.Array:
-        """Return whether the peg is off the table (a `fault`: its middle past an edge of the top) or out of the hand's reach."""
+        """Return whether the peg is off the table (a `fault`: its middle is past an edge) or out of reach."""
         middle = state.obs[self.state_size - 3 : self.state_size] - HEAD
         return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
 
@@ -155,8 +160,8 @@ class SawyerPeg(Sawyer):
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., o]`.
 
-        The dense reward also depends on the action, both finger tips and where the peg started; from `obs` alone these are
-        taken as: no effort, tips symmetric about the hand, the nominal start. `step` and `goal_reward` know them.
+        The dense reward also depends on the action, both finger tips and the peg's start. Here they are no effort, tips
+        symmetric about the hand, and the nominal start. `step` and `goal_reward` use the actual values.
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
@@ -174,51 +179,56 @@ class SawyerPeg(Sawyer):
         return self.reward(obs) if self.sparse else self._dense(obs, info["start"], info["grasp"])
 
     def _dense(self, obs: jax.Array, start: jax.Array, grasp: jax.Array) -> jax.Array:
-        """Return Meta-World's peg-insertion reward as released with EARL, of one `obs [o]`."""
+        """Return Meta-World's peg-insertion reward [] as released with EARL, for one `obs [o]`."""
         hand, head = obs[:3], obs[self.state_size - 3 : self.state_size]
         goal, scale = obs[-3:], jnp.array([1.0, 2.0, 2.0])
-        held_at = head - HEAD + GRASP
+        grasp_position = head - HEAD + GRASP
         left = jnp.linalg.norm((head - goal) * scale)
         placed = tolerance(left, 0.0, RADIUS, jnp.linalg.norm((start + HEAD - goal) * scale), long_tail)
         bump = hamacher(*[prism(head, *_from_block(corners)) for corners in LIPS[::-1]])
         placed = hamacher(placed, bump)
         grip = obs[GRIPPER] > 0 if self.variant == "released" else True
-        lifted = (jnp.linalg.norm(held_at - hand) < 0.08) & grip & (held_at[2] - 0.01 > start[2])
+        lifted = (jnp.linalg.norm(grasp_position - hand) < 0.08) & grip & (grasp_position[2] - 0.01 > start[2])
         total = hamacher(jnp.where(lifted, 1.0, grasp), placed) + jnp.where(lifted, 1.0 + 5.0 * placed, 0.0)
         return jnp.where(left <= RADIUS, 10.0, total)
 
     def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [4] that brings the peg to its goal; the paper's variant hides what the expert must see."""
+        """Return the action [4] of a script that brings the peg to its goal.
+
+        Raises:
+            ValueError: variant 'paper', whose observation omits the gripper.
+        """
         if self.variant != "released":
-            raise ValueError("the scripted expert of sawyer_peg looks at the gripper, which variant 'paper' hides")
+            raise ValueError("the scripted expert of sawyer_peg observes the gripper, which variant 'paper' omits")
         return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
 
 
 def _lying_peg(heads: np.ndarray, key: jax.Array) -> jax.Array:
-    """Return the middle [3] of a peg that lies with its head at one of `heads [n, 2]`."""
+    """Return the middle [3] of a lying peg with its head at one of `heads [n, 2]`."""
     head = jnp.asarray(heads)[jax.random.randint(key, (), 0, len(heads))]
     return jnp.append(head, LOW[2]) - HEAD
 
 
 def _from_block(corners: np.ndarray) -> np.ndarray:
-    """Return `corners [n, 3]` of the block's frame in the world: the block is turned by a quarter to the left."""
+    """Return world positions of `corners [n, 3]` in the block's frame, which is turned by 90 degrees to the left."""
     turned = np.stack([-corners[:, 1], corners[:, 0], corners[:, 2]], axis=-1)
     return turned + BLOCK
 
 
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:
-    """Return how well the fingers enclose the peg, in [0, 1]. Source: Meta-World, `_gripper_caging_reward`, high density.
+    """Return the reward for enclosing the peg with the fingers, in [0, 1].
 
-    `tips [2, 3]` right and left, `head [3]`, the peg's `start [3]`, the gripper's action `effort []`.
+    `tips [2, 3]` are the right and left finger tip, `head [3]` and `start [3]` the peg's head and the start of its
+    middle, `effort []` the gripper's action. Source: Meta-World, `_gripper_caging_reward`, high density.
     """
     reach, radius, thin, pad = 0.03, 0.0075, 0.005, jnp.array([0.003, -0.003])
-    held_at, middle = head - HEAD + GRASP, tips.mean(axis=0)
+    grasp_position, middle = head - HEAD + GRASP, tips.mean(axis=0)
     sides = tips[:, 1] + pad
     margin = jnp.abs(jnp.abs(sides - start[1]) - reach)
-    right, left = tolerance(jnp.abs(sides - held_at[1]), radius, reach, margin, long_tail)
+    right, left = tolerance(jnp.abs(sides - grasp_position[1]), radius, reach, margin, long_tail)
     level = np.array([0, 2])
     across = jnp.linalg.norm(start[level] - START_TIPS[level]) - thin
-    level_with = tolerance(jnp.linalg.norm((middle - held_at)[level]), 0.0, thin, across, long_tail)
+    level_with = tolerance(jnp.linalg.norm((middle - grasp_position)[level]), 0.0, thin, across, long_tail)
     caging = hamacher(hamacher(right, left), level_with)
     gripping = jnp.where(caging > 0.97, jnp.clip(effort, 0.0, 1.0), 0.0)
     return (hamacher(caging, gripping) + caging) / 2

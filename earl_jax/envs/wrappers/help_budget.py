@@ -1,4 +1,4 @@
-"""Irreversible states: a task with a budget for interventions, an action that requests one, and an end when it is spent.
+"""Irreversible states: a task with a budget of interventions, an action that requests help, and an end without budget.
 
 Source: Sharma et al. 2022, appendix on irreversible states. docs/irreversible.md has the equations.
 """
@@ -24,14 +24,14 @@ ROUNDING = 4 * float(np.finfo(np.float32).eps)
 class HelpBudget(Env):
     """`task` in augmented spaces: `obs` = task state, share of the budget left, goal; `action` = the task's, help.
 
-    A last action component above `help_above` requests help. The body does not move and the simulated step is discarded. The
-    next state is s' ~ rho, and the budget (h_max at first) falls by `help_cost`. After a step into a state that is irreversible
-    for the task, the environment enforces an intervention: again s' ~ rho, for `enforced_cost`. Both are transitions that an
-    agent learns from, and the goal does not change.
+    A last action component above `help_above` requests help. The body does not move and the simulated step is
+    discarded. The next state is s' ~ rho, and the budget (h_max at first) falls by `help_cost`. After a step into a
+    state that is irreversible for the task, the environment enforces an intervention: again s' ~ rho, for
+    `enforced_cost`. Both are transitions that an agent learns from, and the goal does not change.
 
-    An intervention that would exhaust the budget is not given. The lifetime ends instead: `done` is 1, the budget is 0, the
-    state stays as it was before that step, and every later step earns `absorbed_reward`. With the threshold 0.98 one uniform
-    action in a hundred requests help.
+    An intervention that would exhaust the budget does not take place. The lifetime ends instead: `done` is 1, the
+    budget is 0, the state stays as it was before that step, and every later step earns `absorbed_reward`. With the
+    threshold 0.98, one in a hundred uniform actions requests help.
     """
 
     reward_type: str = dataclasses.field(init=False, repr=False)
@@ -151,8 +151,8 @@ class HelpBudget(Env):
     def _initial_state(self, inner: State, key: jax.Array) -> State:
         """Return the first state of a lifetime, with the whole budget and the task in the state `inner`.
 
-        `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime. It
-        keeps the `key` that s' ~ rho is drawn with.
+        `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime.
+        Its `key` draws s' ~ rho.
         """
         none = jnp.zeros((), jnp.int32)
         info = {
@@ -166,7 +166,7 @@ class HelpBudget(Env):
     def intervene(self, key: jax.Array, state: State) -> State:
         """Return the state after a hard intervention: s0 ~ rho at no cost, with budget and counts unchanged.
 
-        Where the lifetime has ended, it is `state`.
+        After the end of the lifetime, it is `state` itself.
         """
         inner = self.task.intervene(key, state.data)
         fresh = self._augmented(inner, {**state.info, "goal": inner.info["goal"]})
@@ -191,7 +191,7 @@ class HelpBudget(Env):
         return self._after(state, action[-1] > self.help_above, self.task.step(state.data, action[:-1]))
 
     def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
-        """Return what follows where help was `asked` for and the task itself would have gone on to `moved`."""
+        """Return the result of a step that `asked` for help or not, bool [], and leads to `moved` in the task."""
         enforced = ~asked & self.task.irreversible(moved)
         following, drawn = jax.random.split(jax.random.wrap_key_data(state.info["key"]))
         changed = {**self._charged(state.info, asked, enforced), "key": jax.random.key_data(following)}
@@ -202,7 +202,7 @@ class HelpBudget(Env):
         return inner, self._vector(inner, info), info
 
     def _charged(self, info: dict[str, jax.Array], asked: jax.Array, enforced: jax.Array) -> dict[str, jax.Array]:
-        """Return counts and budget after a step on which help was `asked` for, an intervention was `enforced`, or neither.
+        """Return counts and budget after a step that `asked` for help, led to an `enforced` intervention, or neither.
 
         The budget is computed from the counts, so that rounding does not add up over a long lifetime.
         """
@@ -230,7 +230,7 @@ class HelpBudget(Env):
         return jnp.where(_ended(state.info), self.absorbed_reward, self.task.goal_reward(state.data, goal))
 
     def task_obs(self, obs: jax.Array) -> jax.Array:
-        """Return the task's own observation [..., s + g] of `obs [..., s + 1 + g]`: all but the budget."""
+        """Return the task's observation [..., s + g] in `obs [..., s + 1 + g]`: all but the budget."""
         return jnp.delete(obs, self.task.state_size, axis=-1, assume_unique_indices=True)
 
     def success(self, obs: jax.Array) -> jax.Array:
@@ -268,5 +268,5 @@ class HelpBudget(Env):
 
 
 def _ended(info: dict[str, jax.Array]) -> jax.Array:
-    """Return whether a lifetime has ended, bool []: the budget is 0 from then on and at no other time."""
+    """Return whether the lifetime has ended, bool []: the budget is 0 from then on, and positive before."""
     return info["budget"] <= 0

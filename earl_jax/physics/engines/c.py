@@ -1,4 +1,4 @@
-"""MuJoCo's C engine in float64 on the host's threads; it takes and returns one row a lane."""
+"""MuJoCo's C engine in float64 on the host's threads; its input and output are one row for each lane."""
 
 import copy
 import functools
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from earl_jax.physics import Simulator
 
 CHANGED = ("time", "qpos", "qvel", "act", "qacc_warmstart", "memory")
-"""The fields of a row that a control step changes; the constant ones and the command follow."""
+"""The fields of a row that a control step changes; the constant fields and the command follow."""
 CONSTANT = ("mocap_pos", "mocap_quat", "constants")
 
 
 def start_step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> PendingStep:
-    """Return the pending control step of one lane: a ticket where the host works beside a GPU, else the row itself."""
+    """Return the pending control step of one lane: a ticket if the host works beside a GPU, else the row itself."""
     row = jnp.concatenate([jnp.ravel(getattr(state, field)) for field in CHANGED + CONSTANT] + [command])
     if _host_runs_beside_device():
         return PendingStep((), service.start(_register_host(simulator, state)[0], row))
@@ -32,7 +32,7 @@ def start_step(simulator: "Simulator", state: PhysicsState, command: jax.Array) 
 
 
 def finish_step(simulator: "Simulator", state: PhysicsState, pending: PendingStep) -> tuple[PhysicsState, jax.Array]:
-    """Return what `Simulator.step` returns, for the step that `start_step` began at `state`."""
+    """Return the result of the step that `start_step` started from `state`, as `Simulator.step` does."""
     name, width = _register_host(simulator, state)
     ticket = pending.ticket
     after = service.step(name, pending.payload, width) if ticket is None else service.finish(name, ticket, width)
@@ -49,7 +49,7 @@ def _field_ends(state: PhysicsState) -> np.ndarray:
 
 
 def _register_host(simulator: "Simulator", state: PhysicsState) -> tuple[str, int]:
-    """Return the name under which XLA finds this simulator's host, the same in every process, and the width of its answers."""
+    """Register this simulator's host with XLA; return its name, the same in every process, and its output width."""
     serve = host_of(simulator, state.memory.size)
     width = int(_field_ends(state)[-1]) + simulator.mujoco_model().nsensordata
     digest = hashlib.blake2b(repr((simulator, state.memory.size)).encode(), digest_size=8).hexdigest()
@@ -59,9 +59,9 @@ def _register_host(simulator: "Simulator", state: PhysicsState) -> tuple[str, in
 
 
 class Host:
-    """The host's half of engine `c`: rows of integration state and command in, rows of state and sensors out.
+    """The host's part of engine `c`: it maps rows of integration state and command to rows of state and sensors.
 
-    Every stream has a worker pool of its own, and the pools share the cores of this process.
+    Each stream has its own worker pool, and the pools share the cores of this process.
     """
 
     def __init__(self, simulator: "Simulator", memory: int):
@@ -77,38 +77,41 @@ class Host:
         self.lock = threading.Lock()
 
     def __call__(self, rows: np.ndarray, stream: int = 0) -> np.ndarray:
-        """Return rows [n, state + warmstart + memory + sensors] for rows [n, state + warmstart + memory + held + command]."""
+        """Return the output rows [n, m] for the input `rows [n, k]`, float32.
+
+        Input: state, warm start, memory, the fields `CONSTANT`, command. Output: state, warm start, memory, sensors.
+        """
         with self.lock:
             if stream not in self.worker_pools:
                 streams = [*self.worker_pools, stream]
                 threads = max(1, usable_cores() // len(streams))
-                self.worker_pools = {each: WorkerPool(self, threads) for each in streams}
+                self.worker_pools = {key: WorkerPool(self, threads) for key in streams}
             worker_pool = self.worker_pools[stream]
         return worker_pool.advance(rows)
 
 
 class WorkerPool:
-    """Threads, and the data and models they work on, for the rows of one stream.
+    """The threads of one stream, with their data and models.
 
-    All rows go through one call of `mujoco.rollout`, or one call a substep where an actuator computes its controls. Waking a
-    thread takes longer than the work on a few rows. So half the threads serve up to one row a thread, three quarters serve up
-    to four, and all of them serve more. The limits are four times higher for the short calls of an actuator. They were
-    measured on 16 cores (benchmarks/PROFILE.md).
+    One call of `mujoco.rollout` simulates all rows, or one call for each substep if an actuator computes its controls.
+    Waking a thread takes longer than the work on a few rows. So half of the threads work on up to one row per thread of
+    the pool, three quarters on up to four, and all of them on more. These limits are four times higher for the short
+    calls with an actuator. They were measured on 16 cores (benchmarks/PROFILE.md).
     """
 
     def __init__(self, host: Host, threads: int):
         mujoco: Any = importlib.import_module("mujoco")
         rollout: Any = importlib.import_module("mujoco.rollout")
         self.host, self.threads = host, threads
-        self.half, self.most = max(1, threads // 2), max(1, threads * 3 // 4)
+        self.half, self.three_quarters = max(1, threads // 2), max(1, threads * 3 // 4)
         self.data = [mujoco.MjData(host.model) for _ in range(threads)]
-        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.half, self.most, self.threads}}
+        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.half, self.three_quarters, self.threads}}
         self.models: list[Any] = []
         self.constants = np.zeros((0, host.simulator.variation_size))
         self.lock = threading.Lock()
 
     def advance(self, rows: np.ndarray) -> np.ndarray:
-        """Return the rows [n, m] that follow `rows [n, k]` one control step later, float32."""
+        """Return the rows [n, m] one control step after `rows [n, k]`, float32."""
         simulator = self.host.simulator
         state, warmstart, memory, mocap, constants, command = np.split(
             rows.astype(np.float64), self.host.widths, axis=1
@@ -127,7 +130,7 @@ class WorkerPool:
     def _roll(
         self, models: list, state, warmstart, mocap, ctrl, steps: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return state, acceleration and sensors of the last of `steps` steps."""
+        """Return the state, acceleration and sensors of the last of `steps` physics steps."""
         host, count, last = self.host, len(state), steps - 1
         states = np.empty((count, steps, host.physics))
         sensors = np.empty((count, steps, host.model.nsensordata))
@@ -143,12 +146,12 @@ class WorkerPool:
         return states[:, last], acceleration, sensors[:, last]
 
     def _threads(self, rows: int) -> int:
-        """Return how many threads work on `rows`."""
+        """Return the number of threads that work on `rows`."""
         load = rows / self.threads / (4 if self.host.simulator.actuator else 1)
-        return self.half if load <= 1 else self.most if load <= 4 else self.threads
+        return self.half if load <= 1 else self.three_quarters if load <= 4 else self.threads
 
     def _models(self, constants: np.ndarray) -> list[Any]:
-        """Return a model a row: one for all, or each with its own `constants [n, k]`, written only where they changed."""
+        """Return a model for each row: a shared one, or one with its own `constants [n, k]`, written on change."""
         if not self.host.simulator.varied:
             return [self.host.model] * len(constants)
         missing = len(constants) - len(self.models)

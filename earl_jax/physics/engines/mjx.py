@@ -1,4 +1,4 @@
-"""MJX, its own JAX implementation or Warp's: one program for all lanes."""
+"""MJX in its JAX or its Warp implementation: one program simulates all lanes."""
 
 import functools
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from earl_jax.physics import Simulator
 
 WARP_CONTACTS, WARP_ROWS = 1 << 15, 256
-"""Warp's capacity: contacts of all lanes together, and constraint rows of one lane. On overflow the state becomes NaN."""
+"""Warp's capacity: the contacts of all lanes, and the constraint rows of one lane. On overflow the state becomes
+NaN."""
 
 
 @functools.cache
@@ -30,15 +31,18 @@ def _model(simulator: "Simulator") -> tuple[Any, Any]:
 
 
 def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
-    """Return what `Simulator.step` returns; the scan carries the integration state, so XLA drops the rest of `Data`."""
-    mjx, (model, blank) = import_mjx(), _model(simulator)
+    """Return the result of `Simulator.step`.
+
+    The scan carries the integration state only, so XLA removes the rest of `Data`.
+    """
+    mjx, (model, empty_data) = import_mjx(), _model(simulator)
     if simulator.varied:
         model = model.tree_replace(simulator.variation(state.constants))
 
     def substep(carry, _):
         state = carry[0]
         ctrl, memory = simulator.controls(jnp, state.qpos, state.qvel, command, state.memory)
-        data = blank.replace(ctrl=ctrl, **{field: getattr(state, field) for field in FIELDS})
+        data = empty_data.replace(ctrl=ctrl, **{field: getattr(state, field) for field in FIELDS})
         data = mjx.step(model, data)
         after = state.replace(memory=memory, **{field: getattr(data, field) for field in FIELDS})
         if simulator.engine == "warp":
@@ -47,9 +51,9 @@ def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tup
 
     guard_kinematics()
     with jax.default_matmul_precision("highest"):
-        return jax.lax.scan(substep, (state, blank.sensordata), length=simulator.substeps)[0]
+        return jax.lax.scan(substep, (state, empty_data.sensordata), length=simulator.substeps)[0]
 
 
 def _warp_overflowed(data: Any) -> jax.Array:
-    """Return whether contacts or rows of a Warp step did not fit: Warp drops the rest silently."""
+    """Return whether a Warp step exceeded its capacity, beyond which Warp silently drops contacts or rows."""
     return (data._impl.nacon > WARP_CONTACTS).any() | (data._impl.nefc > WARP_ROWS).any()

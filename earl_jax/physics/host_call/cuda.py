@@ -1,7 +1,7 @@
 """Host work inside a CUDA stream: copies and waits are queued in the stream, and neither side blocks the other.
 
-The host polls an event, and the stream waits for a word in memory. Waking a sleeping thread instead, as `cuLaunchHostFunc`
-does, took 0.3 ms a control step on a virtual machine.
+The host polls an event, and the stream waits for a word in memory. `cuLaunchHostFunc` wakes a sleeping thread instead,
+which took 0.3 ms per control step on a virtual machine.
 """
 
 import ctypes
@@ -16,9 +16,10 @@ import numpy as np
 from earl_jax.physics.host_call.xla_ffi import Buffer, rows_of, view
 
 DEPTH = 4
-"""Jobs of a stream that may be in progress at once; each has its own memory."""
+"""Largest number of jobs of a stream in progress at once; each has its own memory."""
 PORTABLE_AND_MAPPED, UNTIMED, AT_LEAST = 3, 2, 0
-"""CUDA's flags: of memory that every device and stream sees, of events without a clock, of a wait for a number."""
+"""CUDA's flags for host memory that is portable and mapped, for events without timing, and for a wait until >= a
+value."""
 
 
 @functools.cache
@@ -33,7 +34,7 @@ def _cuda(function: str, *arguments: Any) -> None:
 
 
 class Stream:
-    """The jobs of one stream, rows of `width` numbers for every row that comes in, done in order by one thread."""
+    """The jobs of one stream, done in order by one thread; `serve` maps input rows to rows of `width` numbers."""
 
     def __init__(self, serve: Callable[[np.ndarray, int], np.ndarray], width: int, stream: int):
         self.serve, self.width, self.stream = serve, width, stream
@@ -45,10 +46,10 @@ class Stream:
         self.word[0] = 0
 
     def start(self, rows: Buffer, tickets: Buffer) -> None:
-        """Queue a job: the worker begins as soon as the stream has written `rows`."""
+        """Queue a job, which the worker starts when the stream has written `rows`."""
         self._raise_failure()
         if len(self.in_progress) == DEPTH:
-            raise RuntimeError(f"{DEPTH} control steps of one program are in progress already, and no more fit")
+            raise RuntimeError(f"{DEPTH} control steps of one program are already in progress, which is the maximum")
         self.number += 1
         self.in_progress[tickets.data or 0] = self.number
         source = self._memory("rows", 4 * rows.count, self.number)
@@ -67,12 +68,12 @@ class Stream:
     def finish(self, tickets: Buffer, answer: Buffer) -> None:
         """Make the stream wait for the job of these `tickets` and copy its answer.
 
-        XLA may have moved the tickets in memory; they are recognised as long as no others are in progress.
+        XLA may have moved the tickets in memory; they are still recognised if no other job is in progress.
         """
         self._raise_failure()
         address = tickets.data if tickets.data in self.in_progress else next(iter(self.in_progress), None)
         if address is None or (address != tickets.data and len(self.in_progress) > 1):
-            raise RuntimeError(f"{len(self.in_progress)} control steps are in progress, and none has these tickets")
+            raise RuntimeError(f"{len(self.in_progress)} control steps are in progress, but none has these tickets")
         number = self.in_progress.pop(address)
         awaited = c_void_p(self.stream), c_uint64(self.word.ctypes.data), c_uint32(number), c_uint32(AT_LEAST)
         _cuda("cuStreamWaitValue32_v2", *awaited)
@@ -90,9 +91,10 @@ class Stream:
         self.word[0] = number
 
     def _memory(self, kind: str, count: int, number: int = 0) -> int:
-        """Return page-locked memory of `count` bytes, which every `DEPTH`-th job shares.
+        """Return the address of page-locked memory of `count` bytes, which every `DEPTH`-th job shares.
 
-        Only the thread that fills the stream may ask for new memory: a worker could wait for a stream that waits for it.
+        Only the thread that fills the stream may allocate memory: an allocation in the worker could wait for a stream
+        that waits for the worker.
         """
         if (kind, count) not in self.memory:
             address = c_void_p()

@@ -1,8 +1,9 @@
-"""Work on the host inside a jitted program: rows of a device's memory in, rows out.
+"""Work on the host inside a jitted program: it maps rows in a device's memory to new rows.
 
-`jax.pure_callback` would do the same, but the persistent compilation cache never stores a program with a callback, each call
-takes three times as long, and a GPU stops until the host has answered. XLA knows a foreign function by its name. On a GPU the
-function only queues copies and waits in the stream, so the work of a program between `start` and `finish` runs concurrently.
+`jax.pure_callback` could do the same, but the persistent compilation cache never stores a program with a callback, each
+call takes three times as long, and a GPU waits until the host has answered. XLA identifies a foreign function by its
+name. On a GPU, the function only queues copies and waits in the stream, so the operations of a program between `start`
+and `finish` run concurrently.
 """
 
 import itertools
@@ -17,7 +18,7 @@ from earl_jax.physics.host_call.cuda import Stream
 from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
 
 Serve = Callable[[np.ndarray, int], np.ndarray]
-"""Host work: float32 rows [n, k] and the stream they come from (0 on a CPU) in, float32 rows [n, m] out."""
+"""Host work: a function from float32 rows [n, k] and their stream (0 on a CPU) to float32 rows [n, m]."""
 TICKET = jax.ShapeDtypeStruct((1,), jnp.int32)
 _SERVICES: dict[str, "Service"] = {}
 _HANDLERS: dict[tuple[str, str], Any] = {}
@@ -25,8 +26,7 @@ _HANDLERS: dict[tuple[str, str], Any] = {}
 
 
 class Service:
-    """Host work in one call (`step`) or in two: `start` takes rows and returns a ticket for each, `finish` takes the tickets and
-    returns the answer."""
+    """Host work in one call (`step`) or in two: `start` returns a ticket for each row, `finish` the answers."""
 
     def __init__(self, serve: Serve, width: int):
         self.serve, self.width = serve, width
@@ -34,19 +34,19 @@ class Service:
         self.streams: dict[int, Stream] = {}
 
     def step(self, frame: Frame) -> None:
-        """Answer at once, on a CPU."""
+        """Write the answer at once, on a CPU."""
         rows, answer = frame.transfer
         rows_of(answer)[:] = self.serve(rows_of(rows), 0)
 
     def start(self, frame: Frame) -> None:
-        """Do the work and store the answer, on a CPU, where two halves gain nothing."""
+        """Do the work and store the answer, on a CPU, where two calls save no time."""
         rows, tickets = frame.transfer
         number = next(self.numbers) & 0x7FFFFFFF
         self.answers[number] = self.serve(rows_of(rows), 0)
         tickets.integers[:] = number
 
     def finish(self, frame: Frame) -> None:
-        """Return the answer stored for the tickets, on a CPU."""
+        """Write the answer that is stored for the tickets, on a CPU."""
         tickets, answer = frame.transfer
         rows_of(answer)[:] = self.answers.pop(int(tickets.integers[0]))
 
@@ -89,17 +89,17 @@ def register(name: str, serve: Serve, width: int) -> None:
 
 
 def step(name: str, row: jax.Array, width: int) -> jax.Array:
-    """Return the answer [width] of service `name` to one lane's `row [k]`, on a CPU; vmap makes one call for all lanes."""
+    """Return the answer [width] of service `name` to one lane's `row [k]`, on a CPU; vmap makes a single call."""
     return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
 
 
 def start(name: str, row: jax.Array) -> jax.Array:
-    """Return the ticket [1] of the work that begins on one lane's `row [k]`."""
+    """Start the work on one lane's `row [k]` and return its ticket [1]."""
     return _call(f"{name}.start", row, TICKET)
 
 
 def finish(name: str, ticket: jax.Array, width: int) -> jax.Array:
-    """Return the answer [width] to the row of `ticket`."""
+    """Return the answer [width] to the row that `ticket` identifies."""
     return _call(f"{name}.finish", ticket, jax.ShapeDtypeStruct((width,), jnp.float32))
 
 

@@ -1,7 +1,7 @@
-"""XLA's foreign function interface as ctypes see it: a call's frame, its buffers, and how a Python function answers one.
+"""XLA's foreign function interface in ctypes: the frame of a call, its buffers, and a Python function as its handler.
 
-Source: XLA's stable C interface (xla/ffi/api/c_api.h, major version 0), of which only fields are read that every minor
-version has had since 0.1.
+Source: XLA's stable C interface (xla/ffi/api/c_api.h, major version 0). Only fields that every minor version has had
+since 0.1 are read.
 """
 
 import ctypes
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 METADATA, INTERNAL = 1, 13
-"""An extension's type when XLA asks for the version, and the code of an error."""
+"""The type of an extension that requests the version, and the code of an internal error."""
 
 
 class _Version(Structure):
@@ -36,7 +36,7 @@ class _Extension(Structure):
 
 
 class Buffer(Structure):
-    """An operand or a result: where its bytes are, and its shape."""
+    """An operand or a result: the address of its bytes, and its shape."""
 
     _fields_ = [
         ("size", c_size_t), ("extension", c_void_p), ("dtype", c_int), ("data", c_void_p), ("rank", c_int64),
@@ -45,12 +45,12 @@ class Buffer(Structure):
 
     @property
     def count(self) -> int:
-        """Elements, of four bytes each."""
+        """Number of elements, of four bytes each."""
         return int(np.prod(self.shape))
 
     @property
     def integers(self) -> np.ndarray:
-        """Its bytes as int32, where they are on the host."""
+        """Its elements as int32, for a buffer on the host."""
         return view(self.data or 0, self.count, ctypes.c_int32)
 
     @property
@@ -71,7 +71,7 @@ class _StreamGet(Structure):
 
 
 class Frame(Structure):
-    """What XLA hands to a foreign function when it calls it."""
+    """The argument of a foreign function when XLA calls it."""
 
     _fields_ = [
         ("size", c_size_t), ("extension", POINTER(_Extension)), ("api", POINTER(_Api)), ("context", c_void_p),
@@ -80,17 +80,17 @@ class Frame(Structure):
 
     @property
     def transfer(self) -> tuple[Buffer, Buffer]:
-        """The one buffer that comes in and the one that goes out."""
+        """The only operand and the only result."""
         return self.inputs.items[0].contents, self.outputs.items[0].contents
 
     @property
     def stream(self) -> int:
-        """The stream that a GPU executes this call in."""
+        """The stream in which a GPU executes this call."""
         get = ctypes.CFUNCTYPE(c_void_p, POINTER(_StreamGet))(self.api.contents.stream_get)
-        asked = _StreamGet(ctypes.sizeof(_StreamGet), None, self.context, None)
-        if get(ctypes.byref(asked)):
-            raise RuntimeError("XLA gave no stream")
-        return asked.stream
+        request = _StreamGet(ctypes.sizeof(_StreamGet), None, self.context, None)
+        if get(ctypes.byref(request)):
+            raise RuntimeError("XLA returned no stream")
+        return request.stream
 
 
 class _ErrorCreate(Structure):
@@ -101,7 +101,7 @@ _HANDLER = ctypes.CFUNCTYPE(c_void_p, POINTER(Frame))
 
 
 def handler(work: Callable[[Frame], None]) -> Any:
-    """Return `work` as XLA calls it: it answers the question for a version, and an exception becomes an XLA error."""
+    """Return `work` as a handler that XLA can call: it reports its version, and an exception becomes an XLA error."""
 
     def handle(pointer) -> int | None:
         frame = pointer.contents
@@ -120,15 +120,15 @@ def handler(work: Callable[[Frame], None]) -> Any:
 
 def _failure(api: _Api, message: str) -> int:
     create = ctypes.CFUNCTYPE(c_void_p, POINTER(_ErrorCreate))(api.error_create)
-    asked = _ErrorCreate(ctypes.sizeof(_ErrorCreate), None, message.encode(), INTERNAL)
-    return create(ctypes.byref(asked))
+    request = _ErrorCreate(ctypes.sizeof(_ErrorCreate), None, message.encode(), INTERNAL)
+    return create(ctypes.byref(request))
 
 
 def view(address: int, count: int, kind: Any) -> np.ndarray:
-    """Return `count` numbers of the ctypes `kind` that stand at `address`."""
+    """Return `count` numbers of the ctypes type `kind` at `address`."""
     return np.ctypeslib.as_array((kind * count).from_address(address))
 
 
 def rows_of(buffer: Buffer, address: int | None = None) -> np.ndarray:
-    """Return the float32 buffer, or memory of its size at `address`, as rows [n, k]."""
+    """Return the float32 `buffer`, or memory of its size at `address`, as rows [n, k]."""
     return view(address or buffer.data or 0, buffer.count, ctypes.c_float).reshape(-1, buffer.shape[-1])

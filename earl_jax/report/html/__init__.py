@@ -1,1 +1,1 @@
-"""The html page of run folders, part by part."""
+"""A self-contained HTML page about run folders."""

@@ -1,123 +1,126 @@
-"""All that a page says of its lines, as texts and numbers that its template and its script lay out."""
+"""The content of a page, as texts and numbers that its template and its script lay out."""
 
 import datetime
 from collections.abc import Sequence
 from typing import Any
 
-from earl_jax.paper.verdicts import FEW, FEW_SEEDS, RULE
 from earl_jax.report.html.curves import POINTS, panels
-from earl_jax.report.html.media import Album, maps
-from earl_jax.report.html.origin import changed, dated, day, origins, run_card, values_of
+from earl_jax.report.html.media import VideoEmbedder, maps
+from earl_jax.report.html.origin import changed_options, date_range, origins, run_card, values_of
 from earl_jax.report.html.runs import Line, Run
-from earl_jax.report.html.tables import WIDTH, paper_table, seed_table, speeds, steps_said, strips
-from earl_jax.report.style import TITLES, ordered, title
+from earl_jax.report.html.tables import STRIP_WIDTH, paper_table, seed_table, speeds, strips
+from earl_jax.report.html.text import date_text, steps_text
+from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE
+from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW
 
 CROWD = 6
-"""Lines of a task above which bands are hidden at first, and notes count lines instead of naming them."""
+"""Above this number of lines, a task's bands are hidden at first, and notes count lines instead of naming them."""
 
 
-def content(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return what the template says of `lines`."""
-    album, runs = Album(), [run for line in lines for run in line.runs]
-    envs = ordered((line.cell.env for line in lines), TITLES)
-    parts = _by_task(lines)
-    tasks = [_task(f"t{place}", name, part, album) for place, (name, part) in enumerate(parts.items())]
+def page_content(lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the variables of the template for `lines`."""
+    embedder = VideoEmbedder()
+    runs = [run for line in lines for run in line.runs]
+    titles = [task_title(env) for env in task_order(line.group.env for line in lines)]
+    sections = enumerate(_by_section(lines).items())
+    tasks = [_task_section(f"t{number}", title, members, embedder) for number, (title, members) in sections]
+    few = any(len(line.seeds) < FEW for line in lines)
     return {
-        "heading": ", ".join(map(title, envs[:3])) + (f" and {len(envs) - 3} more" if len(envs) > 3 else ""),
+        "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
         "tasks": tasks,
         "lines": lines,
         "facts": _facts(lines, runs),
-        "papers": [paper_table(number, lines) for number in (1, 2)],
+        "paper_tables": [paper_table(number, lines) for number in (1, 2)],
         "speeds": speeds(lines),
-        "rule": RULE + (f" {FEW_SEEDS}" if any(len(line.seeds) < FEW for line in lines) else ""),
+        "rule": INTERVAL_RULE + (f" {FEW_SEEDS}" if few else ""),
         "cards": [run_card(line, run) for line in lines for run in line.runs],
         "origins": origins(runs),
         "window": WINDOW,
-        "strip_width": WIDTH,
+        "strip_width": STRIP_WIDTH,
     }
 
 
-def numbers(told: dict[str, Any]) -> dict[str, Any]:
-    """Return the part of `content` that plots are drawn from, as plain JSON."""
+def plot_numbers(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the part of `page_content` from which the script draws plots, as plain JSON."""
     return {
         task["id"]: {
-            "looks": {line.key: {"label": line.cell.label, "dash": line.dash} for line in task["lines"]},
+            "styles": {line.key: {"label": line.group.label, "dash": line.dash} for line in task["lines"]},
             "panels": task["panels"],
-            "maps": [{**one, "line": one["line"].key} for one in task["maps"]],
+            "maps": [{**visit_map, "line": visit_map["line"].key} for visit_map in task["maps"]],
         }
-        for task in told["tasks"]
+        for task in content["tasks"]
     }
 
 
 def _facts(lines: Sequence[Line], runs: Sequence[Run]) -> list[tuple[str, str]]:
     seeds = sum(len(line.seeds) for line in lines)
-    lived = sum(int(line.cell.curves.steps[-1]) * len(line.seeds) for line in lines)
+    steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
     versions = {"earl-jax": "earl-jax", "jax": "jax", "Python": "python"}
     return [
-        ("Runs", f"{len(runs)}, with {seeds} lives of {steps_said(lived)} steps in all"),
-        ("Methods", ", ".join(dict.fromkeys(line.cell.algo for line in lines))),
-        ("When", f"{dated(runs)}; this page, {day(datetime.datetime.now(datetime.UTC))}"),
+        ("Runs", f"{len(runs)}, with {seeds} seeds and {steps_text(steps)} steps in total"),
+        ("Methods", ", ".join(dict.fromkeys(line.group.algo for line in lines))),
+        ("Dates", f"{date_range(runs)}; this page, {date_text(datetime.datetime.now(datetime.UTC))}"),
         ("Hardware", values_of(runs, "device")),
         ("Versions", "; ".join(f"{name} {values_of(runs, key)}" for name, key in versions.items())),
         ("Commit", values_of(runs, "commit", 12)),
     ]
 
 
-def _by_task(lines: Sequence[Line]) -> dict[str, list[Line]]:
-    """Return the lines of each task by its title, those judged by success apart from those judged by return."""
+def _by_section(lines: Sequence[Line]) -> dict[str, list[Line]]:
+    """Return the lines of each task by its title, those scored by success apart from those scored by return."""
     groups: dict[tuple[str, str], list[Line]] = {}
     for line in lines:
-        groups.setdefault((line.cell.env, line.cell.curves.deployed_metric), []).append(line)
+        groups.setdefault((line.group.env, line.curves.deployed_metric), []).append(line)
     envs = [env for env, _ in groups]
     return {
-        title(env) + (f", judged by {metric.removeprefix('deployed/')}" if envs.count(env) > 1 else ""): part
-        for (env, metric), part in groups.items()
+        task_title(env) + (f", scored by {metric.removeprefix('deployed/')}" if envs.count(env) > 1 else ""): members
+        for (env, metric), members in groups.items()
     }
 
 
-def _task(key: str, name: str, lines: Sequence[Line], album: Album) -> dict[str, Any]:
-    """Return all that the page says of one task."""
-    drawn, (places, without) = panels(lines), maps(lines)
-    pairs = [album.videos(line) for line in lines]
-    curves = [one for panel in drawn for one in panel["lines"]]
-    longest = max(len(line.cell.curves.steps) for line in lines)
+def _task_section(key: str, title: str, lines: Sequence[Line], embedder: VideoEmbedder) -> dict[str, Any]:
+    """Return everything that the page shows of one task."""
+    plots, (visit_maps, map_notes) = panels(lines), maps(lines)
+    videos = [embedder.videos(line) for line in lines]
+    curves = [curve for plot in plots for curve in plot["lines"]]
+    longest = max(len(line.curves.steps) for line in lines)
     return {
         "id": key,
-        "env": lines[0].cell.env,
-        "title": name,
+        "env": lines[0].group.env,
+        "title": title,
         "lines": lines,
-        "options": [(line, changed(line)) for line in lines],
+        "options": [(line, changed_options(line)) for line in lines],
         "notes": _notes(lines),
-        "panels": drawn,
-        "smooth": any(one["smooth"] for one in curves),
-        "banded": any(one["plain"]["low"] for one in curves),
-        "published": any(one["published"] for one in curves),
-        "crossed": any(one["published"]["crossings"] for one in curves if one["published"]),
+        "panels": plots,
+        "smooth": any(curve["smooth"] for curve in curves),
+        "banded": any(curve["plain"]["low"] for curve in curves),
+        "published": any(curve["published"] for curve in curves),
+        "crossed": any(curve["published"]["crossings"] for curve in curves if curve["published"]),
         "crowded": len(lines) > CROWD,
         "thinned": (POINTS, longest) if longest > POINTS else None,
         "strips": strips(lines),
         "seeds": seed_table(lines),
-        "maps": places,
-        "without": without,
-        "videos": [video for found, _ in pairs for video in found],
-        "unseen": [sentence for _, sentences in pairs for sentence in sentences],
+        "maps": visit_maps,
+        "map_notes": map_notes,
+        "videos": [video for embedded, _ in videos for video in embedded],
+        "video_notes": [sentence for _, sentences in videos for sentence in sentences],
     }
 
 
 def _notes(lines: Sequence[Line]) -> list[str]:
-    """Return what a reader of one task's numbers should know about its runs."""
+    """Return notes on one task's runs: unfinished ones, and seeds that count twice."""
     notes: list[str] = []
     unfinished: dict[str, list[str]] = {}
     for line in lines:
-        lived, planned = int(line.cell.curves.steps[-1]), max(run.config.steps for run in line.runs)
-        if lived < planned:
-            unfinished.setdefault(f"{lived:,} of {planned:,} steps lived", []).append(line.cell.label)
-    for told, names in unfinished.items():
-        listed = ", ".join(names) if len(names) < CROWD else f"{len(names)} lines"
-        notes.append(f"{'Each line' if len(names) == len(lines) > 1 else listed}: {told}.")
+        trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.runs)
+        if trained < planned:
+            unfinished.setdefault(f"{trained:,} of {planned:,} steps trained", []).append(line.group.label)
+    for progress, names in unfinished.items():
+        subject = ", ".join(names) if len(names) < CROWD else f"{len(names)} lines"
+        notes.append(f"{'Each line' if len(names) == len(lines) > 1 else subject}: {progress}.")
     for line in lines:
-        twice = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)
-        if twice:
-            notes.append(f"{line.cell.label}: of seed {twice} there is more than one life here, and every one counts.")
+        repeated = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)
+        if repeated:
+            notes.append(f"{line.group.label}: seed {repeated} was trained in several runs, and each of them counts.")
     return notes

@@ -1,104 +1,101 @@
-"""The numbers behind the plots of a page: curves over a life, thinned and rounded, with their bands."""
+"""The numbers behind the plots of a page: curves over the lifetime, thinned and rounded, with their bands."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax import assets
 from earl_jax.metrics.statistics import bootstrap, iqm
-from earl_jax.paper.verdicts import interval, published
 from earl_jax.report.html.runs import Line
-from earl_jax.report.tables import LEVELS, WINDOW, trailing
+from earl_jax.report.published import published_crossings, published_score, published_steps
+from earl_jax.report.tables import WINDOW, trailing
 
 POINTS = 250
-"""Evaluations of a line that are drawn at most; more would only make the page heavier."""
+"""Most evaluations drawn of a line; more would only make the page larger."""
 DIGITS = 5
 FEWEST = 3
-"""Seeds that a band needs."""
+"""Fewest seeds that have a band."""
 
 
 class Panel(NamedTuple):
-    """A plot over the steps of a life: its metric (None for the one that the task is judged by) and what it is called."""
+    """A plot over the steps of a lifetime: its metric (None for the deployed metric of the task), title and unit."""
 
     metric: str | None
     title: str
     unit: str
-    needed: bool = True
-    """Whether it is drawn where all of it is 0 as well."""
+    always: bool = True
+    """Whether it is also drawn if all its values are 0."""
 
 
 PANELS = (
     Panel(None, "Deployed, from s₀", "{} of the greedy task policy"),
-    Panel("continuing/reward", "Continuing", "task reward a step, over the life so far"),
-    Panel("interventions", "Interventions", "since birth"),
-    Panel("reached", "Goals reached", "by the task controller", needed=False),
-    Panel("faults", "Faults", "enforced by a broken simulation", needed=False),
-    Panel("help/asked", "Help asked for", "since birth"),
-    Panel("help/enforced", "Help enforced", "in irreversible states", needed=False),
-    Panel("help/budget", "Budget left", "for interventions"),
-    Panel("help/over", "Lives over", "share of seeds whose budget is spent", needed=False),
+    Panel("continuing/reward", "Continuing", "task reward per step, over the lifetime so far"),
+    Panel("interventions", "Interventions", "since the first step"),
+    Panel("reached", "Goals reached", "by the task controller", always=False),
+    Panel("faults", "Faults", "resets after a broken simulation", always=False),
+    Panel("help/asked", "Requested help", "since the first step"),
+    Panel("help/enforced", "Enforced help", "in irreversible states", always=False),
+    Panel("help/budget", "Remaining budget", "for interventions"),
+    Panel("help/over", "Lifetimes over", "share of seeds with a spent budget", always=False),
 )
 
 
 def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
     """Return the plots of one task's `lines`: title, unit, and the numbers of every line that has the metric."""
-    found = []
+    plots = []
     for panel in PANELS:
-        drawn = [(line, panel.metric or line.cell.curves.deployed_metric) for line in lines]
-        drawn = [(line, metric) for line, metric in drawn if metric in line.cell.curves.metrics]
-        values = [line.cell.curves.metrics[metric] for line, metric in drawn]
-        if not drawn or not (panel.needed or any(part.any() for part in values)):
+        pairs = [(line, panel.metric or line.curves.deployed_metric) for line in lines]
+        pairs = [(line, metric) for line, metric in pairs if metric in line.curves.metrics]
+        if not pairs or not (panel.always or any(line.curves.metrics[metric].any() for line, metric in pairs)):
             continue
-        metric = drawn[0][1]
-        rates = metric == "deployed/success"
-        found.append(
+        rates = pairs[0][1] == "deployed/success"
+        plots.append(
             {
                 "title": panel.title,
                 "unit": panel.unit.format("success" if rates else "return"),
                 "range": [-0.04, 1.04] if rates else None,
                 "digits": 3 if rates else DIGITS,
-                "lines": [_drawn(line, metric) for line, metric in drawn],
+                "lines": [_curve(line, metric) for line, metric in pairs],
             }
         )
-    return found
+    return plots
 
 
-def _drawn(line: Line, metric: str) -> dict[str, Any]:
-    curves = line.cell.curves
+def _curve(line: Line, metric: str) -> dict[str, Any]:
+    curves = line.curves
     values = curves.metrics[metric]
-    kept = thinned(len(curves.steps))
+    indices = thinned(len(curves.steps))
     smooth = metric == curves.deployed_metric and len(curves.steps) >= 2 * WINDOW
     return {
         "line": line.key,
-        "x": curves.steps[kept].tolist(),
-        "plain": banded(values[:, kept]),
-        "smooth": banded(trailing(values)[:, kept]) if smooth else None,
+        "x": curves.steps[indices].tolist(),
+        "plain": banded(values[:, indices]),
+        "smooth": banded(trailing(values)[:, indices]) if smooth else None,
         "seeds": line.seeds,
         "published": _published(line, metric),
     }
 
 
 def thinned(count: int) -> np.ndarray:
-    """Return which of `count` evaluations are drawn: all, or `POINTS` evenly spaced ones with the first and the last."""
+    """Return the indices of the drawn ones of `count` evaluations: all, or `POINTS` from the first to the last."""
     return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
 
 
 def banded(values: np.ndarray) -> dict[str, Any]:
-    """Return the mean of `values [N, E]`, the 95 % band of the interquartile mean where seeds suffice, and every seed."""
+    """Return the mean of `values [N, E]`, the 95 % band of the interquartile mean if seeds suffice, and every seed."""
     few = len(values) < FEWEST
     low, high = (None, None) if few else np.array([_band(column) for column in values.T]).T
     return {"mean": _plain(values.mean(axis=0)), "low": _plain(low), "high": _plain(high), "each": _plain(values)}
 
 
 def _band(scores: np.ndarray) -> tuple[float, float]:
-    """Return the bootstrap interval of the interquartile mean of `scores [N]`, at once where all are the same."""
-    same = float(scores[0])
-    return (same, same) if (scores == same).all() else bootstrap(scores, iqm)
+    """Return the bootstrap interval of the interquartile mean of `scores [N]`, at once if all are the same."""
+    first = float(scores[0])
+    return (first, first) if (scores == first).all() else bootstrap(scores, iqm)
 
 
 def _plain(values: np.ndarray | None) -> Any:
-    """Return `values` as lists of short numbers, None for what is not finite, as JSON wants it."""
+    """Return `values` as lists of short numbers; a number that is not finite becomes None, since JSON has none."""
     if values is None:
         return None
     if values.ndim > 1:
@@ -107,18 +104,16 @@ def _plain(values: np.ndarray | None) -> Any:
 
 
 def _published(line: Line, metric: str) -> dict[str, Any] | None:
-    """Return what the paper printed of this line: its final value with the interval, and the steps of its crossings."""
-    cell = line.cell
-    tables = {cell.curves.deployed_metric: "table1", "continuing/reward": "table2"}
-    if metric not in tables or not cell.curves.comparable:
+    """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
+    group = line.group
+    tables = {line.curves.deployed_metric: "table1", "continuing/reward": "table2"}
+    if metric not in tables or not line.curves.comparable:
         return None
-    printed = published(tables[metric], cell.env, cell.algo)
-    row = assets.published_row("crossings", env=cell.env, algo=cell.algo) if metric == "deployed/success" else {}
-    crossings = [[int(row[f"steps_to_{level}"]), level] for level in LEVELS if row.get(f"steps_to_{level}")]
-    bounds = interval(*printed) if printed else None
-    if bounds is None or printed is None:
+    steps_by_level = published_crossings(group.env, group.algo) if metric == "deployed/success" else {}
+    crossings = [[step, level] for level, step in steps_by_level.items()]
+    score = published_score(tables[metric], group.env, group.algo)
+    if score is None or score.interval is None:
         return {"final": None, "crossings": crossings} if crossings else None
-    text = printed[0] + ("" if printed[1] == "-" else f" ({printed[1]})")
-    lived = assets.published_row("steps", env=cell.env)
-    text += f" after {int(lived['low']):,} steps" if lived else ""
-    return {"final": [float(printed[0].lstrip("<")), *bounds, text], "crossings": crossings}
+    steps = published_steps(group.env)
+    text = score.text + (f" after {steps[0]:,} steps" if steps else "")
+    return {"final": [score.value, *score.interval, text], "crossings": crossings}

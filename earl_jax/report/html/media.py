@@ -1,4 +1,4 @@
-"""Pictures of a page: maps of visited places out of checkpoints, and rendered videos as data URIs."""
+"""Pictures of a page: maps of visited positions from checkpoints, and rendered videos as data URIs."""
 
 import base64
 import warnings
@@ -9,86 +9,95 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.metrics.visitation import measure
-from earl_jax.paper.figure4 import UNITS
 from earl_jax.report.html.runs import Line, Run
 from earl_jax.runs.files import DamagedWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_lanes
 
 FEW = 6
-"""Runs that a sentence names; more are counted."""
+"""Fewer runs than this are named in a sentence; more are counted."""
 MEGABYTE = 1_000_000
 LARGEST = 20 * MEGABYTE
-"""Bytes of one video; larger ones stay out of the page."""
-TOGETHER = 100 * MEGABYTE
-"""Bytes of all videos of a page."""
+"""Most bytes of one video; larger ones are left out of the page."""
+TOTAL = 100 * MEGABYTE
+"""Most bytes of all videos of a page."""
 KINDS = {".mp4": ("video/mp4", 4, b"ftyp"), ".gif": ("image/gif", 0, b"GIF8")}
-"""Suffixes of videos: their type, and the bytes by which they are known, with where these lie."""
+"""Suffixes of videos: their type, and the bytes that identify it, with the position of these bytes."""
 
 
-class Visited(NamedTuple):
-    """Visits of one line's seeds, int [N, B, B], x before y, over `map_bounds` [[x, y] low, [x, y] high]."""
+class VisitMap(NamedTuple):
+    """Visits of one line's seeds, int [N, B, B], first axis x, over `map_bounds` [low, high] of [x, y] in `unit`."""
 
     line: Line
     visits: np.ndarray
     map_bounds: np.ndarray
+    unit: str
 
 
 def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the maps of one task's `lines`, ready to be drawn, and a sentence for those that have none.
+    """Return the maps of one task's `lines`, ready to be drawn, and sentences about those that have none.
 
-    Shares of visits are over all seeds; `low` and `high` are the least and largest share on any of the maps.
+    Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
     if lines[0].runs[0].config.build_env().map_bounds is None:
         return [], []
-    found, without, sentences = [], [], []
+    line_maps, without, sentences = [], [], []
     for line in lines:
-        kept = []
-        for run in line.runs:
-            if not (run.path / "checkpoints").is_dir():
-                without.append(run.path)
-                continue
-            try:
-                one, told = _visited(line, run)
-                kept.append(one)
-                sentences += told
-            except (
-                Exception
-            ) as error:  # a checkpoint is data: whatever is wrong with it is told, and costs nothing else
-                text = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
-                sentences.append(f"No map of {line.cell.label}: {text}.")
-        if kept:
-            found.append(kept[0]._replace(visits=np.concatenate([one.visits for one in kept])))
+        with_checkpoint = [run for run in line.runs if (run.path / "checkpoints").is_dir()]
+        without += [run.path for run in line.runs if run not in with_checkpoint]
+        run_maps, problems = _run_maps(line, with_checkpoint)
+        sentences += problems
+        if run_maps:
+            visits = np.concatenate([run_map.visits for run_map in run_maps])
+            line_maps.append(run_maps[0]._replace(visits=visits))
     if without:
-        which = ", ".join(map(str, without)) if found and len(without) < FEW else f"{len(without)} of these runs"
-        sentences.insert(0, f"Without a checkpoint there is no map of visited places: {which}.")
-    return _drawn(found), sentences
+        named = line_maps and len(without) < FEW
+        which = ", ".join(map(str, without)) if named else f"{len(without)} of these runs"
+        sentences.insert(0, f"Without a checkpoint there is no map of visited positions: {which}.")
+    return _drawn(line_maps), sentences
 
 
-def _visited(line: Line, run: Run) -> tuple[Visited, list[str]]:
-    """Return where one run has been by its newest whole checkpoint, and a sentence for each newer one that is damaged."""
+def _run_maps(line: Line, runs: Sequence[Run]) -> tuple[list[VisitMap], list[str]]:
+    """Return the map of each run whose checkpoint can be read, and a sentence for each problem."""
+    run_maps, sentences = [], []
+    for run in runs:
+        try:
+            run_map, damages = _load_map(line, run)
+            run_maps.append(run_map)
+            sentences += damages
+        except Exception as error:  # a checkpoint is data: any error in it is reported and affects nothing else
+            text = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
+            sentences.append(f"No map of {line.group.label}: {text}.")
+    return run_maps, sentences
+
+
+def _load_map(line: Line, run: Run) -> tuple[VisitMap, list[str]]:
+    """Return the map in a run's newest whole checkpoint, and a sentence for each newer one that is damaged."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DamagedWarning)
         env, _, lanes = load_lanes(RunFolder(run.path, run.config))
-    told = [f"{one.message}." for one in caught if issubclass(one.category, DamagedWarning)]
-    return Visited(line, np.asarray(lanes.visits), np.asarray(env.map_bounds, float)), told
+    sentences = [f"{warning.message}." for warning in caught if issubclass(warning.category, DamagedWarning)]
+    visit_map = VisitMap(
+        line=line, visits=np.asarray(lanes.visits), map_bounds=np.asarray(env.map_bounds, float), unit=env.map_unit
+    )
+    return visit_map, sentences
 
 
-def _drawn(found: Sequence[Visited]) -> list[dict[str, Any]]:
-    totals = [one.visits.sum(axis=0) for one in found]
+def _drawn(line_maps: Sequence[VisitMap]) -> list[dict[str, Any]]:
+    totals = [visit_map.visits.sum(axis=0) for visit_map in line_maps]
     shares = [total / max(total.sum(), 1) for total in totals]
-    seen = np.concatenate([share[share > 0] for share in shares]) if shares else np.zeros(0)
-    ends = [float(seen.min()), float(seen.max())] if len(seen) else [0.1, 1.0]
+    visited = np.concatenate([share[share > 0] for share in shares]) if shares else np.zeros(0)
+    ends = [float(visited.min()), float(visited.max())] if len(visited) else [0.1, 1.0]
     drawn = []
-    for one, share in zip(found, shares, strict=True):
-        scores = [measure(part) for part in one.visits]
+    for visit_map, share in zip(line_maps, shares, strict=True):
+        scores = [measure(visits) for visits in visit_map.visits]
         drawn.append(
             {
-                "line": one.line,
+                "line": visit_map.line,
                 "covered": float(np.mean([score["covered"] for score in scores])),
                 "entropy": float(np.mean([score["entropy"] for score in scores])),
-                "area": one.map_bounds.tolist(),
-                "unit": UNITS.get(one.line.cell.env, "m"),
+                "bounds": visit_map.map_bounds.tolist(),
+                "unit": visit_map.unit,
                 "shares": [[float(f"{value:.3g}") or None for value in column] for column in share.T.tolist()],
                 "ends": ends,
             }
@@ -96,38 +105,41 @@ def _drawn(found: Sequence[Visited]) -> list[dict[str, Any]]:
     return drawn
 
 
-class Album:
-    """Videos of run folders as data URIs, as many as fit a page."""
+class VideoEmbedder:
+    """Turns the videos of run folders into data URIs, up to the size that a page takes."""
 
     def __init__(self):
         self.size = 0
 
     def videos(self, line: Line) -> tuple[list[dict[str, Any]], list[str]]:
-        """Return the videos that lie in the run folders of `line`, and a sentence for each that stays out."""
-        found, sentences = [], []
+        """Return the videos in the run folders of `line`, and a sentence for each that is left out."""
+        videos, sentences = [], []
         for run in line.runs:
             files = sorted(path for path in run.path.iterdir() if path.suffix.lower() in KINDS)
             for file in files:
                 try:
-                    found.append({"name": file.name, "line": line, **self._embedded(file)})
+                    videos.append({"name": file.name, "line": line, **self._embedded(file)})
                 except (OSError, ValueError) as error:
                     sentences.append(f"{file} is left out: {error}.")
-        return found, sentences
+        return videos, sentences
 
     def _embedded(self, file: Path) -> dict[str, str]:
-        """Return a video's `kind` and `uri`; a link, a file of another kind and one too many are ValueErrors."""
+        """Return a video's `kind` and `uri`.
+
+        Raises:
+            ValueError: the file is a link, too large, of another kind, or would exceed the total size of a page.
+        """
         if file.is_symlink() or not file.is_file():
-            raise ValueError("it is no plain file")
+            raise ValueError("it is not a regular file")
         size = file.stat().st_size
         if size > LARGEST:
-            raise ValueError(
-                f"it has {size / MEGABYTE:.0f} MB, and a page takes videos of at most {LARGEST // MEGABYTE} MB"
-            )
-        if self.size + size > TOGETHER:
-            raise ValueError(f"the videos of a page have at most {TOGETHER // MEGABYTE} MB together")
-        kind, start, mark = KINDS[file.suffix.lower()]
+            megabytes, most = f"{size / MEGABYTE:.0f}", LARGEST // MEGABYTE
+            raise ValueError(f"it has {megabytes} MB, and a page takes videos of at most {most} MB")
+        if self.size + size > TOTAL:
+            raise ValueError(f"the videos of a page have at most {TOTAL // MEGABYTE} MB together")
+        kind, start, signature = KINDS[file.suffix.lower()]
         data = file.read_bytes()
-        if data[start : start + len(mark)] != mark:
-            raise ValueError(f"it is no {kind}, whatever its name says")
+        if data[start : start + len(signature)] != signature:
+            raise ValueError(f"it is not {kind}, although its name says so")
         self.size += size
         return {"kind": kind, "uri": f"data:{kind};base64,{base64.b64encode(data).decode()}"}

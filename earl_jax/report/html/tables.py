@@ -1,176 +1,183 @@
-"""The tables of a page as text, row by row: both of the paper's, how fast, and what each seed ended with."""
+"""The tables of a page as text: tables 1 and 2 of the paper, speed of learning, and final scores of seeds."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from earl_jax import assets
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
-from earl_jax.paper.tables import FAULTS, HEADS, WHAT, age_of, table_rows
-from earl_jax.paper.verdicts import interval, published
 from earl_jax.report.html.runs import Line
-from earl_jax.report.style import TITLES, ordered, title
-from earl_jax.report.tables import LEVELS, WINDOW, row_of
+from earl_jax.report.html.text import number_text, steps_text
+from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
+from earl_jax.report.published import (
+    LEVELS,
+    PublishedScore,
+    published_crossings,
+    published_fault,
+    published_score,
+)
+from earl_jax.report.style import task_order, task_title
+from earl_jax.report.tables import WINDOW, row_of
 
-WIDTH, EDGE, MIDDLE = 240, 5, 13
-"""Of a strip of seeds, in pixels: how wide it is, what is left free on either side, and where its dots lie."""
-PILE = (0, -5, 5, -9, 9)
-"""Where dots go that would lie on each other."""
-LAST = {
-    "continuing/reward": ("reward a step", 4),
+STRIP_WIDTH, STRIP_MARGIN, STRIP_MIDDLE = 240, 5, 13
+"""Of a strip of seeds, in pixels: its width, the margin on either side, and the height of its dots."""
+OFFSETS = (0, -5, 5, -9, 9)
+"""Vertical offsets of dots that would cover each other."""
+FINAL_COLUMNS = {
+    "continuing/reward": ("reward per step", 4),
     "interventions": ("interventions", 0),
     "faults": ("faults", 0),
     "reached": ("goals reached", 0),
-    "help/asked": ("help asked for", 0),
-    "help/enforced": ("help enforced", 0),
-    "help/budget": ("budget left", 1),
-    "help/over": ("life over", 0),
+    "help/asked": ("requested help", 0),
+    "help/enforced": ("enforced help", 0),
+    "help/budget": ("remaining budget", 1),
+    "help/over": ("lifetime over", 0),
 }
-"""What a seed ends with, besides how it does when it is deployed: the name of the column, and digits after the point."""
-
-
-def said(value: float | None, digits: int) -> str:
-    """Return a number for people, a dash where there is none."""
-    return "–" if value is None else f"{value:,.{digits}f}".replace("-", "−")
-
-
-def steps_said(steps: int | None) -> str:
-    """Return a number of steps in short: 500, 20k, 2.5M."""
-    if steps is None:
-        return "–"
-    for unit, name in ((1_000_000, "M"), (1_000, "k")):
-        if steps >= unit:
-            return f"{steps / unit:.3g}{name}"
-    return str(steps)
+"""Columns of final values of a seed besides its deployed score: the heading, and digits after the point."""
 
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
-    """Return table `number` of the paper for the tasks of `lines`: heading, and rows by task, methods not run among them."""
-    rows = table_rows(number, [line.cell for line in lines])
-    lead, _, text = HEADS[number].partition(": ")
+    """Return table `number` of the paper for the tasks of `lines`: heading, and rows by task with methods not run."""
+    rows = paper_rows(number, [line.group for line in lines])
+    lead, _, text = HEADINGS[number].partition(": ")
     groups = []
-    for env in ordered((line.cell.env for line in lines), TITLES):
-        part = [_paper_row(number, row, lines) for row in rows if row["env"] == env]
-        groups.append({"title": title(env), "env": env, "rows": part, "fault": FAULTS.get((number, env))})
-    return {"lead": lead, "text": text, "what": WHAT[number], "groups": groups}
+    for env in task_order(line.group.env for line in lines):
+        task_rows = [_paper_row(number, row, lines) for row in rows if row["env"] == env]
+        fault = published_fault(f"table{number}", env)
+        groups.append({"title": task_title(env), "env": env, "rows": task_rows, "fault": fault})
+    return {"lead": lead, "text": text, "description": DESCRIPTIONS[number], "groups": groups}
 
 
 def _paper_row(number: int, row: dict[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
-    found = [line for line in lines if (line.cell.env, line.cell.label) == (row["env"], row["label"])]
-    line = next((line for line in found if line.cell.algo == row["algo"]), None)
-    theirs = "–" if row["published_mean"] == "-" else row["published_mean"]
-    if row["published_stderr"] != "-":
-        theirs += f" ({row['published_stderr']})"
+    name = (row["env"], row["algo"], row["label"])
+    line = next((line for line in lines if (line.group.env, line.group.algo, line.group.label) == name), None)
+    published = PublishedScore(row["published_mean"], row["published_stderr"])
+    share = share_of_steps(row)
     texts = {
         "line": line,
         "label": row["label"],
-        "published": theirs.replace("-", "−"),
+        "published": "–" if published.mean == "-" else published.text.replace("-", "−"),
         "verdict": "" if row["verdict"] == "-" else row["verdict"],
-        "age": f"at {age} of steps" if (age := age_of(row)) else "",
+        "share": f"at {share} of steps" if share else "",
     }
     if line is None:
         return texts
     digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-    texts["lives"] = f"{row['seeds']} × {steps_said(row['steps'])}"
-    texts |= {name: said(row[name], digits) for name in ("mean", "stderr", "low", "high")}
+    texts["size"] = f"{row['seeds']} × {steps_text(row['steps'])}"
+    texts |= {name: number_text(row[name], digits) for name in ("mean", "stderr", "low", "high")}
     if number == 1:
-        inner = row_of(line.cell.curves, 1, "")
-        texts |= {name: said(inner[f"deployed_{name}"], digits) for name in ("iqm", "low", "high")}
-        texts |= {name: said(row[name], digits) for name in ("last10", "last10_stderr")}
+        scores = row_of(line.curves, 1, "")
+        texts |= {name: number_text(scores[f"deployed_{name}"], digits) for name in ("iqm", "low", "high")}
+        texts |= {name: number_text(row[name], digits) for name in ("last10", "last10_stderr")}
         texts["published_last10"] = row["published_last10"] or "–"
     return texts
 
 
 def speeds(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    """Return, by task, how fast the methods that are judged by success got there, beside the released curves."""
+    """Return, by task, how fast the methods scored by success learned, beside the released curves."""
     groups = []
-    for env in ordered((line.cell.env for line in lines), TITLES):
-        here = [line for line in lines if line.cell.env == env]
-        part = [_speed(line) for line in here if line.cell.curves.deployed_metric == "deployed/success"]
-        if part:
-            groups.append({"title": title(env), "env": env, "rows": part})
+    for env in task_order(line.group.env for line in lines):
+        of_task = [line for line in lines if line.group.env == env]
+        rows = [_speed(line) for line in of_task if line.curves.deployed_metric == "deployed/success"]
+        if rows:
+            groups.append({"title": task_title(env), "env": env, "rows": rows})
     return groups
 
 
 def _speed(line: Line) -> dict[str, Any]:
-    curves, cell = line.cell.curves, line.cell
+    curves, env, algo = line.curves, line.group.env, line.group.algo
     ours = row_of(curves, 1, "")
-    theirs = assets.published_row("crossings", env=cell.env, algo=cell.algo) if curves.comparable else {}
-    area = deployed_area(curves.steps, curves.metrics[curves.deployed_metric])
-    steps = ours["steps_per_reward"]
-    levels = []
-    for level in LEVELS:
-        known = theirs.get(f"steps_to_{level}")
-        levels.append((steps_said(ours[f"steps_to_{level}"]), steps_said(int(known) if known else None)))
+    crossings = published_crossings(env, algo) if curves.comparable else {}
+    published = assets.published_row("crossings", env=env, algo=algo) if curves.comparable else {}
+    mean_heights = deployed_area(curves.steps, curves.metrics[curves.deployed_metric])
     return {
         "line": line,
-        "levels": levels,
-        "area": f"{said(area.mean(), 3)} ({said(float(stderr(area)), 3)})",
-        "steps_per_reward": said(steps, 1),
-        "published_steps_per_reward": theirs.get("steps_per_reward") or "–",
+        "levels": [(steps_text(ours[f"steps_to_{level}"]), steps_text(crossings.get(level))) for level in LEVELS],
+        "deployed_area": f"{number_text(mean_heights.mean(), 3)} ({number_text(float(stderr(mean_heights)), 3)})",
+        "steps_per_reward": number_text(ours["steps_per_reward"], 1),
+        "published_steps_per_reward": published.get("steps_per_reward") or "–",
     }
 
 
+class Scale(NamedTuple):
+    """The scale of a strip of seeds from `low` to `high`."""
+
+    low: float
+    high: float
+
+    def x(self, value: float) -> float:
+        """Return the horizontal position of `value` in pixels, clipped to the strip."""
+        share = (value - self.low) / ((self.high - self.low) or 1.0)
+        return round(STRIP_MARGIN + (STRIP_WIDTH - 2 * STRIP_MARGIN) * float(np.clip(share, 0, 1)), 1)
+
+
 def strips(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return where the seeds of one task's `lines` ended, as dots on a common scale from `low` to `high`."""
-    finals = [line.cell.curves.metrics[line.cell.curves.deployed_metric][:, -1] for line in lines]
-    bounds = [_bounds(line) for line in lines]
-    rates = lines[0].cell.curves.deployed_metric == "deployed/success"
-    ends = np.concatenate([*finals, *(np.array(pair) for pair in bounds if pair)])
-    low, high = (0.0, 1.0) if rates else (float(ends.min()), float(ends.max()))
+    """Return the final scores of the seeds of one task's `lines`, as dots on a common scale from `low` to `high`."""
+    rates = _rates(lines)
+    finals = [line.curves.metrics[line.curves.deployed_metric][:, -1] for line in lines]
+    intervals = [_published_interval(line) for line in lines]
+    ends = np.concatenate([*finals, *(np.array(interval) for interval in intervals if interval)])
+    scale = Scale(0.0, 1.0) if rates else Scale(float(ends.min()), float(ends.max()))
     digits = 2 if rates else 1
-
-    def place(value: float) -> float:
-        share = (value - low) / ((high - low) or 1.0)
-        return round(EDGE + (WIDTH - 2 * EDGE) * float(np.clip(share, 0, 1)), 1)
-
-    rows = []
-    for line, final, pair in zip(lines, finals, bounds, strict=True):
-        inner = row_of(line.cell.curves, 1, "")
-        rows.append(
-            {
-                "line": line,
-                "dots": _dots([(place(value), seed, value) for seed, value in zip(line.seeds, final, strict=True)]),
-                "mean": place(final.mean()),
-                "iqm": [place(inner["deployed_low"]), place(inner["deployed_high"])],
-                "published": [place(end) for end in pair] if pair else None,
-                "text": f"{said(final.mean(), digits + 1)} ({said(float(stderr(final)), digits + 1)})",
-                "values": [said(value, digits) for value in sorted(final.tolist())],
-            }
-        )
-    return {"rows": rows, "low": said(low, digits), "high": said(high, digits)}
+    rows = [
+        _strip(line, final, interval, scale, digits)
+        for line, final, interval in zip(lines, finals, intervals, strict=True)
+    ]
+    return {"rows": rows, "low": number_text(scale.low, digits), "high": number_text(scale.high, digits)}
 
 
-def _bounds(line: Line) -> tuple[float, float] | None:
-    printed = published("table1", line.cell.env, line.cell.algo) if line.cell.curves.comparable else None
-    return interval(*printed) if printed else None
+def _strip(
+    line: Line, final: np.ndarray, published: tuple[float, float] | None, scale: Scale, digits: int
+) -> dict[str, Any]:
+    row = row_of(line.curves, 1, "")
+    return {
+        "line": line,
+        "dots": _dots([(scale.x(value), seed, value) for seed, value in zip(line.seeds, final, strict=True)]),
+        "mean": scale.x(final.mean()),
+        "iqm": [scale.x(row["deployed_low"]), scale.x(row["deployed_high"])],
+        "published": [scale.x(end) for end in published] if published else None,
+        "text": f"{number_text(final.mean(), digits + 1)} ({number_text(float(stderr(final)), digits + 1)})",
+        "values": [number_text(value, digits) for value in sorted(final.tolist())],
+    }
 
 
-def _dots(places: Sequence[tuple[float, int, float]]) -> list[dict[str, Any]]:
-    """Return dots for (x, seed, value), those that would lie on each other piled up."""
-    piles: dict[int, int] = {}
+def _rates(lines: Sequence[Line]) -> bool:
+    return lines[0].curves.deployed_metric == "deployed/success"
+
+
+def _published_interval(line: Line) -> tuple[float, float] | None:
+    score = published_score("table1", line.group.env, line.group.algo) if line.curves.comparable else None
+    return score.interval if score else None
+
+
+def _dots(points: Sequence[tuple[float, int, float]]) -> list[dict[str, Any]]:
+    """Return dots for (x, seed, value), moved up and down so that they do not cover each other."""
+    counts: dict[int, int] = {}
     dots = []
-    for x, seed, value in sorted(places):
-        height = piles[round(x / 5)] = piles.get(round(x / 5), -1) + 1
-        dots.append({"x": x, "y": MIDDLE + PILE[height % len(PILE)], "text": f"seed {seed}: {said(value, 3)}"})
+    for x, seed, value in sorted(points):
+        column = round(x / 5)
+        offset = OFFSETS[counts.get(column, 0) % len(OFFSETS)]
+        counts[column] = counts.get(column, 0) + 1
+        dots.append({"x": x, "y": STRIP_MIDDLE + offset, "text": f"seed {seed}: {number_text(value, 3)}"})
     return dots
 
 
 def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return what every seed of one task's `lines` ended with: names of columns, and a row of texts a seed."""
-    kept = [name for name in LAST if any(name in line.cell.curves.metrics for line in lines)]
-    rates = lines[0].cell.curves.deployed_metric == "deployed/success"
+    """Return the final values of every seed of one task's `lines`: names of columns, and a row of texts per seed."""
+    names = [name for name in FINAL_COLUMNS if any(name in line.curves.metrics for line in lines)]
+    rates = _rates(lines)
     digits = 3 if rates else 1
-    head = ["success" if rates else "return", f"mean of the last {WINDOW}", *(LAST[name][0] for name in kept)]
+    columns = ["success" if rates else "return", f"mean of the last {WINDOW}"]
     rows = []
     for line in lines:
-        metrics = line.cell.curves.metrics
-        scores = metrics[line.cell.curves.deployed_metric]
-        for place, seed in enumerate(line.seeds):
-            texts = [said(scores[place, -1], digits), said(scores[place, -WINDOW:].mean(), digits)]
-            for name in kept:
-                texts.append(said(metrics[name][place, -1] if name in metrics else None, LAST[name][1]))
+        metrics = line.curves.metrics
+        scores = metrics[line.curves.deployed_metric]
+        for lane, seed in enumerate(line.seeds):
+            texts = [number_text(scores[lane, -1], digits), number_text(scores[lane, -WINDOW:].mean(), digits)]
+            for name in names:
+                value = metrics[name][lane, -1] if name in metrics else None
+                texts.append(number_text(value, FINAL_COLUMNS[name][1]))
             rows.append({"line": line, "seed": seed, "texts": texts})
-    return {"head": head, "rows": rows}
+    return {"head": [*columns, *(FINAL_COLUMNS[name][0] for name in names)], "rows": rows}

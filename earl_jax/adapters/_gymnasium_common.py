@@ -1,0 +1,56 @@
+"""What the single and the vector environment of gymnasium share: spaces, metadata, infos."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from earl_jax.adapters._session import Session, SessionState, StepResult
+from earl_jax.envs import Env
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+def spaces(env: Env) -> tuple[Box, Box]:
+    """Return the observation and the action space of one lane; observations have no bounds."""
+    observation_space = Box(-np.inf, np.inf, (env.obs_size,), np.float32)
+    return observation_space, Box(-1.0, 1.0, (env.action_size,), np.float32)
+
+
+def metadata(env: Env, render_mode: str | None) -> dict[str, Any]:
+    """Return gymnasium's metadata of `env`.
+
+    Raises:
+        ValueError: the render mode is unknown; the message lists the choices.
+    """
+    modes = METADATA["render_modes"]
+    if render_mode not in (None, *modes):
+        raise ValueError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
+    return {"render_modes": modes, "render_fps": round(1 / env.step_seconds)}
+
+
+def infos(session: Session, result: StepResult) -> dict[str, np.ndarray]:
+    """Return the infos of one lane, or of all with a leading axis."""
+    values = {
+        "goal": np.array(result.obs[..., session.env.state_size :]),
+        "success": np.array(result.success),
+        "interventions": np.array(result.interventions, np.int64),
+    }
+    return values if session.is_training else {**values, "is_success": np.array(result.reached)}
+
+
+def require_reset(state: SessionState | None) -> SessionState:
+    """Return `state`, which the first `reset` sets.
+
+    Raises:
+        gymnasium.error.ResetNeeded: there was no reset yet.
+    """
+    if state is None:
+        raise gymnasium.error.ResetNeeded("call reset() first")
+    return state
+
+
+def draw_seed(generator: np.random.Generator) -> np.uint32:
+    """Return a seed of a session, drawn from gymnasium's generator."""
+    return generator.integers(2**32, dtype=np.uint32)

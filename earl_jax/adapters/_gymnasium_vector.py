@@ -1,0 +1,155 @@
+"""Many lanes of a task in one jitted program, as gymnasium's vector environment."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from earl_jax.adapters._camera import Camera
+from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset, spaces
+from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
+from earl_jax.envs import Env
+
+
+class ResetFreeVectorEnv(EarlierNames, VectorEnv):
+    """Many lanes of a task in one jitted program; lane i of a seed equals `ResetFreeEnv` with `seed + i` step by step.
+
+    Lifetimes are never reset automatically (`AutoresetMode.DISABLED`). `autoreset_mode` says when episodes are: in the
+    next step (the default), in the same step with `final_obs` and `final_info`, or not at all. Infos are those of
+    `ResetFreeEnv`, each with its mask.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str | Env,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        **options: Any,
+    ):
+        """Make `num_envs` lanes with `autoreset_mode`; the other arguments and errors are those of `ResetFreeEnv`."""
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, not {num_envs}")
+        self.num_envs = num_envs
+        self.session = Session.of(task, lanes=num_envs, **options)
+        self.single_observation_space, self.single_action_space = spaces(self.session.env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.autoreset_mode = _autoreset_mode(self.session, autoreset_mode)
+        self.metadata = {**metadata(self.session.env, render_mode), "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
+        self._camera = Camera(self.session.env, height, width)
+        self._states: SessionState | None = None
+        self._over = np.zeros(num_envs, bool)
+
+    @property
+    def states(self) -> SessionState:
+        """The current states of all lanes, with a leading axis [N]."""
+        return require_reset(self._states)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Return observations [N, s + g] and infos after a reset of all lanes, or of `options["reset_mask"]` [N]."""
+        super().reset(seed=seed)
+        mask = self._mask(options) | (self._states is None)
+        from_seed = mask & (self._states is None or seed is not None)
+        generators = [self.np_random if seed is None else np_random(seed + i)[0] for i in range(self.num_envs)]
+        seeds = np.stack([draw_seed(generator) for generator in generators])
+        states = self._call("start", seeds) if self._states is None else self._states
+        self._states, result = self._call("restart", states, seeds, from_seed, mask)
+        self._over &= ~mask
+        result = jax.device_get(result)
+        return np.array(result.obs), self._masked_infos(result, mask)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Return the result of the session's method `name` on all lanes."""
+        return jitted(self.session, name, batched=True)(*arguments)
+
+    def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
+        options = {"reset_mask": np.ones(self.num_envs, bool), **(options or {})}
+        mask = np.array(options.pop("reset_mask"))
+        if options:
+            raise ValueError(f"reset has no option {', '.join(options)}; it takes reset_mask only")
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ValueError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
+        return mask
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Return observations [N, s + g], rewards, terminations, truncations [N] and infos after `actions [N, a]`.
+
+        Raises:
+            ValueError: the actions have another shape or are not finite.
+        """
+        actions = checked_array("actions", actions, (self.num_envs, self.session.env.action_size))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            self._states, result, last = self._call("step_and_reset", self.states, actions)
+        elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            self._states, result = self._call("step_or_reset", self.states, actions, self._over)
+            last = result
+        else:
+            self._states, result = self._call("step", self.states, actions)
+            last = result
+        result, last = jax.device_get((result, last))
+        self._over = last.terminated | last.truncated
+        info = self._masked_infos(result, np.ones(self.num_envs, bool))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
+            info |= self._final_infos(last)
+        reward = last.reward.astype(np.float64)
+        return np.array(result.obs), reward, np.array(last.terminated), np.array(last.truncated), info
+
+    def _masked_infos(self, result: StepResult, mask: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the infos of the lanes in `mask` with zeros elsewhere, and the mask of each under `_` and its name."""
+        masked = {}
+        for name, values in infos(self.session, result).items():
+            wide_mask = mask.reshape(-1, *[1] * (values.ndim - 1))
+            masked |= {name: np.where(wide_mask, values, np.zeros_like(values)), f"_{name}": mask.copy()}
+        return masked
+
+    def _final_infos(self, last: StepResult) -> dict[str, Any]:
+        """Return the last observations and infos of the episodes that are over, by gymnasium's names."""
+        obs = np.full(self.num_envs, None, object)
+        for lane in np.flatnonzero(self._over):
+            obs[lane] = np.array(last.obs[lane])
+        masks = {"_final_obs": self._over.copy(), "_final_info": self._over.copy()}
+        return {"final_obs": obs, "final_info": self._masked_infos(last, self._over), **masks}
+
+    def set_goal(self, goals: np.ndarray | None = None, mask: np.ndarray | None = None) -> np.ndarray:
+        """Return observations [N, s + g] with `goals [N, g]`, or drawn ones, in all lanes or in `mask [N]`.
+
+        `ResetFreeEnv.set_goal` describes goals and errors.
+        """
+        mask = self._mask(None if mask is None else {"reset_mask": mask})
+        if goals is None:
+            self._states = self._call("draw_goal", self.states, mask)
+        else:
+            goals = checked_array("goals", goals, (self.num_envs, self.session.env.goal_size))
+            self._states = self._call("set_goal", self.states, goals, mask)
+        return np.array(self.states.env_state.obs)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture of each lane, uint8 [height, width, 3], or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        env_states = jax.device_get(self.states.env_state)
+        lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], env_states) for i in range(self.num_envs)]
+        return tuple(map(self._camera, lanes))
+
+    def close_extras(self, **_: Any) -> None:
+        """Release the resources of the pictures."""
+        self._camera.close()
+
+
+def _autoreset_mode(session: Session, mode: AutoresetMode | str | None) -> AutoresetMode:
+    choices = [AutoresetMode.DISABLED] if session.is_training else list(AutoresetMode)
+    for choice in choices:
+        if mode in (None, choice, choice.value):
+            return choice
+    names = ", ".join(choice.value for choice in choices)
+    raise ValueError(f"autoreset_mode {mode!r} is not one of {names} in mode {session.mode!r}")

@@ -1,0 +1,35 @@
+"""The command that reproduces the paper: reproduce."""
+
+from pathlib import Path
+from typing import Literal
+
+from earl_jax.cli.arguments import Devices, Positional, Set, parse_options, print_line
+
+
+def reproduce(
+    name: Positional[Literal["table1", "table2", "curves", "figure2", "figure4", "figure5"]],
+    scale: Literal["smoke", "short", "full"] = "smoke",
+    out: Path | None = None,
+    tasks: tuple[str, ...] = (),
+    seeds: int | None = None,
+    steps: int | None = None,
+    max_lanes: int | None = None,
+    devices: Devices = None,
+    set: Set = (),
+) -> None:
+    """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
+
+    Args:
+        name: Table or figure.
+        scale: smoke trains one task for a few hundred steps; short, a tenth of the published steps; full, all of them.
+        out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
+        tasks: Tasks to include. By default those of the scale.
+        seeds: Number of seeds. By default 2, 3 or 5, as the scale has.
+        steps: Training steps of each seed. By default those of the scale.
+        max_lanes: Largest number of lanes (runs x seeds) in one program.
+    """
+    from earl_jax.paper import reproduce as paper
+
+    paths = paper.reproduce(name, scale, out, tasks, seeds, steps, parse_options(set), max_lanes, devices, print_line)
+    for path in paths:
+        print(path)

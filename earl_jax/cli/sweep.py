@@ -1,0 +1,56 @@
+"""The command that trains a grid of runs: sweep."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from earl_jax.cli.arguments import JSON, Devices, Logs, Positional, Slurm, emit, print_line
+
+
+def sweep(
+    grid: Positional[Path],
+    out: Path = Path("runs/sweep"),
+    launcher: Literal["local", "slurm"] = "local",
+    max_lanes: int | None = None,
+    slurm: Slurm = (),
+    devices: Devices = None,
+    log: Logs = (),
+    dry_run: bool = False,
+    json: JSON = False,
+) -> None:
+    """Train every run of a grid; runs that fit one program share it. After a kill, repeat the command to continue.
+
+    Args:
+        grid: TOML file of tasks, methods and options (docs/sweeps.md).
+        out: Parent folder of the run folders, OUT/<task>/<method>/<options>.
+        launcher: local runs one program after another on this machine; slurm submits an array job through submitit.
+        max_lanes: Largest number of lanes (runs x seeds) in one program.
+        dry_run: Print the programs with their lanes, folders and memory, and start nothing.
+    """
+    from earl_jax.sweeps import launcher as launchers
+
+    if dry_run:
+        plan = launchers.plan_sweep(grid, out, max_lanes)
+        emit(_with_earlier_keys(plan), json, launchers.describe(plan))
+        return
+    lines: list[str] = []
+    failed = launchers.sweep(
+        grid,
+        out,
+        launcher,
+        max_lanes=max_lanes,
+        slurm=slurm,
+        devices=devices,
+        emit=lines.append if json else print_line,
+        logs=log,
+    )
+    if json:
+        emit({"out": str(out), "failed": failed, "lines": lines}, json, "")
+    if failed:
+        raise SystemExit(1)
+
+
+def _with_earlier_keys(plan: dict[str, Any]) -> dict[str, Any]:
+    """Return `plan` with its earlier keys `cells`, `packs` and `experiment` in addition to the present ones."""
+    cells = {name: {**run, "experiment": run["config"]} for name, run in plan["runs"].items()}
+    packs = [{**group, "cells": group["runs"]} for group in plan["groups"]]
+    return {**plan, "cells": cells, "packs": packs}

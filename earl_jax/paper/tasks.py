@@ -1,0 +1,41 @@
+"""The paper's experiments: their tasks, methods, lengths and horizons.
+
+Source: Sharma et al. 2022, tables 1 and 2, figures 2, 4 and 5.
+"""
+
+from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.report.published import published_steps
+
+METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
+
+FIGURE2_TASKS = ("cheetah_run", "fish_swim")
+FIGURE2_HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
+"""H_T, the steps between resets."""
+FIGURE2_STEPS = 1_000_000
+"""Training steps, which the paper does not print: five lifetimes between resets at the longest horizon."""
+FIGURE2_FINDINGS = {
+    ("cheetah_run", True): "degrades",
+    ("cheetah_run", False): "restored",
+    ("fish_swim", True): "degrades",
+    ("fish_swim", False): "degrades",
+}
+"""The paper's finding on the return as H_T grows, by task and `timeout_bootstrap`."""
+
+FIGURE4_TASKS = ("tabletop_organization", "sawyer_peg", "minitaur_pen")
+FIGURE4_METHODS = ("fbrl", "oracle")
+FIGURE5_TASKS = ("tabletop_organization",)
+FIGURE5_METHODS = ("fbrl", "vaprl", "oracle")
+
+
+def training_steps(env: str) -> int:
+    """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""
+    steps = published_steps(env)
+    if steps is None:
+        raise ValueError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
+    return steps[0]
+
+
+def methods_on(env: str, methods: tuple[str, ...]) -> tuple[str, ...]:
+    """Return those of `methods` that can run on a task: VaPRL needs demonstrations."""
+    has_demos = make(env).has_demos
+    return tuple(method for method in methods if has_demos or method != "vaprl")

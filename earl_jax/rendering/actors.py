@@ -1,0 +1,151 @@
+"""Actors and their episodes: a policy, a scripted expert, replayed demonstrations or random actions in a task."""
+
+import contextlib
+import operator
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.envs import Env, State, list_envs, make, with_physics
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import Policy, load_lanes, select_seed
+
+ACTINGS = ("policy", "expert", "demos", "random")
+"""The newest policy of a run, the task's scripted expert, the shipped demonstrations replayed, or random actions."""
+SECONDS_AFTER_GOAL = 0.6
+"""How long an episode goes on after its goal is reached."""
+
+EpisodeStart = tuple[State, np.ndarray]
+"""The first state of an episode, and its planned actions [n, a]; n is the length of the episode."""
+
+
+class Episode(NamedTuple):
+    """States [n] from the start on, as NumPy arrays.
+
+    `last` is the step that reached the goal if it was `reached`, or else the last step.
+    """
+
+    states: State
+    last: int
+    reached: bool
+
+    def at(self, step: int) -> State:
+        """Return the unbatched state after `step` steps."""
+        return jax.tree.map(operator.itemgetter(step), self.states)
+
+
+class Actor(NamedTuple):
+    """Acts in `env`.
+
+    `act(obs [o], planned [a])` returns an action [a]. `start(number)` returns the start of an episode and the planned
+    actions that `act` receives one by one; an actor without a plan ignores them. `acting` is one of `ACTINGS`.
+    """
+
+    env: Env
+    acting: str
+    act: Callable[[jax.Array, jax.Array], jax.Array]
+    start: Callable[[int], EpisodeStart]
+
+
+def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Actor:
+    """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`."""
+    if acting is not None and acting not in ACTINGS:
+        raise ValueError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
+    from_run = is_run(source)
+    if not from_run and str(source) not in list_envs():
+        raise ValueError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
+    env, policy = _trained(Path(source), seed) if from_run else (make(str(source)), None)
+    actors = _actors(env if env.engine == "kinematic" else with_physics(env, "c"), policy, seed)
+    chosen = acting or next(iter(actors))
+    if chosen not in actors:
+        raise ValueError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
+    return actors[chosen]
+
+
+def is_run(source: str | Path) -> bool:
+    """Return whether `source` is a run folder."""
+    return (Path(source) / "config.json").is_file()
+
+
+def _trained(folder: Path, lane: int) -> tuple[Env, Policy]:
+    """Return the environment of a run folder and the newest policy of one lane."""
+    env, method, lanes = load_lanes(RunFolder.open(folder))
+    try:
+        return env, Policy.of(env, select_seed(method, lane), select_seed(lanes, lane))
+    except IndexError as error:
+        raise ValueError(f"{folder}: {error}") from error
+
+
+def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
+    """Return every actor that `env` has, by its acting; the first one is the default."""
+    no_plan = np.zeros((env.eval_horizon, env.action_size), np.float32)
+
+    def start(number: int) -> EpisodeStart:
+        return env.reset(jax.random.fold_in(jax.random.key(seed), number)), no_plan
+
+    def random_start(number: int) -> EpisodeStart:
+        actions = np.random.default_rng([seed, number]).uniform(-1, 1, no_plan.shape)
+        return start(number)[0], actions.astype(np.float32)
+
+    actors = []
+    if policy is not None:
+        actors.append(Actor(env=env, acting="policy", act=lambda obs, _: policy(obs), start=start))
+    with contextlib.suppress(ValueError):  # no expert
+        jax.eval_shape(env.expert, jax.ShapeDtypeStruct((env.obs_size,), jnp.float32))
+        actors.append(Actor(env=env, acting="expert", act=lambda obs, _: env.expert(obs), start=start))
+    with contextlib.suppress(ValueError):  # no demonstrations
+        actors.append(Actor(env=env, acting="demos", act=_follow_plan, start=_demo_starts(env, seed)))
+    actors.append(Actor(env=env, acting="random", act=_follow_plan, start=random_start))
+    return {actor.acting: actor for actor in actors}
+
+
+def _follow_plan(obs: jax.Array, planned: jax.Array) -> jax.Array:
+    del obs
+    return planned
+
+
+def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
+    """Return the function that starts replays of the forward demonstrations.
+
+    Raises:
+        ValueError: the task has no demonstrations, or cannot start from them.
+    """
+    demos = env.demos("forward")
+    stops = np.flatnonzero(demos.ends) + 1
+    firsts = np.append(0, stops[:-1])
+    lengths = stops - firsts
+
+    def start(number: int) -> EpisodeStart:
+        index = (seed + number) % len(stops)
+        first = firsts[index]
+        planned = np.zeros((lengths.max(), env.action_size), np.float32)
+        planned[: lengths[index]] = demos.actions[first : stops[index]]
+        return env.state_from_demo(jnp.asarray(demos.states[first]), jnp.asarray(demos.goals[first])), planned
+
+    start(0)  # raises for a task that cannot start from a demonstration
+    return start
+
+
+def episodes(actor: Actor) -> Iterator[Episode]:
+    """Yield episodes of `actor` without end; each stops `SECONDS_AFTER_GOAL` after it reaches its goal."""
+    env = actor.env
+
+    @jax.jit
+    def rollout(first: State, planned: jax.Array) -> State:
+        def step(state: State, action: jax.Array) -> tuple[State, State]:
+            next_state = env.step(state, actor.act(state.obs, action))
+            return next_state, next_state
+
+        states = jax.lax.scan(step, first, planned)[1]
+        return jax.tree.map(lambda start, rest: jnp.concatenate([jnp.asarray(start)[None], rest]), first, states)
+
+    for number in range(2**31):
+        states = jax.device_get(rollout(*actor.start(number)))
+        successes = np.flatnonzero(states.metrics["success"][1:])
+        last = int(successes[0]) + 1 if len(successes) else len(states.reward) - 1
+        kept = operator.itemgetter(slice(last + round(SECONDS_AFTER_GOAL / env.step_seconds) + 1))
+        yield Episode(states=jax.tree.map(kept, states), last=last, reached=len(successes) > 0)

@@ -1,0 +1,99 @@
+"""`render`: a video, an animated gif or a contact sheet of a run folder or a task."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import track
+
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.rendering.actors import Actor, actor_of, is_run
+from earl_jax.rendering.output import library
+from earl_jax.rendering.scenes import Scene
+from earl_jax.rendering.sheets import MOMENTS, moments, portraits, supersampled, write_sheet
+from earl_jax.rendering.video import DEFAULT_SECONDS, RATES, frames, write_film
+
+ALL = "all"
+"""The source that stands for the paper's six tasks."""
+SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".png": (240, 320)}
+"""Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
+
+
+def render(
+    source: str | Path,
+    out: str | Path | None = None,
+    acting: str | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    camera: str | None = None,
+    progress: bool = False,
+) -> Path:
+    """Draw episodes of `source`, each from s0 with a goal of its own, in real time, and return the path of the file.
+
+    Args:
+        source: a run folder, a task's name, or `all` for a moment of each of the paper's six tasks (.png).
+        out: .mp4, .gif, or .png for a sheet of six moments; by default `video.mp4` in a run folder, else `TASK.mp4`, or
+            `all.png`.
+        acting: one of `ACTINGS`; by default the policy of a run, else the first one that the task has.
+        seed: seed of starts and goals; in a run folder also the lane whose policy acts.
+        steps: total number of control steps; by default ten seconds, on a sheet at most one episode.
+        size: height and width of a frame, or of one moment of a sheet.
+        fps: largest number of frames a second; the exact number follows from the task's control step.
+        camera: one of the task's cameras.
+        progress: whether to show a progress bar.
+
+    Raises:
+        ValueError: the source, suffix, acting or camera is unknown, the source has no such acting or camera, a number
+            is not positive, a video's height or width is odd, or a library is missing.
+    """
+    path = _output_path(source, out)
+    size = size or SIZES[path.suffix]
+    _check_numbers(path, size, steps=steps, fps=fps)
+    library("mediapy" if path.suffix == ".mp4" else "PIL")  # a missing library is reported before the simulation
+    if str(source) == ALL:
+        actors = [actor_of(name, acting, seed) for name in PAPER_TASKS]
+        return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
+    actor = actor_of(source, acting, seed)
+    if path.suffix == ".png":
+        with Scene(actor.env, supersampled(size), camera) as scene:
+            return write_sheet(path, _tracked(moments(actor, scene, steps), MOMENTS, progress), columns=MOMENTS)
+    return _render_film(path, actor, steps, size, fps or RATES[path.suffix], camera, progress)
+
+
+def _output_path(source: str | Path, out: str | Path | None) -> Path:
+    """Return the path of the file to write."""
+    suffixes = [".png"] if str(source) == ALL else list(SIZES)
+    path = Path(out or (Path(source) / "video.mp4" if is_run(source) else f"{source}{suffixes[0]}"))
+    if path.suffix not in suffixes:
+        raise ValueError(f"{path} has the suffix {path.suffix!r}; for {source} choose from {', '.join(suffixes)}")
+    return path
+
+
+def _check_numbers(path: Path, size: tuple[int, int], **positive: float | None) -> None:
+    """Raise a ValueError if one of `positive` is not above 0, or a video's height or width is odd."""
+    for name, value in positive.items():
+        if value is not None and value <= 0:
+            raise ValueError(f"{name} must be above 0, not {value}")
+    height, width = size
+    if path.suffix == ".mp4" and (height % 2 or width % 2):
+        raise ValueError(f"a video needs an even height and width, not {height} and {width}")
+
+
+def _render_film(
+    path: Path, actor: Actor, steps: int | None, size: tuple[int, int], fps: float, camera: str | None, progress: bool
+) -> Path:
+    seconds = actor.env.step_seconds
+    stride = max(1, round(1 / (fps * seconds)))
+    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride))
+    with Scene(actor.env, size, camera) as scene:
+        images = (scene.image(state) for state in _tracked(states, len(states), progress))
+        return write_film(path, images, 1 / (stride * seconds), size)
+
+
+def _tracked(items: Iterable[Any], total: int, show: bool) -> Iterable[Any]:
+    """Return `items`, with a progress bar on stderr if `show` is set and stderr is a terminal."""
+    console = Console(stderr=True, quiet=not show)
+    return track(items, "drawing", total, console=console, transient=True, disable=not console.is_terminal)

@@ -1,0 +1,97 @@
+"""The published numbers of the paper, and verdicts on ours beside them.
+
+Source: Sharma et al. 2022, tables 1 and 2; `crossings` and `steps` come from the released curves and configurations.
+"""
+
+import math
+from decimal import Decimal
+from typing import NamedTuple
+
+from earl_jax import assets
+from earl_jax.metrics.statistics import Estimate
+
+LEVELS = (0.5, 0.9)
+"""Success rates for which reports give the first step that reaches them."""
+NORMAL = 1.96
+"""Standard errors on either side of the mean in a 95 % interval."""
+FEW = 5
+"""Fewer seeds than this make an interval unreliable."""
+INTERVAL_RULE = (
+    "Published interval: mean ± 1.96 standard errors of five seeds. The published tables are rounded, so the mean "
+    "and the standard error are each taken half a unit of their last printed digit wider; `<0.001` means 0 to 0.001. "
+    "The verdict says where our mean lies: within, above or below that interval. It is `-` if nothing is published "
+    "or nothing was run."
+)
+FEW_SEEDS = "An interval over fewer than five seeds is narrower than a true 95 % interval."
+
+
+class PublishedScore(NamedTuple):
+    """A score as the paper prints it: texts such as `0.94`, `<0.001` or `-`."""
+
+    mean: str
+    stderr: str
+
+    @property
+    def value(self) -> float:
+        """The mean as a number; `<x` counts as x."""
+        return float(self.mean.lstrip("<"))
+
+    @property
+    def text(self) -> str:
+        """The mean, with the standard error in brackets if one is printed."""
+        return self.mean + ("" if self.stderr == "-" else f" ({self.stderr})")
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval: mean ± 1.96 s.e., each half a unit of its last digit wider.
+
+        `<x` gives 0 to x, `-` gives None.
+        """
+        if self.mean == "-":
+            return None
+        if self.mean.startswith("<"):
+            return 0.0, float(self.mean[1:])
+        half = 0.5 * 10.0 ** int(Decimal(self.mean).as_tuple().exponent)
+        spread = half + NORMAL * (0.0 if self.stderr == "-" else float(self.stderr) + half)
+        return float(self.mean) - spread, float(self.mean) + spread
+
+
+def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
+    """Return the score of a method on a task in `table1` or `table2`, or None if the paper has none."""
+    row = assets.published_row(table, env=env, algo=algo)
+    return PublishedScore(row["mean"], row["stderr"]) if row else None
+
+
+def published_crossings(env: str, algo: str) -> dict[float, int]:
+    """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
+    row = assets.published_row("crossings", env=env, algo=algo)
+    return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
+
+
+def published_steps(env: str) -> tuple[int, int] | None:
+    """Return the least and the greatest length of the paper's runs on a task, or None if unpublished."""
+    row = assets.published_row("steps", env=env)
+    return (int(row["low"]), int(row["high"])) if row else None
+
+
+def published_fault(table: str, env: str) -> str | None:
+    """Return the known fault of the published scores of a task in `table1` or `table2`, or None if there is none."""
+    return assets.published_row("faults", paper_table=table, env=env).get("fault")
+
+
+def verdict(value: float | None, interval: tuple[float, float] | None) -> str:
+    """Return where `value` lies beside `interval`: within (ends included), above or below; `-` if one is None."""
+    if value is None or interval is None or not math.isfinite(value):
+        return "-"
+    return "below" if value < interval[0] else "above" if value > interval[1] else "within"
+
+
+def word_by_sign(estimate: Estimate, positive: str, negative: str, unclear: str) -> str:
+    """Return `positive` or `negative` if the whole interval lies on that side of 0, else `unclear`."""
+    return positive if estimate.low > 0 else negative if estimate.high < 0 else unclear
+
+
+def estimate_text(estimate: Estimate, digits: int, factor: float = 1.0) -> str:
+    """Return an estimate as `value [low, high]`, each times `factor`; `-` stands for a number that is not finite."""
+    value, low, high = (f"{factor * number:.{digits}f}" if math.isfinite(number) else "-" for number in estimate)
+    return f"{value} [{low}, {high}]" if low != "-" else value

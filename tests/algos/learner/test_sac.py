@@ -1,0 +1,206 @@
+"""The learner against closed forms: targets, densities, and a problem of known value."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from earl_jax.algos import make_algo
+from earl_jax.algos.learner import networks
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.networks import TanhNormal, apply, mlp
+from earl_jax.algos.learner.sac import SAC, Batch
+
+SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
+
+
+def make_batch(size=8, terminal=None, seed=0, obs_size=4, action_size=2):
+    keys = jax.random.split(jax.random.key(seed), 4)
+    return Batch(
+        obs=jax.random.normal(keys[0], (size, obs_size)),
+        action=jax.random.uniform(keys[1], (size, action_size), minval=-1, maxval=1),
+        reward=jax.random.normal(keys[2], (size,)),
+        terminal=jnp.zeros(size, bool) if terminal is None else terminal,
+        next_obs=jax.random.normal(keys[3], (size, obs_size)),
+    )
+
+
+@pytest.mark.parametrize("critics", [2, 4])
+def test_the_target_of_a_terminal_transition_is_exactly_the_scaled_reward(critics):
+    sac = SMALL.replace(reward_scale=10.0)
+    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics)
+    batch = make_batch(terminal=jnp.arange(8) < 4)
+    target = sac_lib.td_target(sac, agent, batch, jax.random.key(1))
+    np.testing.assert_array_equal(target[:, :4], jnp.tile(10.0 * batch.reward[:4], (critics, 1)))
+    assert (np.abs(target[:, 4:] - 10.0 * batch.reward[4:]) > 1e-4).all()
+
+
+def test_the_soft_target_is_the_documented_formula():
+    sac = SMALL.replace(initial_temperature=0.3)
+    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics=4)
+    batch, key = make_batch(), jax.random.key(1)
+    action, log_prob = sac_lib.act_with_log_prob(sac, agent.actor, batch.next_obs, key, 2)
+    q = np.asarray(sac_lib.q_values(sac, agent.targets, batch.next_obs, action))
+    soft = batch.reward + 0.99 * (q[:2].min(axis=0) - 0.3 * log_prob)
+    plain = batch.reward + 0.99 * q[2:].min(axis=0)
+    expected = np.stack([soft, soft, plain, plain])
+    np.testing.assert_allclose(sac_lib.td_target(sac, agent, batch, key), expected, rtol=1e-5)
+
+
+def test_tanh_normal_has_the_paper_s_density():
+    parameters = jnp.array([0.3, -0.8, -0.5, 5.0])
+    raw = jnp.array([0.1, -0.4])
+    std = np.exp([-0.5, 2.0])
+    density = stats.norm.logpdf([0.1, -0.4], [0.3, -0.8], std) - np.log(1 - np.tanh([0.1, -0.4]) ** 2)
+    np.testing.assert_allclose(TanhNormal(2).log_prob(parameters, raw), density.sum(), rtol=1e-5)
+    np.testing.assert_allclose(TanhNormal(2).mode(parameters), np.tanh([0.3, -0.8]), rtol=1e-5)
+
+
+def test_networks_start_glorot_uniform_with_zero_biases():
+    params = mlp((256, 256), 3).init(jax.random.key(0), jnp.zeros(12))["params"]
+    kernel = np.asarray(params["hidden_0"]["kernel"])
+    bound = np.sqrt(6 / (12 + 256))
+    assert 0.98 * bound < np.abs(kernel).max() <= bound
+    assert all(not layer["bias"].any() for layer in params.values())
+    assert jax.tree.map(np.shape, params)["hidden_2"]["kernel"] == (256, 3)
+
+
+def update_agents(precision, critics=2, layer_norm=False):
+    """Return the agents of two lanes after one update, and the text of the lowered update."""
+    sac = SMALL.replace(precision=precision, layer_norm=layer_norm)
+    keys = jax.random.split(jax.random.key(0), 2)
+    agents = jax.vmap(lambda key: sac_lib.init(key, SMALL.replace(layer_norm=layer_norm), 4, 2, critics))(keys)
+    update = jax.jit(jax.vmap(functools.partial(sac_lib.update, sac), (0, None, 0)))
+    return update(agents, make_batch(64), keys)[0], update.lower(agents, make_batch(64), keys).as_text()
+
+
+def relative_errors(actual, exact):
+    """Return the relative distance of every leaf from `exact`."""
+    return [
+        np.linalg.norm(a - b) / np.linalg.norm(b)
+        for a, b in zip(jax.tree.leaves(actual), jax.tree.leaves(exact), strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("critics", "layer_norm"), [(4, False), (2, True)])
+def test_precisions_differ_only_by_rounding(critics, layer_norm):
+    after = {name: update_agents(name, critics, layer_norm)[0] for name in ("float32", "tf32", "bf16")}
+    for network in ("critics", "actor"):
+        exact, usual, coarse = [after[name].moments[network].mu for name in ("float32", "tf32", "bf16")]
+        assert max(relative_errors(usual, exact)) == 0  # a CPU's default is float32
+        assert 0 < max(relative_errors(coarse, exact)) < 0.15
+    for leaf in jax.tree.leaves(after["bf16"]):
+        assert leaf.dtype in (jnp.float32, jnp.int32)
+
+
+@pytest.mark.parametrize("outputs", [1, 5])
+@pytest.mark.parametrize("hidden_sizes", [(), (16,), (32, 16), (24, 24, 24)])
+def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs):
+    """Biases keep every unit far from the kink of its ReLU, so that the two differ by rounding alone."""
+    network = mlp(hidden_sizes, outputs)
+    keys = jax.random.split(jax.random.key(0), 2)
+    blank = network.init(keys[0], jnp.zeros(7))
+    params = jax.tree.map(lambda leaf: 4.0 * (-1) ** jnp.arange(len(leaf)) if leaf.ndim == 1 else leaf, blank)
+    x = 0.3 * jax.random.normal(keys[1], (3, 40, 7))
+
+    def outputs_and_gradients(precision):
+        out, pull = jax.vjp(lambda p, x: apply(network, p, x, precision), params, x)
+        return out, *pull(1 + 0.5 * jnp.cos(jnp.arange(out.size, dtype=jnp.float32)).reshape(out.shape))
+
+    exact, coarse = [jax.jit(outputs_and_gradients, static_argnums=0)(precision) for precision in ("float32", "bf16")]
+    assert max(relative_errors(coarse, exact)) < 0.02
+    assert {leaf.dtype for leaf in jax.tree.leaves(coarse)} == {jnp.dtype("float32")}
+    np.testing.assert_allclose(apply(network, params, x[0, 0], "bf16"), coarse[0][0, 0], rtol=1e-5, atol=1e-5)
+
+
+def test_the_default_precision_leaves_the_networks_unchanged(monkeypatch):
+    _, usual = update_agents("tf32")
+    _, low = update_agents("bf16")
+    monkeypatch.setattr(networks, "apply", lambda network, params, x, precision: network.apply(params, x))
+    assert usual == update_agents("tf32")[1]
+    assert "bf16" in low
+    assert "optimization_barrier" in low  # keeps the actor's forward passes separate
+    assert "bf16" not in usual
+
+
+def test_bf16_critics_of_all_lanes_are_products_with_the_same_batch_axes():
+    """A GPU is measurably slower on the transposed products that critics with shared inputs would be."""
+    sac, batch = SMALL.replace(precision="bf16"), make_batch(64)
+    critics = jax.vmap(lambda key: sac_lib.init(key, sac, 4, 2).critics)(jax.random.split(jax.random.key(0), 3))
+    obs, action = [jnp.tile(part, (3, 1, 1)) for part in (batch.obs, batch.action)]
+
+    def loss(critic, obs, action):
+        return jnp.square(sac_lib.q_values(sac, critic, obs, action)).sum()
+
+    text = jax.jit(jax.vmap(jax.grad(loss))).lower(critics, obs, action).as_text()
+    products = [line for line in text.splitlines() if "dot_general" in line]
+    assert len(products) == 6
+    assert all("batching_dims = [0, 1] x [0, 1]" in line for line in products)
+
+
+def test_float32_requests_full_float32_forward_and_backward():
+    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    texts = {
+        precision: jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
+        .lower(agent, make_batch(64), jax.random.key(1))
+        .as_text()
+        for precision in ("float32", "tf32")
+    }
+    products = [line for line in texts["float32"].splitlines() if "dot_general" in line]
+    assert len(products) > 15
+    assert all("HIGHEST" in line for line in products)
+    assert "HIGHEST" not in texts["tf32"]
+
+
+def test_an_unknown_precision_is_an_error_that_lists_the_choices():
+    with pytest.raises(ValueError, match="'fp8' is not one of float32, tf32, bf16"):
+        make_algo("naive", precision="fp8")
+    with pytest.raises(ValueError, match="'fp8' is not one of float32, tf32, bf16"):
+        SMALL.replace(precision="fp8")
+
+
+def test_an_update_moves_actor_targets_and_temperature():
+    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    after, diagnostics = jax.jit(lambda a, b, k: sac_lib.update(SMALL, a, b, k))(agent, make_batch(), jax.random.key(1))
+    drift = jax.tree.map(
+        lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, agent.targets, after.critics
+    )
+    assert max(jax.tree.leaves(drift)) < 1e-6
+    assert float(diagnostics["entropy"]) > -1.0
+    assert float(after.log_temperature) == pytest.approx(-3e-4, rel=1e-3)
+    assert all(
+        np.abs(a - b).max() > 0 for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(agent.actor), strict=True)
+    )
+
+
+def test_sac_solves_a_chain_of_known_value():
+    """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
+
+    Any other action ends at once, with 0.2 in the first state and 0 in the second. The best return is gamma; a policy that stops at once earns 0.2. The entropy-free pair must learn the true values.
+    """
+    sac = SMALL.replace(learning_rate=3e-3, initial_temperature=0.1, target_rate=0.02, discount=0.9)
+    keys = jax.random.split(jax.random.key(0), 3)
+    is_second = jax.random.bernoulli(keys[0], 0.5, (2000,))
+    action = jax.random.uniform(keys[1], (2000, 1), minval=-1, maxval=1)
+    go = action[:, 0] > 0
+    obs = jnp.stack([is_second, ~is_second], axis=1).astype(jnp.float32)
+    reward = jnp.where(is_second, go, 0.2 * ~go).astype(jnp.float32)
+    second_obs = jnp.tile(jnp.array([1.0, 0.0]), (2000, 1))
+    data = Batch(obs=obs, action=action, reward=reward, terminal=is_second | ~go, next_obs=second_obs)
+    agent = sac_lib.init(keys[2], sac, 2, 1, critics=4)
+
+    def step(agent, key):
+        pick = jax.random.randint(key, (64,), 0, 2000)
+        return sac_lib.update(sac, agent, jax.tree.map(lambda leaf: leaf[pick], data), key)
+
+    agent, _ = jax.jit(lambda a, k: jax.lax.scan(step, a, k))(agent, jax.random.split(jax.random.key(9), 3000))
+    states = jnp.array([[0.0, 1.0], [1.0, 0.0]])
+    best = sac_lib.greedy(sac, agent.actor, states, 1)
+    assert (best > 0.1).all()
+    values = sac_lib.q_values(sac, agent.critics, states, best)[2:]
+    np.testing.assert_allclose(values.mean(axis=0), [0.9, 1.0], atol=0.1)
+    stop = sac_lib.q_values(sac, agent.critics, states, -jnp.full((2, 1), 0.6))[2:]
+    np.testing.assert_allclose(stop.mean(axis=0), [0.2, 0.0], atol=0.1)

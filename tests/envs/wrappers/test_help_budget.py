@@ -1,0 +1,263 @@
+"""Help, budgets and the absorbing end: on a chain whose every answer is known by hand, and on real tasks."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.envs import HelpBudget, make
+from earl_jax.protocol import Protocol
+from earl_jax.training.loop import run_steps
+from earl_jax.training.state import Problem
+from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, take_lane, tiny_method, to_numpy
+from tests.envs.chain import Chain
+
+LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
+DISCOUNT = 0.9
+
+
+def start_state(env, position=None, asked=0, enforced=0):
+    """Return a state of `env` with the chain's goal, at `position` after so many interventions."""
+    state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0]))
+    if position is None:
+        return state
+    inner = env.task.state_at(position, state.data.info["goal"])
+    left = jnp.float32(env.budget - asked * env.help_cost - enforced * env.enforced_cost)
+    info = {**state.info, "asked": jnp.int32(asked), "enforced": jnp.int32(enforced), "budget": left}
+    return env._augmented(inner, info)
+
+
+def run_actions(env, actions, state=None):
+    """Return the states [T + 1] before and after every one of the `actions [T, a]`."""
+    first = start_state(env) if state is None else state
+    scan = jax.jit(lambda state, actions: jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, state, actions))
+    _, rest = scan(first, jnp.asarray(actions))
+    return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
+
+
+def describe(tree):
+    """Return shape, dtype and weak type of every leaf, of arrays or of their shapes."""
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.eval_shape(lambda x: x, tree))
+
+
+@pytest.mark.parametrize(("budget", "cost", "last"), [(3.0, 1.0, 12), (2.5, 1.0, 12), (1.0, 0.25, 16), (1.0, 0.0, 99)])
+def test_moving_right_falls_every_four_steps_until_an_intervention_exceeds_the_budget(budget, cost, last):
+    env = HelpBudget(Chain(), budget=budget, enforced_cost=cost)
+    states, time = run_actions(env, np.tile(RIGHT, (20, 1))), np.arange(21)
+    falls, over = np.minimum(time, last) // 4, time >= last
+    np.testing.assert_array_equal(states.info["enforced"], falls)
+    np.testing.assert_array_equal(states.info["asked"], 0)
+    np.testing.assert_array_equal(states.done, over)
+    np.testing.assert_array_equal(states.info["budget"], np.where(over, 0.0, budget - cost * falls))
+    np.testing.assert_array_equal(states.obs[:, 1], states.info["budget"] / budget)
+    np.testing.assert_array_equal(states.obs[:, 0], np.where(over, 3, time % 4))
+    np.testing.assert_array_equal(states.reward[1:], ((time % 4 == 3) & ~over)[1:])
+    np.testing.assert_array_equal(states.metrics["success"], states.reward)
+
+
+@pytest.mark.parametrize(("budget", "cost", "last"), [(6.3, 0.7, 9), (2.7, 0.9, 3), (9000.0, 0.9, 10_000)])
+def test_an_exactly_spent_budget_ends_the_lifetime_in_float32_too(budget, cost, last):
+    env = HelpBudget(Chain(), budget=budget, help_cost=cost)
+    states = run_actions(env, np.tile(HELP, (3, 1)), start_state(env, 0, asked=last - 2))
+    assert states.done.tolist() == [0, 0, 1, 1]
+
+
+def expected_quality(chain, budget, help_cost, enforced_cost, absorbed):
+    """Return the values [cliff, budget + 1, 3] of all actions in the augmented MDP, from its definition."""
+    quality = np.zeros((chain.cliff, budget + 1, 3))
+    for _, position, left, action in itertools.product(range(200), range(chain.cliff), range(1, budget + 1), range(3)):
+        after = [max(position - 1, 0), position + 1, chain.start][action]
+        cost = [0, 0, help_cost][action]
+        if after == chain.cliff:
+            after, cost = chain.start, enforced_cost
+        reward = -abs(after - chain.goal) if chain.reward_type == "dense" else float(after == chain.goal)
+        if cost > 0 and left - cost <= 0:
+            quality[position, left, action] = absorbed / (1 - DISCOUNT)
+        else:
+            quality[position, left, action] = reward + DISCOUNT * quality[after, left - cost].max()
+    return quality
+
+
+def computed_quality(env):
+    """Return the same values by value iteration over the transitions of `env` from every position, budget and action."""
+    chain, budget = env.task, int(env.budget)
+    grid = np.meshgrid(range(chain.cliff), range(1, budget + 1), range(3))
+    positions, lefts, moves = (part.ravel() for part in grid)
+    actions = jnp.stack([LEFT, RIGHT, HELP])[moves]
+    kind = "asked" if env.help_cost == 1 else "enforced"
+    step = jax.jit(jax.vmap(lambda p, left, a: env.step(start_state(env, p, **{kind: budget - left}), a)))
+    after = step(positions, lefts, actions)
+    following, rest = np.rint(after.obs[:, 0]).astype(int), np.rint(after.info["budget"]).astype(int)
+    quality = np.zeros((chain.cliff, budget + 1, 3))
+    for _ in range(400):
+        value = quality.max(axis=-1)
+        value[:, 0] = env.absorbed_reward / (1 - DISCOUNT)
+        quality[positions, lefts, moves] = np.asarray(after.reward) + DISCOUNT * value[following, rest]
+    return quality
+
+
+CHAINS = [
+    (Chain(cliff=6, start=0, goal=1), (1, 2), 0.0),
+    (Chain(cliff=6, start=4, goal=5), (2, 1), 0.0),
+    (Chain(cliff=5, start=1, goal=4, reward_type="dense"), (1, 1), -10.0),
+]
+
+
+@pytest.mark.parametrize(("chain", "costs", "absorbed"), CHAINS)
+def test_value_iteration_over_the_wrapper_gives_the_values_of_the_augmented_mdp(chain, costs, absorbed):
+    env = HelpBudget(chain, 4, *map(float, costs), absorbed_reward=absorbed)
+    expected = expected_quality(chain, 4, *costs, absorbed)
+    np.testing.assert_allclose(computed_quality(env)[:, 1:], expected[:, 1:], rtol=1e-5, atol=1e-5)
+
+
+def test_help_is_optimal_far_from_the_goal_unless_it_spends_the_budget():
+    left, help_ = 0, 2
+    best = computed_quality(HelpBudget(Chain(cliff=8, start=0, goal=1), 3)).argmax(axis=-1)
+    assert best[6].tolist()[1:] == [left, help_, help_]
+    assert best[2].tolist()[1:] == [left, left, left]
+
+
+def test_help_discards_the_move_and_has_its_own_cost_even_beside_the_cliff():
+    env = HelpBudget(Chain(start=1), budget=5.0, help_cost=0.5, enforced_cost=2.0)
+    states = run_actions(env, [HELP, RIGHT, RIGHT, HELP, RIGHT, RIGHT, RIGHT])
+    np.testing.assert_array_equal(states.obs[:, 0], [1, 1, 2, 3, 1, 2, 3, 1])
+    np.testing.assert_array_equal(states.info["budget"], [5, 4.5, 4.5, 4.5, 4, 4, 4, 2])
+    assert (states.info["asked"][-1], states.info["enforced"][-1]) == (2, 1)
+    for goals in (states.obs[:, 2:], states.info["goal"], states.data.info["goal"]):
+        np.testing.assert_array_equal(goals, 3.0)
+
+
+@pytest.mark.parametrize(("above", "requests"), [(0.98, [0, 0, 1]), (-1.0, [0, 1, 1])])
+def test_only_a_last_component_above_the_threshold_requests_help(above, requests):
+    env = HelpBudget(Chain(), budget=9.0, help_above=above)
+    actions = jnp.array([[1.0, -1.0], [1.0, 0.98], [1.0, 5.0]])
+    assert [env.step(start_state(env), action).info["asked"] for action in actions] == requests
+
+
+def test_every_intervention_draws_a_new_start_from_rho():
+    env = HelpBudget(make("tabletop_organization", wide=True), budget=9.0)
+    step, request = jax.jit(env.step), jnp.array([0, 0, 0, 1.0])
+    first, same, other = (step(env.reset(jax.random.key(seed)), request) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.obs, same.obs)
+    assert len({float(state.obs[0]) for state in (first, other, step(first, request))}) == 3
+
+
+def test_a_hard_intervention_costs_nothing_and_restores_nothing():
+    env = HelpBudget(Chain(start=1), budget=5.0)
+    before = take_lane(run_actions(env, [HELP, RIGHT]), -1)
+    after = env.intervene(jax.random.key(3), before)
+    assert describe(after) == describe(before)
+    assert (after.obs[0], before.obs[0]) == (1, 2)
+    assert (after.info["budget"], after.info["asked"], after.done) == (4, 1, 0)
+    assert after.obs[1] == before.obs[1] == np.float32(0.8)
+    ended = take_lane(run_actions(env, np.tile(HELP, (5, 1))), -1)
+    assert ended.done == 1
+    assert_equal_trees(env.intervene(jax.random.key(3), ended), ended)
+
+
+def test_the_absorbing_end_lasts_and_earns_the_absorbed_reward():
+    env = HelpBudget(Chain(reward_type="dense"), budget=1.0, absorbed_reward=-7.0)
+    states = run_actions(env, [RIGHT, HELP, LEFT, HELP, RIGHT])
+    np.testing.assert_array_equal(states.reward[1:], [-2, -7, -7, -7, -7])
+    first, *later = (take_lane(states, step) for step in (2, 3, 4, 5))
+    for state in later:
+        assert_equal_trees(state, first)
+    assert first.obs.tolist() == [1, 0, 3]
+    assert env.goal_reward(first, jnp.zeros(1)) == env.reward(first.obs) == -7
+    assert not HelpBudget(Chain(goal=1), budget=1.0).success(jnp.array([1.0, 0.0, 1.0]))
+
+
+def test_a_fault_is_an_enforced_intervention_after_which_the_state_is_finite():
+    env = HelpBudget(Chain(fragile=True), budget=2.0)
+    states = run_actions(env, [LEFT, RIGHT, LEFT, LEFT, LEFT])
+    np.testing.assert_array_equal(states.info["enforced"], [0, 1, 1, 1, 2, 2])
+    np.testing.assert_array_equal(states.done, [0, 0, 0, 0, 1, 1])
+    assert_all_finite(states)
+    assert not jax.vmap(env.fault)(states).any()
+    assert env.task.fault(env.task.step(env.task.reset(jax.random.key(0)), jnp.array([-1.0])))
+
+
+TASKS = {"chain": Chain(), "peg": make("sawyer_peg", physics="c", reward_type="dense")}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_wrapper_keeps_the_contract_of_an_env_and_moves_like_its_task(name):
+    env, lanes, steps = HelpBudget(TASKS[name], 2.0), 3, 3
+    keys = jax.random.split(jax.random.key(0), lanes)
+    actions = jax.random.uniform(jax.random.key(1), (steps, lanes, env.action_size), minval=-1, maxval=1)
+    actions = actions.at[:, 1, -1].set(1.0)
+    first = state = jax.jit(jax.vmap(env.reset))(keys)
+    alone = [take_lane(state, lane) for lane in range(lanes)]
+    inner = [single.data for single in alone]
+    both = jax.jit(lambda state, inner, a: (env.step(state, a), env.task.step(inner, a[:-1])))
+    step = jax.jit(jax.vmap(env.step))
+    for action in actions:
+        state = step(state, action)
+        pairs = [both(*each) for each in zip(alone, inner, action, strict=True)]
+        alone, inner = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    assert describe(state) == describe(first)
+    assert describe(alone[0]) == describe(jax.eval_shape(env.intervene, keys[0], alone[0]))
+    assert_equal_trees(state, jax.tree.map(lambda *leaves: jnp.stack(leaves), *alone), rtol=1e-6, atol=1e-6)
+    assert state.done.tolist() == [0, 1, 0]
+    for lane in (0, 2):
+        assert_equal_trees((alone[lane].data, alone[lane].reward), (inner[lane], inner[lane].reward))
+        np.testing.assert_array_equal(env.task_obs(alone[lane].obs), inner[lane].obs)
+    goal = inner[2].obs[: env.goal_size]
+    assert env.goal_reward(alone[2], goal) == env.task.goal_reward(inner[2], goal)
+    pending = jax.eval_shape(env.start_step, alone[0], actions[0, 0])
+    inner_pending = jax.eval_shape(env.task.start_step, inner[0], actions[0, 0, :-1])
+    assert pending.ticket is inner_pending.ticket is None
+    assert describe(pending.payload) == (((), bool, False), describe(inner_pending.payload))
+    assert hash(env) == hash(dataclasses.replace(env)) != hash(dataclasses.replace(env, budget=3.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"budget": 0.0}, "budget must be above 0"),
+        ({"budget": np.inf}, "and finite"),
+        ({"help_cost": -1.0}, "help_cost must be at least 0"),
+        ({"enforced_cost": np.nan}, "enforced_cost must be at least 0"),
+        ({"help_above": 1.0}, r"help_above must lie in \[-1, 1\)"),
+        ({"absorbed_reward": -1.0}, "absorbed_reward must be 0 with a sparse reward"),
+        ({"task": Chain(reward_type="dense"), "absorbed_reward": np.nan}, "absorbed_reward must be finite"),
+        ({"task": HelpBudget(Chain(), 1.0)}, "without a budget of its own"),
+    ],
+)
+def test_invalid_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        HelpBudget(**{"task": Chain(), "budget": 1.0, **options})
+
+
+def test_an_action_of_the_tasks_own_size_is_refused():
+    env = HelpBudget(Chain(), 1.0)
+    with pytest.raises(ValueError, match=r"takes \(2,\)"):
+        env.step(start_state(env), jnp.zeros(1))
+
+
+def test_a_lane_at_its_absorbing_end_stops_learning_and_storing_while_the_other_goes_on():
+    problem = Problem(HelpBudget(Chain(), budget=100.0, help_above=-1.0), Protocol(train_horizon=7, eval_horizon=5))
+    method = tiny_method("naive")
+    state = make_train_state(problem, method, [0, 1], steps=20)
+    asked = jnp.array([95, 0])
+    env_state = state.lanes.env_state
+    info = {**env_state.info, "asked": asked, "budget": 100.0 - asked.astype(jnp.float32)}
+    env_state = env_state.replace(info=info, obs=env_state.obs.at[:, 1].set(info["budget"] / 100.0))
+    run = jax.jit(lambda state: run_steps(problem, method, state, 5))
+    before = run(state.replace(lanes=state.lanes.replace(env_state=env_state)))
+    assert before.lanes.env_state.done.tolist() == [1, 0]
+    assert before.replay.counts[:, 0].tolist() == [5, 5]
+    after = run(before)
+    assert after.lanes.env_state.done.tolist() == [1, 0]
+    assert after.replay.counts[:, 0].tolist() == [5, 10]
+    assert after.lanes.env_state.info["asked"].tolist() == [100, 10]
+    ended = [take_lane(state.lanes, 0) for state in (before, after)]
+    kept = [(lane.agent, lane.method_state, lane.env_state.data.data, lane.env_state.info["budget"]) for lane in ended]
+    assert_equal_trees(*kept)
+    assert ended[1].counters.window_reward == ended[0].counters.window_reward
+    actors = [take_lane(state.lanes.agent.actor, 1) for state in (before, after)]
+    for old, new in zip(*map(jax.tree.leaves, actors), strict=True):
+        assert (to_numpy(old) != to_numpy(new)).any()

@@ -1,0 +1,49 @@
+"""Figure 5 on small numbers whose drops are known."""
+
+import pytest
+
+from earl_jax.paper.figure5 import figure_rows, write_figure5
+from earl_jax.report.style import COLOURS
+from tests.report.run_files import count_pixels, read_csv
+
+
+def seed_rows(algo, initial, uniform):
+    pairs = zip(initial, uniform, strict=True)
+    return [{"algo": algo, "seed": i, "success_initial": a, "success_uniform": b} for i, (a, b) in enumerate(pairs)]
+
+
+def test_drops_are_compared_with_the_published_ones(tmp_path):
+    rows = [
+        *seed_rows("oracle", [1.0, 0.8], [0.5, 0.5]),
+        *seed_rows("fbrl", [1.0, 1.0], [0.5, 0.6]),
+        *seed_rows("vaprl", [1.0, 1.0], [1.0, 1.0]),
+        *seed_rows("r3l", [0.0, 0.0], [0.0, 0.1]),
+    ]
+    csv_file, seeds_file, text_file, picture = write_figure5(rows, tmp_path / "out")
+    methods = {row["algo"]: row for row in read_csv(csv_file)}
+    assert list(methods) == ["fbrl", "r3l", "vaprl", "oracle"]
+    names = ("initial", "uniform", "drop", "drop_low", "drop_high", "published_drop")
+    oracle = [float(methods["oracle"][name]) for name in names]
+    assert oracle == pytest.approx([0.9, 0.5, 4 / 9, 0.375, 0.5, 0.374])
+    verdicts = {algo: row["verdict"] for algo, row in methods.items()}
+    assert verdicts == {"oracle": "larger", "fbrl": "larger", "vaprl": "smaller", "r3l": "-"}
+    assert [{name: str(value) for name, value in row.items()} for row in rows] == read_csv(seeds_file)
+    line = "| oracle | 2 | 0.900 [0.800, 1.000] | 0.500 [0.500, 0.500] | 44.4 [37.5, 50.0] | 37.4 % | larger |"
+    assert line in text_file.read_text()
+    assert count_pixels(picture, COLOURS["fbrl"]) > 1000
+
+
+def test_a_drop_within_the_interval_agrees():
+    row = figure_rows(seed_rows("oracle", [1.0, 1.0], [0.5, 0.7]))[0]
+    assert (row["verdict"], row["drop"]) == ("within", pytest.approx(0.4))
+
+
+def test_one_seed_has_no_verdict():
+    assert figure_rows(seed_rows("oracle", [1.0], [0.6]))[0]["verdict"] == "-"
+
+
+def test_missing_rows_and_columns_are_refused():
+    with pytest.raises(ValueError, match="at least one row"):
+        figure_rows([])
+    with pytest.raises(ValueError, match="success_uniform"):
+        figure_rows([{"algo": "fbrl", "seed": 0, "success_initial": 1.0}])

@@ -1,0 +1,105 @@
+"""Every table and figure by one command, end to end at the smallest scale, and the runs that the larger scales plan."""
+
+import pytest
+
+from earl_jax.cli.main import main
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper import reproduce, tasks
+from earl_jax.sweeps import grid
+from earl_jax.sweeps.planner import plan
+from tests.conftest import CACHE
+from tests.report.run_files import read_csv
+
+FILES = {
+    "table1": {"table1.csv", "table1.md", "table1.png"},
+    "table2": {"table2.csv", "table2.md", "table2.png"},
+    "curves": {"curves.csv", "curves.md", "curves.png"},
+    "figure4": {"figure4.csv", "figure4_visits.csv", "figure4.md", "figure4.png"},
+    "figure5": {"figure5.csv", "figure5_seeds.csv", "figure5.md", "figure5.png"},
+    "figure2": {"figure2.csv", "figure2.md", "figure2.png"},
+}
+PUBLISHED = {
+    "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "curves": "0.33M", "figure4": "oracle", "figure5": "37.4 %",
+    "figure2": "200,000",
+}  # fmt: skip
+"""A text of each report that comes from the paper."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("reproduced")
+
+
+@pytest.fixture(autouse=True)
+def _shared_cache(monkeypatch):
+    """Let the workers of a sweep use the suite's compiled programs."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+
+
+def planned_runs(name, scale, tmp_path, envs=None, **options):
+    """Return the path of the grid of a result at a scale, and its runs."""
+    result, path = reproduce.RESULTS[name], tmp_path / "grid.toml"
+    blocks = [result.block(env) for env in envs or result.tasks]
+    path.write_text(reproduce.grid_text(blocks, reproduce.SCALES[scale], options))
+    return path, grid.read(path)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys):
+    """In this order: the runs of the first table serve all but figure 2."""
+    main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
+    output = capsys.readouterr().out
+    trains = name in ("table1", "figure2")
+    assert ("0 done now, 0 failed" in output) != trains, output
+    assert {path.name for path in (folder / name).iterdir()} == FILES[name]
+    assert all(str(folder / name / file) in output for file in FILES[name])
+    assert PUBLISHED[name] in (folder / name / f"{name}.md").read_text()
+    assert (folder / name / f"{name}.png").stat().st_size > 10_000
+    assert len(read_csv(folder / name / f"{name}.csv")) >= 2
+
+
+def test_the_full_scale_of_the_tables_is_that_of_the_paper(tmp_path):
+    _, runs = planned_runs("table1", "full", tmp_path)
+    assert len(runs) == 6 * 4 + 3
+    steps = {run.env: run.steps for run in runs}
+    assert set(steps) == set(PAPER_TASKS)
+    expected = {"tabletop_organization": 2_500_000, "sawyer_door": 4_000_000, "minitaur_pen": 3_000_000}
+    assert expected.items() <= steps.items()
+    assert {run.env for run in runs if run.algo == "vaprl"} == {"tabletop_organization", "sawyer_door", "sawyer_peg"}
+    assert {run.seeds for run in runs} == {(0, 1, 2, 3, 4)}
+    assert all(run.options == {} and (run.eval_every, run.eval_episodes) == (10_000, 10) for run in runs)
+
+
+def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
+    _, runs = planned_runs("table1", "short", tmp_path, ["tabletop_organization"], precision="bf16")
+    assert {(run.steps, len(run.seeds), run.options["precision"]) for run in runs} == {(250_000, 3, "bf16")}
+
+
+def test_figures_share_the_runs_of_the_tables(tmp_path):
+    _, of_table = planned_runs("table1", "full", tmp_path)
+    for name in ("table2", "curves", "figure4", "figure5"):
+        _, runs = planned_runs(name, "full", tmp_path)
+        assert set(map(repr, runs)) <= set(map(repr, of_table))
+
+
+def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
+    path, runs = planned_runs("figure2", "full", tmp_path, ["cheetah_run"])
+    assert {run.options["train_horizon"] for run in runs} == set(tasks.FIGURE2_HORIZONS)
+    groups = plan(path, tmp_path / "out")["groups"]
+    assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "figure4", "tasks": ["sawyer_door"]}, "figure4 has no task 'sawyer_door'; choose from tabletop"),
+        ({"name": "figure3"}, "unknown experiment 'figure3'; choose from table1"),
+        ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
+        ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
+    ],
+)
+def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        reproduce.reproduce(**{"out": tmp_path / "out", **arguments})
+    assert not (tmp_path / "out" / "runs").exists()

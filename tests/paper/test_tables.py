@@ -1,0 +1,100 @@
+"""Tables 1 and 2 of the paper on runs written by hand, against numbers computed by hand."""
+
+import math
+
+import pytest
+
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper.tables import write_table
+from earl_jax.report.paper_rows import paper_rows
+from earl_jax.report.published import INTERVAL_RULE
+from earl_jax.report.runs import read_methods
+from earl_jax.report.style import COLOURS
+from tests.report.run_files import DOOR, KITCHEN, TABLETOP, constant, count_pixels, read_csv, write_run
+
+PEG = "sawyer_peg"
+
+
+def write_method(path, env, algo, deployed, lifetime=0.0, **options):
+    """Write a run with `lifetime` reward per step."""
+    return write_run(path, env, algo, deployed, metrics={"continuing/reward": lifetime}, **options)
+
+
+@pytest.fixture(scope="module")
+def table1(tmp_path_factory):
+    """The files of table 1 for runs of two sparse tasks and a dense one."""
+    root = tmp_path_factory.mktemp("table1")
+    folders = [
+        write_method(root / "a", KITCHEN, "naive", constant(-2500.0, -2900.0)),
+        write_method(root / "b", TABLETOP, "naive", [[0.0, 0.7], [0.4, 0.9]]),
+        write_method(root / "c", TABLETOP, "fbrl", constant(0.7, 0.8)),
+        write_method(root / "d", TABLETOP, "fbrl", constant(0.5), reward_scale=1.0),
+        write_method(root / "e", DOOR, "oracle", constant(0.9, 1.0)),
+    ]
+    return write_table(1, folders, root / "out")
+
+
+def test_table_1_scores_a_method_by_its_last_evaluation(table1):
+    rows = {(row["env"], row["label"]): row for row in read_csv(table1[0])}
+    naive = rows[TABLETOP, "naive"]
+    expected = {"mean": 0.8, "stderr": 0.1 / math.sqrt(2), "low": 0.7, "high": 0.9}
+    expected |= {"last10": 0.5, "last10_stderr": 0.15 / math.sqrt(2), "published_low": -0.028}
+    assert {name: float(naive[name]) for name in expected} == pytest.approx(expected)
+    assert (naive["verdict"], naive["seeds"], naive["steps"], naive["published_last10"]) == ("above", "2", "20", "0.33")
+    assert rows[TABLETOP, "fbrl"]["verdict"] == "below"
+    assert rows[TABLETOP, "fbrl (reward_scale=1.0)"]["mean"] == "0.5"
+    assert rows[DOOR, "oracle"]["verdict"] == "below"
+    assert rows[KITCHEN, "naive"]["verdict"] == "within"
+    assert rows[KITCHEN, "r3l"]["mean"] == ""
+
+
+def test_the_tasks_of_table_1_are_in_the_order_of_the_paper(table1):
+    envs = [row["env"] for row in read_csv(table1[0])]
+    assert envs == sorted(envs, key=PAPER_TASKS.index)
+    assert set(envs) == set(PAPER_TASKS)
+
+
+def test_the_text_of_table_1_compares_ours_with_the_published_scores(table1):
+    text = table1[1].read_text()
+    assert "| naive | 0.800 (0.071) / 0.32 (0.17) / above at 0.0008 % of the steps | - / 0.00 (0.00) / - |" in text
+    assert "| -2700.00 (141.42) / -2705.21 (167.10) / within at 0.0004 % of the steps |" in text
+    assert "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published" in text
+    assert "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)" in text
+    assert INTERVAL_RULE in text
+
+
+def test_known_faults_are_listed_for_the_tasks_that_were_run(table1):
+    text = table1[1].read_text()
+    assert "- sawyer_door: 0.94 of vaprl is one lucky evaluation" in text
+    assert "- minitaur_pen" not in text
+
+
+def test_the_picture_of_table_1_shows_the_methods_that_were_run(table1):
+    assert count_pixels(table1[2], COLOURS["naive"]) > 50
+    assert count_pixels(table1[2], COLOURS["oracle"]) > 50
+    assert count_pixels(table1[2], COLOURS["vaprl"]) == 0
+
+
+def test_table_2_compares_lifetime_rewards_with_bounds_and_missing_scores(tmp_path):
+    rewards = {(PEG, "naive"): 0.0015, (PEG, "oracle"): 0.5, (PEG, "r3l"): 0.0, (TABLETOP, "vaprl"): 0.0094}
+    folders = [
+        write_method(tmp_path / f"{env}-{algo}", env, algo, constant(0.0, 0.0), reward)
+        for (env, algo), reward in rewards.items()
+    ]
+    csv_file, text_file, _ = write_table(2, folders, tmp_path / "out")
+    verdicts = {(row["env"], row["algo"]): row["verdict"] for row in read_csv(csv_file) if row["mean"]}
+    assert verdicts == dict(zip(rewards, ("above", "-", "within", "within"), strict=True))
+    text = text_file.read_text()
+    assert "0.0015 (0.0000) / <0.001 / above" in text
+    assert "0.5000 (0.0000) / - / -" in text
+
+
+def test_an_unknown_table_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="choose from 1, 2"):
+        write_table(3, [tmp_path], tmp_path / "out")
+
+
+def test_another_kind_of_reward_is_not_compared(tmp_path):
+    path = write_method(tmp_path / "a", TABLETOP, "naive", constant(-5.0), env_options={"reward_type": "dense"})
+    row = next(row for row in paper_rows(1, read_methods([path])) if row["mean"] is not None)
+    assert (row["metric"], row["published_mean"], row["verdict"]) == ("deployed/return", "-", "-")

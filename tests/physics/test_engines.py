@@ -1,0 +1,157 @@
+"""The three physics engines: they agree with each other, and `c` runs all lanes in one call."""
+
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks.replay_demos import start_state
+from earl_jax import assets
+from earl_jax.envs import make
+from earl_jax.physics.engines import c
+
+EVERY_SAWYER = pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
+NEEDS_WARP = pytest.mark.skipif(
+    importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed"
+)
+FREE_STEPS = 5
+"""Control steps of a demonstration in which nothing touches the hand."""
+FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
+"""For MJX, whose programs compile for half a minute; the door's is compiled with the suite's own options."""
+
+
+def compile_lanes(name, engine, function):
+    fast = engine == "mjx" and name != "sawyer_door"
+    return jax.jit(jax.vmap(function), compiler_options=FAST_TO_COMPILE if fast else {})
+
+
+def reset_lanes(env, count):
+    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), count))
+
+
+def observe_demonstrations(name, engine, episodes=2, steps=60):
+    """Return the observed states [episodes, steps, 7] when `engine` plays the first shipped demonstrations."""
+    env, demos = make(name, physics=engine), assets.demos(name, "forward")
+    firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
+    actions = jnp.asarray(np.stack([demos.actions[first : first + steps] for first in firsts]))
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state.obs[:7]
+
+    starts = [start_state(env, np.hstack([demos.states[first], demos.goals[first]])) for first in firsts]
+    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
+    play = compile_lanes(name, engine, lambda state, actions: jax.lax.scan(step, state, actions)[1])
+    return np.asarray(play(states, actions))
+
+
+def assert_demonstrations_agree(actual, expected, contact_mm):
+    """Compare hands before contact, and objects over all steps."""
+    hands = np.abs(actual[:, :FREE_STEPS, :3] - expected[:, :FREE_STEPS, :3])
+    assert hands.max() < 5e-4, "metres: the weld of MuJoCo's C engine has had a term since 3.7 that MJX lacks"
+    assert np.median(hands) < 5e-5
+    assert 1e3 * np.linalg.norm(actual[..., 4:] - expected[..., 4:], axis=-1).mean() < contact_mm
+
+
+@EVERY_SAWYER
+def test_mjx_and_c_agree_tightly_before_contact_and_on_average_in_contact(name):
+    assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
+
+
+@NEEDS_WARP
+@EVERY_SAWYER
+def test_warp_and_c_agree_before_and_in_contact(name):
+    actual, expected = (observe_demonstrations(name, engine, steps=20) for engine in ("warp", "c"))
+    assert_demonstrations_agree(actual, expected, contact_mm=2.0)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator")
+@EVERY_SAWYER
+def test_mjx_on_an_accelerator_computes_in_full_float32(name):
+    assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
+
+
+TOLERANCES = {
+    "cheetah_run": 5e-4, "dhand_lightbulb": 0.03, "fish_swim": 1e-4, "franka_kitchen": 5e-3, "minitaur_pen": 0.03
+}  # fmt: skip
+"""Tasks without demonstrations, and the largest difference [m, rad] of joints after `STEPS` control steps, contacts included."""
+EARLY_STEPS, EARLY_TOLERANCE = 5, 1e-3
+STEPS = 15
+
+
+def joint_positions(name, engine, lanes=2):
+    """Return joint positions [lanes, STEPS, nq] under slow sines, with a phase and a speed for each action."""
+    env = make(name, physics=engine)
+    time, number = np.arange(STEPS)[:, None], np.arange(env.action_size)
+    actions = jnp.asarray(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number), jnp.float32)
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state.data.qpos
+
+    play = compile_lanes(name, engine, lambda state: jax.lax.scan(step, state, actions)[1])
+    return np.asarray(play(reset_lanes(env, lanes)))
+
+
+def assert_joints_agree(name, actual, expected):
+    np.testing.assert_allclose(actual, expected, atol=TOLERANCES[name])
+    np.testing.assert_allclose(actual[:, :EARLY_STEPS], expected[:, :EARLY_STEPS], atol=EARLY_TOLERANCE)
+
+
+@pytest.mark.parametrize("name", TOLERANCES)
+def test_mjx_and_c_move_the_joints_of_the_other_tasks_alike(name):
+    actual, expected = joint_positions(name, "mjx"), joint_positions(name, "c")
+    assert np.ptp(expected, axis=1).max() > 0.05, "something moves"
+    assert_joints_agree(name, actual, expected)
+
+
+@NEEDS_WARP
+@pytest.mark.parametrize("name", TOLERANCES)
+def test_warp_and_c_move_the_joints_of_the_other_tasks_alike(name):
+    assert_joints_agree(name, joint_positions(name, "warp"), joint_positions(name, "c"))
+
+
+@EVERY_SAWYER
+def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
+    env = make(name, physics="c")
+    host, row_counts = c.host_of(env.simulator, 0), []
+
+    def count_rows(rows, stream):
+        row_counts.append(len(rows))
+        return host(rows, stream)
+
+    monkeypatch.setattr(c, "host_of", lambda simulator, memory: count_rows)
+    states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), reset_lanes(env, 6))
+    action = jnp.array([0.3, -0.2, 0.1, -1.0])
+    nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)
+    nested.obs.block_until_ready()
+    assert row_counts == [6]
+    alone = env.step(jax.tree.map(lambda leaf: leaf[1, 2], states), action)
+    np.testing.assert_allclose(nested.obs[1, 2], alone.obs, rtol=1e-6, atol=1e-6)
+
+
+def test_the_sensors_lag_the_state_by_one_substep():
+    env = make("sawyer_door", physics="c", substeps=1)
+    state = env.reset(jax.random.key(0))
+    after = env.step(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
+    np.testing.assert_allclose(after.obs[:3], state.obs[:3], atol=1e-6)
+    assert np.abs(np.asarray(after.data.qpos[:9] - state.data.qpos[:9])).max() > 1e-4
+
+
+def test_a_broken_lane_on_c_does_not_change_the_others():
+    env = make("sawyer_peg", physics="c")
+    states = reset_lanes(env, 3)
+    broken = states.replace(data=states.data.replace(qvel=states.data.qvel.at[1].set(jnp.nan)))
+    step = jax.jit(jax.vmap(lambda s: env.step(s, jnp.ones(4))))
+    after, unbroken = step(broken), step(states)
+    assert np.asarray(jax.vmap(env.fault)(after)).tolist() == [False, True, False]
+    for lane in (0, 2):
+        np.testing.assert_array_equal(after.obs[lane], unbroken.obs[lane])
+
+
+def test_few_rows_use_few_threads():
+    worker_pool = c.WorkerPool(c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
+    assert [worker_pool._threads(rows) for rows in (1, 16, 50, 64, 65)] == [8, 8, 12, 12, 16]

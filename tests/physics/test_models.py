@@ -1,0 +1,66 @@
+"""Compiled models: the kinematic task drawn by MuJoCo, and the inverse weights of the originals."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import physics
+from earl_jax.envs import make
+
+
+def moved_state(env):
+    state = env.reset(jax.random.key(0))
+    for action in ([1.0, 0.5, 0.0], [1.0, -0.2, 0.0]):
+        state = env.step(state, jnp.array(action))
+    return state
+
+
+def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env):
+    state = moved_state(env)
+    model, data = physics.load_model(env.name), physics.mujoco_data(env.name, state.data)
+    for body, part in (("gripper", slice(0, 2)), ("mug", slice(2, 4))):
+        np.testing.assert_allclose(data.xpos[model.body(body).id][:2], state.obs[part], atol=1e-6)
+    assert model.nu == 0
+    assert data.ncon == 0
+
+
+def test_mjx_data_agree_with_mujoco_data(env):
+    state = moved_state(env)
+    ours, theirs = physics.mjx_data(env.name, state.data), physics.mujoco_data(env.name, state.data)
+    np.testing.assert_allclose(ours.xpos, theirs.xpos, atol=1e-6)
+    np.testing.assert_allclose(ours.qpos, theirs.qpos, atol=1e-7)
+
+
+def test_coasters_are_drawn_at_the_goals(env):
+    model = physics.load_model(env.name)
+    for colour, goal in zip("rgbk", env.goal_states, strict=True):
+        np.testing.assert_allclose(model.geom(f"coaster_{colour}").pos[:2], goal[2:4])
+    np.testing.assert_allclose(model.geom("start").pos[:2], env.initial_states[0, 2:4])
+
+
+def test_a_lane_carries_the_integration_state_alone(env):
+    data = env.reset(jax.random.key(0)).data
+    assert sum(leaf.size for leaf in jax.tree.leaves(data)) == 4 + 4 + 4 + 1
+
+
+def test_an_unknown_model_is_an_error_that_lists_the_choices():
+    with pytest.raises(ValueError, match="tabletop_organization"):
+        physics.load_model("table")
+
+
+@pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
+def test_the_arm_is_as_heavy_as_the_original(name):
+    """Inverse weights of the seven joints as the original compiles them; a visual geom with a mass would change them."""
+    original = [0.287820, 3.924983, 40.165526, 15.700716, 125.917170, 139.201912, 691.249256]
+    np.testing.assert_allclose(physics.load_model(name).dof_invweight0[:7], original, rtol=1e-4)
+
+
+def test_the_compiled_model_has_the_weld_of_the_original():
+    model = physics.load_model("sawyer_door")
+    hand = model.body_invweight0[model.body("hand").id]
+    np.testing.assert_allclose(hand, 6.1056272, rtol=1e-6)
+    assert dataclasses.replace(make("sawyer_door"), substeps=4).simulator.mujoco_model().opt.timestep == 0.0125 / 4
+    assert model.opt.timestep == 0.0025

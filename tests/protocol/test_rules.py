@@ -1,0 +1,125 @@
+"""The rules of interventions and goals, on a chain with its goal at 3."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.protocol import Attempt, Protocol, Rules, advance_rules, reset_where
+from tests.conftest import assert_equal_trees
+from tests.envs.chain import Chain
+
+GOAL = 3
+NEVER = Rules(horizon=0, chance=0.0, goal_change=0)
+TASK = Attempt(is_task=True, age=0, limit=10, ends_on_success=True, reset_at_end=False)
+
+
+def step_end(state, attempt=TASK, rules=NEVER, step=1, env=None, key=0):
+    """Return the names of the fields of `StepEnd` that are true for a step to `state`."""
+    end = advance_rules(rules, env or Chain(), state, attempt, jnp.asarray(step), jax.random.key(key))
+    return {name for name, value in end._asdict().items() if bool(value)}
+
+
+def state_at(position, env=None):
+    return (env or Chain()).state_at(position, [float(GOAL)])
+
+
+@pytest.mark.parametrize(
+    ("position", "changes", "expected"),
+    [
+        (1, {}, set()),
+        (GOAL, {}, {"reached", "over"}),
+        (GOAL, {"ends_on_success": False}, set()),
+        (GOAL, {"reset_at_end": True}, {"reached", "over", "reset"}),
+        (1, {"age": 8}, set()),
+        (1, {"age": 9}, {"timeout", "over"}),
+        (1, {"age": 9, "reset_at_end": True}, {"timeout", "over", "reset"}),
+        (GOAL, {"age": 9}, {"reached", "over"}),
+    ],
+    ids=[
+        "goes on", "reaches its goal", "goes on at its goal", "success resets", "is young", "times out", "time-out resets",
+        "reaches its goal on its last step",
+    ],
+)  # fmt: skip
+def test_an_attempt_ends_at_its_goal_or_at_its_limit(position, changes, expected):
+    assert step_end(state_at(position), TASK._replace(**changes)) == expected
+
+
+def test_a_dense_reward_ends_no_attempt():
+    env = Chain(reward_type="dense")
+    assert step_end(state_at(GOAL, env), env=env) == set()
+
+
+def test_a_state_after_the_absorbing_end_reaches_nothing():
+    assert step_end(state_at(GOAL).replace(done=jnp.ones(()))) == set()
+
+
+@pytest.mark.parametrize("position", [1, GOAL])
+def test_a_fault_resets_the_lane_and_is_never_a_success(position):
+    broken = state_at(position).replace(data=jnp.full(1, jnp.nan))
+    assert step_end(broken) == {"fault", "timeout", "over", "restarts", "reset"}
+
+
+@pytest.mark.parametrize("is_task", [True, False])
+def test_an_intervention_comes_every_horizon_steps_and_restarts_the_task(is_task):
+    rules, attempt = NEVER._replace(horizon=5), TASK._replace(is_task=is_task)
+    for step in (4, 6):
+        assert step_end(state_at(1), attempt, rules, step) == set()
+    for step in (5, 10):
+        assert step_end(state_at(1), attempt, rules, step) == {"timeout", "over", "restarts", "reset"}
+    assert step_end(state_at(GOAL), attempt, rules, 5) == {"reached", "over", "restarts", "reset"}
+
+
+def test_an_intervention_by_chance_depends_on_the_key_alone():
+    rules = NEVER._replace(chance=0.25)
+    ends = [step_end(state_at(1), rules=rules, key=key) for key in range(80)]
+    intervened = [end for end in ends if end]
+    assert all(end == {"timeout", "over", "restarts", "reset"} for end in intervened)
+    assert 10 <= len(intervened) <= 30
+    assert ends == [step_end(state_at(1), rules=rules, step=2, key=key) for key in range(80)]
+
+
+def test_a_goal_change_ends_an_attempt_at_the_task_and_not_a_return():
+    rules, returning = NEVER._replace(goal_change=5), TASK._replace(is_task=False)
+    assert step_end(state_at(1), TASK, rules, 4) == set()
+    assert step_end(state_at(1), TASK, rules, 5) == {"goal_changes", "timeout", "over", "restarts"}
+    assert step_end(state_at(1), returning, rules, 5) == {"goal_changes"}
+    assert step_end(state_at(GOAL), returning, rules, 5) == {"goal_changes", "reached", "over"}
+
+
+def test_lanes_under_vmap_follow_their_own_rules():
+    rules = Rules(horizon=jnp.array([0, 5, 0]), chance=jnp.zeros(3), goal_change=jnp.array([0, 0, 5]))
+    end = jax.vmap(lambda lane: advance_rules(lane, Chain(), state_at(1), TASK, jnp.asarray(5), jax.random.key(0)))(rules)
+    assert end.reset.tolist() == [False, True, False]
+    assert end.goal_changes.tolist() == [False, False, True]
+    assert end.over.tolist() == [False, True, True]
+
+
+def test_reset_where_selects_the_state_after_an_intervention():
+    env, state, key = Chain(start=2), state_at(1), jax.random.key(0)
+    assert_equal_trees(reset_where(jnp.asarray(False), env, key, state), state)
+    assert_equal_trees(reset_where(jnp.asarray(True), env, key, state), env.reset(key))
+
+
+def test_interventions_follow_the_horizon_and_the_chance():
+    steps, keys = jnp.arange(1, 4001), jax.random.split(jax.random.key(0), 4000)
+    periodic = jax.vmap(Protocol(5, 5).rules.intervened)(steps, keys)
+    np.testing.assert_array_equal(periodic, np.arange(1, 4001) % 5 == 0)
+    assert not jax.vmap(Protocol(0, 5).rules.intervened)(steps, keys).any()
+    rate = jax.vmap(Protocol(0, 5, intervention_chance=0.1).rules.intervened)(steps, keys).mean()
+    assert float(rate) == pytest.approx(0.1, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"eval_every": 0}, "eval_every must be at least 1, not 0"),
+        ({"train_horizon": -1}, "train_horizon must be at least 1, or 0 for never, not -1"),
+        ({"intervention_chance": 1}, r"intervention_chance must lie in \[0, 1\), not 1"),
+    ],
+)
+def test_a_protocol_refuses_invalid_numbers(changes, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(Protocol(10, 10), **changes)

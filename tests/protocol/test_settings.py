@@ -1,0 +1,33 @@
+"""The two settings: their horizons, goal changes and budgets."""
+
+import dataclasses
+
+import pytest
+
+from earl_jax.envs import HelpBudget, make
+from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, split_setting
+
+
+def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
+    door = make("sawyer_door", physics="c")
+    assert Deployment().protocol(door) == Protocol(200_000, 300)
+    assert Continuing().protocol(door) == Protocol(50_000, 300, goal_change=600)
+    assert Continuing().protocol(dataclasses.replace(door, train_horizon=700)).train_horizon == 700
+    assert Continuing(goal_change=30, intervention_chance=0.01).protocol(make("tabletop_organization")) == Protocol(
+        50_000, 200, intervention_chance=0.01, goal_change=30
+    )
+
+
+def test_unknown_settings_and_options_are_refused():
+    with pytest.raises(ValueError, match="unknown setting 'lifelong'; choose from deployment, continuing"):
+        setting_of("lifelong")
+    with pytest.raises(ValueError, match="setting 'deployment' has no option 'goal_change'"):
+        setting_of("deployment", goal_change=3)
+
+
+def test_a_budget_wraps_the_task_and_is_split_off_again(env):
+    wrapped = Deployment(budget=5.0, help_cost=2.0, help_above=0.5).wrap(env)
+    assert wrapped == HelpBudget(env, budget=5.0, help_cost=2.0, help_above=0.5)
+    assert split_setting(wrapped, Continuing()) == (env, Continuing(budget=5.0, help_cost=2.0, help_above=0.5))
+    assert Continuing().protocol(wrapped) == Protocol(50_000, 200, goal_change=400)
+    assert Deployment().wrap(env) is env

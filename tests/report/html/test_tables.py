@@ -1,0 +1,48 @@
+"""The tables of a page, row by row."""
+
+import pytest
+
+from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.tables import paper_table, seed_table, speeds, strips
+
+
+@pytest.fixture(scope="module")
+def lines(folders):
+    return gather(find_runs([folders]))[0]
+
+
+@pytest.fixture(scope="module")
+def fbrl(lines):
+    return [line for line in lines if line.group.label == "fbrl"]
+
+
+def test_the_paper_table_has_our_scores_beside_the_published(lines):
+    rows = {row["label"]: row for row in paper_table(1, lines)["groups"][0]["rows"]}
+    fbrl = rows["fbrl"]
+    assert (fbrl["mean"], fbrl["size"], fbrl["published"]) == ("0.900", "3 × 300", "0.94 (0.04)")
+    assert fbrl["share"] == "at 0.012 % of steps"
+    assert rows["r3l"]["line"] is None
+
+
+def test_the_paper_table_names_known_faults_of_published_scores(lines):
+    faults = {group["env"]: group["fault"] for group in paper_table(2, lines)["groups"]}
+    assert faults["tabletop_organization"] is None
+    assert "counts steps twice" in faults["sawyer_door"]
+
+
+def test_speeds_have_our_crossings_beside_the_published(lines):
+    rows = {row["line"].group.label: row for row in speeds(lines)[0]["rows"]}
+    assert rows["fbrl"]["levels"] == [("220", "860k"), ("–", "2.07M")]
+    assert rows["fbrl"]["published_steps_per_reward"] == "92"
+
+
+def test_the_strip_of_seeds_has_a_dot_for_each_by_value(fbrl):
+    [strip] = strips(fbrl)["rows"]
+    assert [dot["text"] for dot in strip["dots"]] == ["seed 2: 0.800", "seed 1: 0.900", "seed 0: 1.000"]
+    assert strip["dots"][0]["x"] < strip["dots"][-1]["x"]
+
+
+def test_the_seed_table_has_the_final_values_of_every_seed(fbrl):
+    table = seed_table(fbrl)
+    assert table["head"][-1] == "requested help"
+    assert table["rows"][2]["texts"] == ["0.800", "0.676", "0.0080", "30", "30", "30", "30"]

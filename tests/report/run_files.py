@@ -1,0 +1,81 @@
+"""Run folders with metrics written by hand, and readers of the files that reports make of them."""
+
+import csv
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from earl_jax.algos import make_algo
+from earl_jax.envs import make
+from earl_jax.protocol import Deployment
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+
+TABLETOP, DOOR, KITCHEN = "tabletop_organization", "sawyer_door", "franka_kitchen"
+
+
+def write_run(
+    path,
+    env,
+    algo,
+    deployed,
+    steps=None,
+    seeds=None,
+    planned=None,
+    setting=None,
+    env_options=None,
+    metrics=None,
+    **options,
+):
+    """Write a run whose seeds score `deployed [N, E]` at `steps [E]`, and return its path.
+
+    Steps are 10, 20, ... by default; `planned` is the length in the config. `metrics` holds further metrics, each of which
+    broadcasts to [N, E].
+    """
+    scores = np.asarray(deployed, float)
+    steps = list(steps or range(10, 10 * scores.shape[1] + 1, 10))
+    config = RunConfig.from_objects(
+        make(env, **(env_options or {})),
+        make_algo(algo, **options),
+        setting or Deployment(),
+        seeds=seeds or range(len(scores)),
+        steps=planned or steps[-1],
+        eval_every=steps[0],
+        eval_episodes=2,
+        checkpoint_every=10,
+    )
+    folder = RunFolder.create(path, config, engine="kinematic")
+    values = {"deployed/success": scores, "deployed/return": scores, **(metrics or {})}
+    columns = {name: np.broadcast_to(value, scores.shape) for name, value in values.items()}
+    for number, step in enumerate(steps):
+        folder.append(config.rows(step, {name: column[:, number] for name, column in columns.items()}))
+    return path
+
+
+def rising(seeds, evaluations, top=1.0):
+    """Return scores [seeds, evaluations] that rise to `top`, each seed 0.1 below the one before."""
+    return np.outer(top - 0.1 * np.arange(seeds), np.linspace(0, 1, evaluations))
+
+
+def constant(*scores):
+    """Return scores [N, 2] that stay the same over two evaluations."""
+    return np.repeat(np.array(scores, float)[:, None], 2, axis=1)
+
+
+def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), **options):
+    """Write a run with every metric that a page needs: rewards a hundredth of the scores, and counts of evaluations."""
+    scores = np.asarray(deployed, float)
+    rewards = dict.fromkeys(("continuing/reward", "continuing/recent"), scores / 100)
+    counts = dict.fromkeys(("interventions", "faults", "reached", *extra_counts), np.arange(1, scores.shape[1] + 1))
+    return write_run(path, env, algo, scores, metrics={**rewards, **counts}, **options)
+
+
+def read_csv(path):
+    with path.open() as handle:
+        return list(csv.DictReader(handle))
+
+
+def count_pixels(picture, colour):
+    """Return the number of pixels of a picture that have `colour`."""
+    return int((np.abs(imread(picture)[..., :3] - to_rgb(colour)).max(axis=-1) < 0.01).sum())

@@ -1,0 +1,45 @@
+"""Published scores, their intervals, and verdicts, against numbers computed by hand."""
+
+import math
+
+import pytest
+
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.report import published
+from earl_jax.report.published import PublishedScore
+
+
+def test_a_published_interval_is_1_96_errors_and_half_a_printed_digit():
+    assert PublishedScore("0.32", "0.17").interval == pytest.approx((0.32 - 0.3332 - 0.0148, 0.32 + 0.3332 + 0.0148))
+    assert PublishedScore("-2705.21", "167.10").interval == pytest.approx((-2705.21 - 327.5308, -2705.21 + 327.5308))
+    assert PublishedScore("1.00", "0.00").interval == pytest.approx((0.9852, 1.0148))
+    assert PublishedScore("<0.001", "-").interval == (0, 0.001)
+    assert PublishedScore("-", "-").interval is None
+
+
+def test_a_published_score_as_text_and_number():
+    assert (PublishedScore("0.32", "0.17").text, PublishedScore("<0.001", "-").text) == ("0.32 (0.17)", "<0.001")
+    assert (PublishedScore("0.32", "0.17").value, PublishedScore("<0.001", "-").value) == (0.32, 0.001)
+
+
+def test_a_verdict_is_within_at_the_ends_and_missing_without_numbers():
+    verdicts = [published.verdict(value, (0.1, 0.2)) for value in (0.0999, 0.1, 0.2, 0.2001)]
+    assert verdicts == ["below", "within", "within", "above"]
+    assert published.verdict(0.1, None) == published.verdict(None, (0, 1)) == published.verdict(math.nan, (0, 1)) == "-"
+
+
+def test_a_difference_is_clear_only_if_the_whole_interval_lies_on_one_side():
+    estimates = [Estimate(4, 3, 5), Estimate(-1, -2, -0.1), Estimate(0, -1, 1), Estimate(1, math.nan, math.nan)]
+    words = [published.word_by_sign(estimate, "more", "less", "unclear") for estimate in estimates]
+    assert words == ["more", "less", "unclear", "unclear"]
+
+
+def test_published_numbers_are_looked_up_by_task_and_method():
+    assert published.published_score("table1", "sawyer_door", "r3l") == ("0.54", "0.18")
+    assert published.published_score("table1", "sawyer_door", "mine") is None
+    assert published.published_crossings("tabletop_organization", "naive") == {0.5: 1_350_000}
+    assert published.published_crossings("tabletop_organization", "mine") == {}
+    assert published.published_steps("sawyer_door") == (4_000_000, 4_000_000)
+    assert published.published_steps("cheetah_run") is None
+    assert "one lucky evaluation" in published.published_fault("table1", "sawyer_door")
+    assert published.published_fault("table1", "tabletop_organization") is None

@@ -1,0 +1,67 @@
+"""Curves read from run folders, pooled and ordered."""
+
+import numpy as np
+import pytest
+
+from earl_jax.report.runs import by_method, label, read, read_all
+from tests.report.run_files import DOOR, TABLETOP, rising, write_run
+
+
+def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
+    paths = [
+        write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3)),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(3, 3), seeds=(2, 3, 4)),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(2, 3), reward_scale=1.0),
+    ]
+    pooled, other = read_all(paths)
+    assert pooled.metrics["deployed/success"].shape == (5, 3)
+    assert other.metrics["deployed/success"].shape == (2, 3)
+
+
+def test_runs_are_pooled_over_their_common_steps(tmp_path):
+    paths = [
+        write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40)),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100)),
+    ]
+    pooled = read_all(paths[:2])[0]
+    np.testing.assert_array_equal(pooled.steps, [20])
+    np.testing.assert_allclose(pooled.metrics["deployed/success"], [[0.5], [0.0]])
+    with pytest.raises(ValueError, match="no evaluation step in common"):
+        read_all(paths)
+
+
+def test_an_incomplete_evaluation_is_not_read(tmp_path):
+    path = write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3))
+    text = (path / "metrics.csv").read_text()
+    (path / "metrics.csv").write_text(text[: text.rindex("\n", 0, -1) + 5])
+    np.testing.assert_array_equal(read(path).steps, [10, 20])
+
+
+def test_runs_without_an_evaluation_and_no_runs_are_errors(tmp_path):
+    path = write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 1))
+    (path / "metrics.csv").unlink()
+    with pytest.raises(ValueError, match="no evaluation yet"):
+        read(path)
+    with pytest.raises(ValueError, match="at least one run folder"):
+        read_all([])
+
+
+def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
+    paths = [
+        write_run(tmp_path / "a", DOOR, "oracle", rising(1, 1)),
+        write_run(tmp_path / "b", TABLETOP, "fbrl", rising(1, 1), reward_scale=1.0),
+        write_run(tmp_path / "c", TABLETOP, "fbrl", rising(1, 1)),
+        write_run(tmp_path / "d", TABLETOP, "naive", rising(1, 1)),
+    ]
+    groups = [(group.env, group.label) for group in by_method(read_all(paths))]
+    assert groups == [
+        (TABLETOP, "naive"), (TABLETOP, "fbrl (reward_scale=1.0)"), (TABLETOP, "fbrl"), (DOOR, "oracle"),
+    ]  # fmt: skip
+
+
+def test_a_label_holds_only_the_options_that_differ():
+    peers = [{"batch_size": 32, "reward_scale": 1.0}, {"batch_size": 32}]
+    assert label("fbrl", peers[0], peers) == "fbrl (reward_scale=1.0)"
+    assert label("fbrl", peers[1], peers) == "fbrl (reward_scale=default)"
+    assert label("fbrl", peers[0], peers[:1]) == "fbrl"

@@ -1,0 +1,64 @@
+"""The config of a run: objects to names and options, and back."""
+
+import dataclasses
+import json
+
+import pytest
+
+import earl_jax
+from earl_jax.algos.naive import Naive
+from earl_jax.envs import HelpBudget
+from earl_jax.protocol import Continuing, Deployment
+from earl_jax.runs.config import RunConfig
+from tests.conftest import assert_equal_trees, tiny_method, tiny_options
+
+LENGTHS = {"seeds": (0, 1), "steps": 40, "eval_every": 40, "eval_episodes": 1, "checkpoint_every": 40}
+
+
+def through_json(config):
+    """Return `config` as it comes back from config.json."""
+    values = json.loads(json.dumps(dataclasses.asdict(config)))
+    return RunConfig(**{**values, "seeds": tuple(values["seeds"])})
+
+
+def test_options_of_task_and_method_are_restored():
+    env = earl_jax.make("tabletop_organization", reward_type="dense", wide=True)
+    method = earl_jax.make_algo("naive", **tiny_options("naive", reward_scale=0.1))
+    config = through_json(RunConfig.from_objects(env, method, Deployment(), **LENGTHS))
+    assert config.env_options == {"reward_type": "dense", "wide": True}
+    assert config.build_env() == env
+    assert_equal_trees(config.build_method(), method)
+    assert (config.env_class, config.algo_class) == (None, None)
+
+
+def test_the_setting_and_its_budget_are_restored(env):
+    config = RunConfig.from_objects(
+        HelpBudget(env, budget=5.0), tiny_method("naive"), Continuing(goal_change=7), **LENGTHS
+    )
+    assert config.setting == {"name": "continuing", "budget": 5.0, "goal_change": 7}
+    config = through_json(config)
+    assert config.build_env() == HelpBudget(env, budget=5.0)
+    assert config.build_setting() == Continuing(goal_change=7, budget=5.0)
+    assert config.protocol(config.build_env()).goal_change == 7
+
+
+def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
+    sparse, dense = (earl_jax.make("tabletop_organization", reward_type=kind) for kind in ("sparse", "dense"))
+    assert earl_jax.method_for(sparse, "naive").sac.reward_scale == 10.0
+    assert earl_jax.method_for(dense, "naive").sac.reward_scale == dense.reward_scale == 1.0
+    assert earl_jax.method_for(dense, "naive", reward_scale=10.0).sac.reward_scale == 10.0
+    for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
+        config = RunConfig.from_objects(env, earl_jax.method_for(env, "naive"), Deployment(), **LENGTHS)
+        assert config.deployed_metric == metric
+        assert config.build_method().sac.reward_scale == env.reward_scale
+
+
+def test_a_class_that_its_name_does_not_build_is_recorded_and_required(env):
+    class Impostor(Naive):
+        """Another class under a registered name."""
+
+    config = RunConfig.from_objects(env, Impostor(), Deployment(), **LENGTHS)
+    assert config.env_class is None
+    assert config.algo_class == f"{__name__}:{Impostor.__qualname__}"
+    with pytest.raises(ValueError, match=r"call earl_jax\.register_algo\('naive', Impostor\)"):
+        config.build_method()

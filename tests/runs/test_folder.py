@@ -1,0 +1,157 @@
+"""Run folders: any content is a valid run or one clear error."""
+
+import copy
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from earl_jax import make, make_algo
+from earl_jax.protocol import Deployment
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.plan import per_lane
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 2**70) | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+KEYS = ["env", "env_options", "algo", "options", "seeds", "steps", "eval_every", "setting", "logs", "provenance"]
+FUZZ = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    env = make("tabletop_organization", reward_type="dense")
+    config = RunConfig.from_objects(
+        env,
+        make_algo("fbrl", discount=0.9),
+        Deployment(),
+        seeds=(3, 5),
+        steps=120,
+        eval_every=40,
+        eval_episodes=2,
+        checkpoint_every=40,
+    )
+    return RunFolder.create(tmp_path / "run", config, env.engine)
+
+
+def append_rows(folder, *steps):
+    for step in steps:
+        metrics = {"deployed/success": np.array([step / 7, 1.0]), "continuing/reward": np.array([0.5, step / 7])}
+        folder.append(folder.config.rows(step, metrics))
+
+
+def build(config):
+    return config.build_env(), config.build_setting(), per_lane(config.build_method(), 2)
+
+
+def error_message(action):
+    """Return the message of a ValueError, or "" without an error; any other error is a bug."""
+    try:
+        action()
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def open_and_build(folder):
+    build(RunFolder.open(folder.path).config)
+
+
+@FUZZ
+@given(key=st.sampled_from(KEYS), value=JSON, drop=st.booleans())
+def test_a_changed_config_is_valid_or_one_clear_error(folder, key, value, drop):
+    original = folder.config_file.read_text()
+    config = copy.deepcopy(json.loads(original))
+    config.pop(key)
+    folder.config_file.write_text(json.dumps(config if drop else {**config, key: value}))
+    message = error_message(lambda: open_and_build(folder))
+    folder.config_file.write_text(original)
+    assert len(message.splitlines()) <= 1
+
+
+OPTIONS = [
+    ("options", name) for name in ("discount", "hidden_sizes", "batch_size", "random_steps", "precision", "layer_norm")
+]
+OPTIONS += [("env_options", name) for name in ("reward_type", "train_horizon", "wide")]
+OPTIONS += [("setting", name) for name in ("name", "intervention_chance", "budget", "goal_change")]
+
+
+@FUZZ
+@given(option=st.sampled_from(OPTIONS), value=JSON)
+def test_an_option_of_any_type_is_valid_or_one_error_that_names_it(folder, option, value):
+    key, name = option
+    original = folder.config_file.read_text()
+    config = json.loads(original)
+    config[key] = {**config[key], name: value}
+    folder.config_file.write_text(json.dumps(config))
+    message = error_message(lambda: open_and_build(folder))
+    folder.config_file.write_text(original)
+    assert not message or any(word in message for word in (name, "setting", "hyper-parameter"))
+
+
+@FUZZ
+@given(where=st.floats(0, 1, exclude_max=True), text=st.binary(min_size=1, max_size=4))
+def test_an_overwritten_config_is_valid_or_one_error_that_names_the_file(folder, where, text):
+    original = folder.config_file.read_bytes()
+    start = int(where * len(original))
+    folder.config_file.write_bytes(original[:start] + text + original[start + len(text) :])
+    message = error_message(lambda: RunFolder.open(folder.path))
+    folder.config_file.write_bytes(original)
+    assert not message or str(folder.config_file) in message
+
+
+@FUZZ
+@given(cut=st.integers(0, 400))
+def test_a_truncated_table_is_continued_without_losing_or_repeating_a_row(folder, cut):
+    folder.metrics.unlink(missing_ok=True)
+    append_rows(folder, 40, 80, 120)
+    original = folder.metrics.read_bytes()
+    folder.metrics.write_bytes(original[:cut])
+    steps = [int(row["step"]) for row in folder.rows()]
+    complete = sorted({step for step in steps if steps.count(step) == 2})
+    last = max(complete, default=0)
+    assert len(folder.rows_until(last)) == 2 * len(complete)
+    append_rows(folder, *range(last + 40, 160, 40))
+    assert folder.metrics.read_bytes() == original
+
+
+def test_an_error_names_the_damaged_line_of_the_table(folder):
+    append_rows(folder, 40, 80)
+    folder.metrics.write_text(folder.metrics.read_text().replace("80,3,", "80,x,"))
+    with pytest.raises(ValueError, match=r"metrics\.csv is damaged: line 4 is not a row of numbers"):
+        folder.rows()
+
+
+@pytest.mark.parametrize("name", ["metrics.csv", "checkpoints"])
+def test_a_path_that_leads_out_of_the_folder_is_refused(folder, name):
+    victim = folder.path.parent / "victim"
+    victim.write_text("mine")
+    (folder.path / name).symlink_to(victim)
+    with pytest.raises(ValueError, match=re.escape(f"{folder.path / name} points outside {folder.path}")):
+        RunFolder.open(folder.path)
+    assert victim.read_text() == "mine"
+
+
+def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):
+    (tmp_path / "latest").symlink_to(folder.path)
+    assert RunFolder.open(tmp_path / "latest").config.seeds == (3, 5)
+
+
+def test_a_full_disk_is_one_clear_error(folder):
+    folder.metrics.symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"metrics\.csv can't be written: No space left .* earl-jax resume .* continues"):
+        append_rows(folder, 40)
+
+
+def test_the_id_stays_when_the_run_is_extended_or_moved(folder, tmp_path):
+    before = folder.id
+    folder.extended(240)
+    moved = RunFolder.open(folder.path.rename(tmp_path / "moved"))
+    assert moved.id == before
+    assert moved.config.steps == 240

@@ -1,0 +1,96 @@
+"""Tests of grids: the runs of a TOML file, their folder names, and the errors."""
+
+import pytest
+
+from earl_jax.sweeps import grid
+
+BASE = """
+envs = ["tabletop_organization", "sawyer_door"]
+algos = ["naive", "oracle"]
+seeds = 2
+steps = 400
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "grid.toml"
+    path.write_text(text)
+    return grid.read(path)
+
+
+def test_every_combination_is_a_run_with_its_own_folder(tmp_path):
+    specs = read(tmp_path, BASE + "[options]\nreward_scale = [1, 10.0]\nhidden_sizes = [[16, 16]]\nlayer_norm = true\n")
+    assert len(specs) == len({spec.name for spec in specs}) == 8
+    first = specs[0]
+    assert first.name == "tabletop_organization/naive/hidden_sizes=16x16,layer_norm=true,reward_scale=1"
+    assert first.options == {"hidden_sizes": [16, 16], "layer_norm": True, "reward_scale": 1}
+    assert (first.seeds, first.steps, first.eval_every, first.checkpoint_every) == ((0, 1), 400, 10_000, 100_000)
+
+
+def test_name_of_a_run_does_not_depend_on_other_runs(tmp_path):
+    before = {spec.name for spec in read(tmp_path, BASE + "[options]\nreward_scale = 1\ndiscount = 0.9\n")}
+    after = {spec.name for spec in read(tmp_path, BASE + "[options]\ndiscount = 0.90\nreward_scale = [2, 1.0]\n")}
+    assert before < after
+
+
+def test_names_are_valid_folder_names_and_unique(tmp_path):
+    files = ["/data/a.npz", "_data/a.npz", "x" * 300, "x" * 301]
+    specs = read(tmp_path, f"envs='e'\nalgos='a'\n[options]\ndemo_file = {files}\n")
+    folders = {spec.name.removeprefix("e/a/") for spec in specs}
+    assert len(folders) == 4
+    assert all("/" not in folder and len(folder) <= grid.LONGEST for folder in folders)
+
+
+def test_runs_tables_override_and_add_runs(tmp_path):
+    specs = read(
+        tmp_path,
+        BASE
+        + """
+[options]
+reward_scale = 1
+[[runs]]
+envs = ["sawyer_door"]
+steps = 800
+[[runs]]
+algos = "vaprl"
+seeds = [7]
+options = { epsilon = [0.1, 0.3], reward_scale = 2 }
+""",
+    )
+    steps = {(spec.env, spec.algo): spec.steps for spec in specs if spec.algo != "vaprl"}
+    assert steps["sawyer_door", "naive"] == steps["sawyer_door", "oracle"] == 800
+    assert steps["tabletop_organization", "naive"] == 400
+    added = [spec for spec in specs if spec.algo == "vaprl"]
+    assert len(added) == 4
+    assert {spec.options["epsilon"] for spec in added} == {0.1, 0.3}
+    assert {(spec.seeds, spec.options["reward_scale"]) for spec in added} == {((7,), 2)}
+    only = read(tmp_path, "steps = 40\n[[runs]]\nenvs = 'e'\nalgos = 'a'\n")
+    assert [(spec.name, spec.steps) for spec in only] == [("e/a/default", 40)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("envs = [", "can't be read"),
+        ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from envs, algos"),
+        ("envs = 'e'", "algos must contain at least one name"),
+        ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
+        ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = 0", "seeds must be a whole number of at least 1"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = true", "seeds must be a whole number"),
+        ("envs = 'e'\nalgos = 'a'\nruns = 3", r"\[\[runs\]\]"),
+        ("envs = 'e'\nalgos = 'a'\noptions = 3", r"\[options\]"),
+        ("envs = 'e'\nalgos = 'a'\n[options]\nx = []", "option x"),
+        ("envs = 'e'\nalgos = 'a'\n[options]\nx = [1, 1]", "option x"),
+        ("envs = 'e'\nalgos = 'a'\n[options]\nhidden_sizes = [16, 32]", r"write it as \[\[256, 256\]\]"),
+        ("[[runs]]\nenvs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'"),
+    ],
+)
+def test_invalid_grids_are_refused(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        read(tmp_path, text)
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere\.toml can't be read"):
+        grid.read(tmp_path / "nowhere.toml")

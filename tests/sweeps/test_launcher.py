@@ -1,0 +1,246 @@
+"""Tests of the launcher: no jax, sweeps that continue after a kill, reported failures, SLURM arrays."""
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from earl_jax import cli
+from earl_jax.sweeps import launcher
+from tests.cli.process import ENVIRONMENT, run, start
+
+GRID = """
+envs = ["tabletop_organization"]
+algos = ["naive"]
+seeds = 2
+steps = 800
+eval_every = 40
+eval_episodes = 2
+checkpoint_every = 200
+[options]
+hidden_sizes = [[16, 16]]
+batch_size = 16
+random_steps = 20
+reward_scale = [1, 10]
+"""
+FAKE_WORKER = """
+import json, os, signal, sys
+if sys.argv[1] == "plan":
+    runs = {name: {"step": 0, "config": {}} for name in "abcdef"}
+    sizes = {"lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0}
+    groups = [{"runs": names, **sizes} for names in (["a", "b"], ["c"], ["d"], ["e"])]
+    print(json.dumps({"out": sys.argv[4], "runs": runs, "groups": groups}))
+    sys.exit()
+runs = list(json.loads(sys.stdin.readline())["runs"])
+emit = lambda state, **details: print(json.dumps({"run": runs[-1], "state": state, **details}), flush=True)
+print("a stray line", flush=True)
+if runs == ["c"]:
+    emit("resumed", step=40)
+    os.kill(os.getpid(), signal.SIGKILL)
+if runs == ["d"]:
+    emit("failed", why="ValueError: broken")
+    sys.exit(1)
+emit("done")
+"""
+
+
+@pytest.fixture
+def grid(tmp_path):
+    """The TOML file of `GRID`."""
+    path = tmp_path / "grid.toml"
+    path.write_text(GRID)
+    return path
+
+
+def read_tables(out):
+    """Return the bytes of every metrics.csv of the sweep at `out`."""
+    return {path.relative_to(out): path.read_bytes() for path in out.glob("*/*/*/metrics.csv")}
+
+
+def test_the_launcher_never_imports_jax(grid, tmp_path):
+    code = (
+        "import sys, earl_jax.sweeps.launcher; from earl_jax.cli import main;"
+        f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run']);"
+        "assert not {'jax', 'numpy', 'flax', 'mujoco'} & set(sys.modules), sorted(sys.modules)"
+    )
+    process = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert "program 1: 4 lanes, steps 0 to 800, replay" in process.stdout
+    assert "2 runs, 0 of them done; programs to run: 1" in process.stdout
+    assert not (tmp_path / "out").exists()
+    code = "import sys; from earl_jax.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    process = subprocess.run([sys.executable, "-c", code + "assert 'jax' not in sys.modules"], capture_output=True)
+    assert process.returncode == 0, process.stderr
+
+
+@pytest.mark.slow
+def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    code, out, err = run("sweep", grid, "--out", whole)
+    assert code == 0, err
+    assert "2 runs: 0 done before, 2 done now, 0 failed" in out
+    process = start("sweep", grid, "--out", killed)
+    deadline = time.monotonic() + 240
+    while not list(killed.glob("*/*/*/checkpoints/0*")) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)  # only the launcher, so that its worker must notice
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert read_tables(killed) != read_tables(whole)
+    code, out, err = run("sweep", grid, "--out", killed)
+    assert code == 0, err
+    assert out.count("resumed ") + out.count("started ") == 2
+    assert read_tables(killed) == read_tables(whole)
+    assert len(read_tables(whole)) == 2
+    assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())
+    before = read_tables(killed)
+    code, out, _ = run("sweep", grid, "--out", killed, "--json")
+    assert code == 0
+    assert json.loads(out)["lines"][-1] == "2 runs: 2 done before, 0 done now, 0 failed"
+    assert read_tables(killed) == before
+
+
+@pytest.fixture
+def fake_worker(tmp_path, monkeypatch):
+    """Replace the worker by a script that fails in several ways."""
+    script = tmp_path / "worker.py"
+    script.write_text(FAKE_WORKER)
+    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+
+
+@pytest.mark.usefixtures("fake_worker")
+def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, capsys):
+    lines = []
+    assert launcher.sweep(grid, tmp_path, emit=lines.append) == 3
+    assert lines == [
+        "done       f  (before)",
+        "done       b",
+        "failed     a  the worker ended with code 0",
+        "resumed    c  from step 40",
+        "failed     c  the worker was ended by signal 9",
+        "failed     d  ValueError: broken",
+        "done       e",
+        "6 runs: 1 done before, 2 done now, 3 failed",
+    ]
+    assert capsys.readouterr().err.count("a stray line") == 4
+
+
+@pytest.mark.usefixtures("fake_worker")
+def test_a_failed_sweep_exits_with_code_1(grid, tmp_path, capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main(["sweep", str(grid), "--out", str(tmp_path)])
+    assert exit_info.value.code == 1
+    assert "3 failed" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("fake_worker")
+def test_json_of_a_dry_run_keeps_its_earlier_keys(grid, tmp_path, capsys):
+    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--dry-run", "--json"])
+    plan = json.loads(capsys.readouterr().out)
+    assert plan["out"] == str(tmp_path)
+    assert list(plan["runs"]) == list(plan["cells"]) == list("abcdef")
+    assert plan["cells"]["a"] == {"step": 0, "config": {}, "experiment": {}}
+    assert [pack["cells"] for pack in plan["packs"]] == [group["runs"] for group in plan["groups"]]
+    assert plan["packs"][0]["lanes"] == 1
+
+
+@pytest.mark.usefixtures("fake_worker")
+def test_a_job_fails_if_one_of_its_runs_fails():
+    launcher.GroupJob()({"out": "", "runs": {"e": {}}})
+    with pytest.raises(RuntimeError, match="d: ValueError: broken"):
+        launcher.GroupJob()({"out": "", "runs": {"d": {}}})
+
+
+def executable(path, text):
+    path.write_text(text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch):
+    """An `sbatch` that returns at once and then runs the tasks of an array here, one after another."""
+    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    executable(
+        bin_ / "srun",
+        '#!/bin/bash\nwhile [[ "$1" == --* ]]; do [[ $1 == --unbuffered ]] || shift; shift; done\nexec "$@"\n',
+    )
+    tasks = (
+        "for i in $(seq 0 $last); do SLURM_JOB_ID=7$i SLURM_ARRAY_JOB_ID=7 SLURM_ARRAY_TASK_ID=$i SLURM_NTASKS=1"
+        ' SLURM_JOB_NUM_NODES=1 SLURM_NODEID=0 SLURM_PROCID=0 SLURM_LOCALID=0 bash "$1"; done'
+    )
+    executable(
+        bin_ / "sbatch",
+        f"""#!/bin/bash
+cp "$1" {tmp_path}/submitted.sh
+last=$(sed -n 's/^#SBATCH --array=0-\\([0-9]*\\).*/\\1/p' "$1")
+cp "$1" "$1.kept"
+set -- "$1.kept"
+({tasks}; touch {tmp_path}/ended) >{tmp_path}/cluster.log 2>&1 </dev/null &
+echo "Submitted batch job 7"
+""",
+    )
+    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
+    for name, value in ENVIRONMENT.items():
+        if name.startswith("JAX"):
+            monkeypatch.setenv(name, value)
+    return tmp_path
+
+
+def test_a_slurm_array_has_one_task_per_program_group(grid, cluster):
+    grid.write_text(GRID.replace("steps = 800", "steps = 120"))
+    out, lines = cluster / "out", []
+    arguments = {"launcher": "slurm", "max_lanes": 2, "slurm": ("time=30", "partition=fast"), "emit": lines.append}
+    assert launcher.sweep(grid, out, **arguments) == 0
+    assert [line.rsplit("  ", 1)[1] for line in lines[:2]] == ["job 7_0", "job 7_1"]
+    script = (cluster / "submitted.sh").read_text()
+    for option in ("--array=0-1", "--time=30", "--partition=fast", "--job-name=earl-jax"):
+        assert option in script
+    deadline = time.monotonic() + 240
+    while not (cluster / "ended").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    log = (cluster / "cluster.log").read_text()
+    assert log.count('"state": "done"') == log.count("Job completed successfully") == 2, log
+    assert len(read_tables(out)) == 2
+    lines.clear()
+    assert launcher.sweep(grid, out, **arguments) == 0
+    assert [line[:4] for line in lines[:2]] == ["done", "done"]
+    assert lines[2].startswith("0 jobs")
+
+
+def test_a_job_that_timed_out_is_submitted_again():
+    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
+    task = {"out": "x", "runs": {}}
+    resubmitted = launcher.GroupJob().checkpoint(task)
+    assert isinstance(resubmitted.function, launcher.GroupJob)
+    assert resubmitted.args == (task,)
+
+
+@pytest.mark.parametrize(
+    ("slurm", "message"),
+    [((), "needs a time limit"), (("time=5", "party=x"), "Unavailable parameter.*partition")],
+)
+def test_invalid_slurm_options_are_refused_before_any_submission(grid, cluster, slurm, message):
+    with pytest.raises(ValueError, match=message):
+        launcher.sweep(grid, cluster / "out", "slurm", slurm=slurm)
+    assert not (cluster / "out").exists()
+
+
+def test_missing_slurm_or_unknown_launcher_is_refused(grid, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "submitit", None)
+        with pytest.raises(ValueError, match=r"pip install 'earl-jax\[slurm\]'"):
+            launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
+    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
+    monkeypatch.setenv("PATH", str(Path(tmp_path, "empty")))
+    with pytest.raises(ValueError, match="on a machine that has sbatch"):
+        launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
+    with pytest.raises(ValueError, match="choose from local, slurm"):
+        launcher.sweep(grid, tmp_path / "out", "cloud")

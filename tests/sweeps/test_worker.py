@@ -1,0 +1,134 @@
+"""Tests of the worker: runs that share a program give the results that each gives alone, in separate folders."""
+
+import json
+import sys
+
+import pytest
+
+from earl_jax.algos import method_for
+from earl_jax.envs import make
+from earl_jax.runs.folder import RunFolder
+from earl_jax.sweeps import planner, worker
+from earl_jax.training import load_lanes, runner, train
+from earl_jax.training.runner import Run
+from tests.conftest import TINY, assert_equal_trees
+from tests.sweeps.conftest import LENGTHS, NAMES
+
+
+@pytest.fixture(scope="module")
+def separate_folders(tmp_path_factory):
+    """Folders of the same two runs, each trained in a program of its own."""
+    parent = tmp_path_factory.mktemp("separate")
+    for algo in ("naive", "oracle"):
+        env = make("tabletop_organization", eval_horizon=30)  # so short that the oracle is reset within the run
+        method = method_for(env, algo, **TINY)
+        train(env, method, out=parent / algo, **LENGTHS)
+    return [parent / algo for algo in ("naive", "oracle")]
+
+
+def work(plan, out):
+    """Return whether the runs of `plan` succeeded, and the events of the worker."""
+    events = []
+    configs = {name: worker.parse_config(run["config"]) for name, run in plan["runs"].items()}
+    succeeded = worker.work(
+        out, configs, lambda name, state, **details: events.append((name, state, details)), progress=False
+    )
+    return succeeded, events
+
+
+def assert_equal_runs(out, separate_folders):
+    for name, folder in zip(NAMES, separate_folders, strict=True):
+        assert (out / name / "metrics.csv").read_bytes() == (folder / "metrics.csv").read_bytes()
+        actual, expected = (load_lanes(RunFolder.open(path))[2] for path in (out / name, folder))
+        assert_equal_trees(actual, expected)
+
+
+def test_the_two_methods_give_different_metrics(separate_folders):
+    tables = [(folder / "metrics.csv").read_text() for folder in separate_folders]
+    assert tables[0] != tables[1]
+
+
+def test_two_methods_in_one_program_equal_separate_runs(tmp_path, grid, separate_folders):
+    out = tmp_path / "out"
+    plan = planner.plan(grid, out)
+    assert [group["runs"] for group in plan["groups"]] == [NAMES]
+    assert not out.exists()
+    succeeded, events = work(plan, out)
+    assert succeeded
+    assert [state for _, state, _ in events] == ["started", "started", "done", "done"]
+    assert_equal_runs(out, separate_folders)
+    finished = planner.plan(grid, out)
+    assert not finished["groups"]
+    assert {run["step"] for run in finished["runs"].values()} == {120}
+    assert work(finished, out) == (True, [(name, "done", {}) for name in NAMES])
+
+
+def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
+    tmp_path, grid, separate_folders, monkeypatch
+):
+    save, saved_steps = runner.save, []
+
+    def fail_at_fourth_save(folder, train_state, span):
+        saved_steps.append(int(train_state.step))
+        if len(saved_steps) == 4:
+            raise OSError("no space left")
+        return save(folder, train_state, span)
+
+    monkeypatch.setattr(runner, "save", fail_at_fourth_save)
+    out = tmp_path / "out"
+    succeeded, events = work(planner.plan(grid, out), out)
+    assert not succeeded
+    assert saved_steps == [40, 40, 80, 80]
+    assert events[-1] == (NAMES[1], "failed", {"why": "OSError: no space left"})
+    monkeypatch.setattr(runner, "save", save)
+    plan = planner.plan(grid, out)
+    assert [(group["runs"], group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
+    succeeded, events = work(plan, out)
+    assert succeeded
+    assert ("resumed", {"step": 80}) in [event[1:] for event in events]
+    assert_equal_runs(out, separate_folders)
+
+
+def test_a_folder_has_at_most_one_worker(tmp_path, grid):
+    plan = planner.plan(grid, tmp_path)
+    plan["runs"] = {NAMES[0]: plan["runs"][NAMES[0]]}
+    folder = RunFolder.create(tmp_path / NAMES[0], worker.parse_config(plan["runs"][NAMES[0]]["config"]), "kinematic")
+    with folder.claimed():
+        succeeded, events = work(plan, tmp_path)
+    assert not succeeded
+    assert "is in use by another process" in events[0][2]["why"]
+    assert not folder.metrics.exists()
+
+
+def test_a_folder_is_usable_after_a_kill_during_its_creation(tmp_path, grid):
+    run = Run.resolve(worker.parse_config(planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/config.json.part").write_text("{")
+    with worker.claimed(tmp_path / "run", run) as folder:
+        opened = RunFolder.open(folder.path)
+        assert opened.config.steps == 120
+        assert json.loads(opened.config_file.read_text())["engine"] == "kinematic"
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path, grid):
+    run = Run.resolve(worker.parse_config(planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/thesis.tex").write_text("all of it")
+    with pytest.raises(ValueError, match="not an empty folder"), worker.claimed(tmp_path / "other", run):
+        pass
+
+
+def test_a_run_in_a_damaged_folder_fails_with_its_cause(tmp_path, grid, monkeypatch, capsys):
+    plan = planner.plan(grid, tmp_path)
+    (tmp_path / NAMES[0]).mkdir(parents=True)
+    (tmp_path / NAMES[0] / "config.json").write_text("{}")
+    stdin = tmp_path / "stdin"
+    runs = {NAMES[0]: plan["runs"][NAMES[0]]["config"]}
+    stdin.write_text(json.dumps({"out": str(tmp_path), "runs": runs}) + "\n")
+    with stdin.open() as handle:
+        monkeypatch.setattr(sys, "stdin", handle)
+        monkeypatch.setattr(worker, "_exit_when_closed", lambda descriptor: None)
+        assert worker.main(["work"]) == 1
+    event = json.loads(capsys.readouterr().out)
+    assert (event["run"], event["state"]) == (NAMES[0], "failed")
+    assert "config.json is damaged" in event["why"]

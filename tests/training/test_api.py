@@ -1,0 +1,93 @@
+"""Training from Python: results, hyper-parameters, and invalid input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax import Continuing
+from earl_jax.training import select_seed, split_options, train
+from tests.conftest import ALGOS, tiny_train
+
+
+@pytest.mark.parametrize("algo", ALGOS)
+def test_results_have_a_leading_seed_axis(algo):
+    result = tiny_train(algo)
+    np.testing.assert_array_equal(result.steps, [40, 80, 120])
+    assert {values.shape for values in result.metrics.values()} == {(2, 3)}
+    assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
+    assert int(result.train_state.step) == 120
+    assert all(np.isfinite(values).all() for values in result.metrics.values())
+    assert result.metrics["entropy"][0, -1] != result.metrics["entropy"][1, -1]
+
+
+def test_a_seed_is_selected_and_its_policy_can_be_called(env):
+    result = tiny_train("fbrl")
+    lane = select_seed(result.train_state, 1)
+    assert lane.env_state.obs.shape == (env.obs_size,)
+    policy = result.policy(1)
+    obs = env.reset(jax.random.key(0)).obs
+    action = policy(obs)
+    assert action.shape == (3,)
+    assert (np.abs(action) <= 1).all()
+    np.testing.assert_allclose(jax.jit(policy)(jnp.stack([obs, obs]))[1], action, atol=1e-6)
+    assert np.abs(result.policy(0)(obs) - action).max() > 1e-6
+    with pytest.raises(IndexError, match="no lane 2: there are 2"):
+        select_seed(result.train_state, 2)
+    with pytest.raises(ValueError, match=r"takes \(\.\.\., 12\)"):
+        policy(obs[:6])
+
+
+def test_a_seed_gives_the_same_metrics_in_any_order_of_seeds():
+    forward, reversed_ = tiny_train("naive", seeds=[3, 1]), tiny_train("naive", seeds=[1, 3])
+    for name, values in forward.metrics.items():
+        np.testing.assert_array_equal(values[::-1], reversed_.metrics[name], err_msg=name)
+
+
+def test_a_list_gives_each_lane_its_own_hyper_parameter():
+    mixed = tiny_train("naive", seeds=[5, 6], reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
+    same = tiny_train("naive", seeds=[5, 6], reward_scale=5.0, learning_rate=1e-4)
+    np.testing.assert_array_equal(mixed.metrics["entropy"][1], same.metrics["entropy"][1])
+    assert (mixed.metrics["entropy"][0] != same.metrics["entropy"][0]).any()
+    with pytest.raises(ValueError, match="each of 2 lanes"):
+        tiny_train("naive", reward_scale=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"steps": 100, "eval_every": 40}, "not a multiple of eval_every"),
+        ({"seeds": 0}, "at least one and distinct"),
+        ({"seeds": [1, 1]}, "at least one and distinct"),
+        ({"seeds": [-1]}, "0 to 2"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"eval_episodes": 0}, "eval_episodes must be at least 1"),
+        ({"gamma": 0.9}, "no option 'gamma'"),
+    ],
+)
+def test_invalid_numbers_are_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        tiny_train("naive", **changed)
+
+
+def test_steps_that_are_no_multiple_of_the_refresh_period_are_trained():
+    result = tiny_train("vaprl", steps=50, eval_every=50)
+    assert int(result.train_state.step) == 50
+    assert (result.train_state.lanes.method_state.values != 0).all()
+
+
+def test_options_beside_a_method_object_are_refused():
+    with pytest.raises(ValueError, match="go with an algo's name"):
+        train("tabletop_organization", earl_jax.make_algo("naive"), discount=0.9)
+
+
+def test_options_are_split_into_task_setting_and_method():
+    options = {"setting": "continuing", "goal_change": 5, "budget": 3, "wide": True, "reward_scale": 1.0}
+    env, setting, rest = split_options("tabletop_organization", options)
+    assert setting == Continuing(goal_change=5, budget=3)
+    assert env == setting.wrap(earl_jax.make("tabletop_organization", wide=True))
+    assert rest == {"reward_scale": 1.0}
+    message = "goal_change is an option of the setting 'continuing', but the setting is 'deployment'"
+    with pytest.raises(ValueError, match=message):
+        split_options("tabletop_organization", {"goal_change": 5})

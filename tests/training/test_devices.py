@@ -1,0 +1,114 @@
+"""Lanes over several devices and hosts: fake CPU devices in a separate process, two processes as two hosts."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.devices import lane_mesh
+from tests.conftest import CACHE
+
+FOUR_DEVICES = {**os.environ, "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
+SETUP = """
+import json, sys
+import jax
+import numpy as np
+import earl_jax
+from earl_jax.training import devices, runner
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16, 16], batch_size=16, random_steps=20)
+"""
+COMPARE = """
+single, four = (earl_jax.train("sawyer_door", "naive", devices=count, **tiny) for count in (1, 4))
+error = max(float(np.abs(single.metrics[name] - four.metrics[name]).max()) for name in single.metrics)
+problem, mesh = earl_jax.Problem(four.env, four.config.protocol(four.env)), devices.lane_mesh(4, 8)
+method = devices.placed(four.method, mesh)
+text = runner._advance.lower(problem, method, four.train_state, 20, False, mesh).compile().as_text()
+words = ("all-reduce", "all-gather", "all-to-all", "collective", "reduce-scatter")
+print(json.dumps({
+    "error": error,
+    "smallest_loss": float(np.abs(single.metrics["critic_loss"]).min()),
+    "collectives": [word for word in words if word in text],
+    "characters": len(text),
+    "devices": len(four.train_state.lanes.phase.sharding.device_set),
+}))
+"""
+TOO_MANY_DEVICES = """
+try:
+    earl_jax.train("tabletop_organization", "naive", devices=3, **tiny)
+except ValueError as error:
+    print(json.dumps(str(error)))
+"""
+
+
+def run_on_four_devices(script):
+    """Return the JSON that `script` prints in a process with four CPU devices."""
+    command = [sys.executable, "-c", SETUP + script, str(CACHE)]
+    result = subprocess.run(command, env=FOUR_DEVICES, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr[-2000:]
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def test_four_devices_train_as_one_does_without_a_collective():
+    report = run_on_four_devices(COMPARE)
+    assert report["devices"] == 4
+    assert report["collectives"] == []
+    assert report["characters"] > 10_000
+    assert report["smallest_loss"] > 0
+    assert report["error"] < 1e-4, "products over other numbers of lanes round differently"
+
+
+def test_an_impossible_number_of_devices_is_an_error_that_names_possible_ones():
+    with pytest.raises(ValueError, match=r"2 devices requested, but 1 available \(cpu\)"):
+        lane_mesh(2, 8)
+    assert lane_mesh(None, 8) is None
+    message = run_on_four_devices(TOO_MANY_DEVICES)
+    assert message == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("localhost", 0))
+        return listener.getsockname()[1]
+
+
+def run_on_two_hosts(*arguments):
+    address = f"localhost:{free_port()}"
+    env = {**os.environ, "EARL_JAX_CACHE": str(CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
+    hosts = [
+        subprocess.Popen(
+            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}"],
+            env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )
+        for number in range(2)
+    ]  # fmt: skip
+    try:
+        outputs = [host.communicate(timeout=120)[0] for host in hosts]
+    finally:
+        for host in hosts:
+            host.kill()
+    assert [host.returncode for host in hosts] == [0, 0], outputs
+
+
+@pytest.mark.slow
+def test_two_hosts_write_one_run_and_resume_it(tmp_path):
+    # The first part explores and the resumed part updates, so each program compiles once.
+    options = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 40}
+    pairs = [f"{name}={json.dumps(value)}" for name, value in options.items()]
+    lengths = ["--seeds", "4", "--steps", "40", "--eval-every", "40", "--checkpoint-every", "40"]
+    out = ["--out", str(tmp_path / "two_hosts"), "--set", *pairs]
+    run_on_two_hosts("train", "tabletop_organization", "--algo", "naive", *lengths, *out)
+    run_on_two_hosts("resume", str(tmp_path / "two_hosts"), "--steps", "80")
+    one_host = tmp_path / "one_host"
+    earl_jax.train("tabletop_organization", "naive", seeds=4, steps=80, eval_every=40, out=one_host, **options)
+    rows, expected = (RunFolder.open(path).rows() for path in (tmp_path / "two_hosts", one_host))
+    assert [(row["step"], row["seed"]) for row in rows] == [(row["step"], row["seed"]) for row in expected]
+    for row, expected_row in zip(rows, expected, strict=True):
+        np.testing.assert_allclose([*row.values()], [*expected_row.values()], rtol=1e-4, atol=1e-5)

@@ -1,0 +1,58 @@
+"""The first train state: demonstrations in the replay, and a start state after them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import assets
+from earl_jax.algos.learner import replay
+from earl_jax.envs import make
+from earl_jax.training.demo_rows import demo_rows, replay_capacity
+from tests.conftest import ALGOS, make_problem, make_train_state, take_lane, tiny_method
+
+
+@pytest.mark.parametrize(("algo", "reward_type"), [*((algo, "sparse") for algo in ALGOS), ("vaprl", "dense")])
+def test_demonstrations_are_the_first_rows_and_are_sampled_unchanged(algo, reward_type):
+    env = make("tabletop_organization", reward_type=reward_type)
+    problem = make_problem(env)
+    state = make_train_state(problem, tiny_method(algo), [0, 1])
+    batch = replay.sample(state.replay, jax.random.split(jax.random.key(0), 2), jnp.zeros(2, int), 3000, jnp.zeros(2))
+    forward = assets.demos(env.name, "forward")
+    numbers = {(s.tobytes(), a.tobytes()): i for i, (s, a) in enumerate(zip(forward.states, forward.actions, strict=True))}
+    sampled = jax.tree.map(np.asarray, take_lane(batch, 0))
+    number = np.array([numbers.get((s.tobytes(), a.tobytes()), -1) for s, a in zip(sampled.state, sampled.action, strict=True)])
+    is_forward = number >= 0
+    assert (is_forward.mean() < 0.9) == (algo == "vaprl")
+    number = number[is_forward]
+    np.testing.assert_array_equal(sampled.next_state[is_forward], forward.next_states[number])
+    np.testing.assert_array_equal(problem.goals.table[sampled.flags.goal[is_forward]], forward.goals[number])
+    if env.sparse:
+        np.testing.assert_array_equal(sampled.reward[is_forward], forward.rewards[number])
+    else:
+        assert not batch.flags.reached.any()
+        obs = jnp.concatenate([batch.next_state, problem.goals.table[batch.flags.goal]], axis=-1)
+        np.testing.assert_allclose(batch.reward, env.reward(obs), rtol=1e-5)
+
+
+def test_training_starts_at_rho_in_the_row_after_the_demonstrations(problem):
+    state = make_train_state(problem, tiny_method("vaprl"), [0, 1])
+    first = int(state.replay.row)
+    assert first == len(problem.goals.candidates)
+    np.testing.assert_array_equal(state.replay.state[first], np.tile(problem.env.initial_states, (2, 1)))
+    assert int(state.step) == 0
+
+
+def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(problem):
+    """The release copies demonstrations for every later state; a copy weighs 1 / (N + 1) of a transition of one's own."""
+    demos = demo_rows(problem, tiny_method("vaprl"))
+    steps_left = problem.goals.ends[demos.rows] - demos.rows
+    np.testing.assert_array_equal(demos.copies, np.maximum(1, np.rint(steps_left / 5)))
+    assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
+
+
+def test_different_seeds_differ_and_equal_seeds_agree(problem):
+    state = make_train_state(problem, tiny_method("naive", 3), [7, 8, 7])
+    kernel = jax.tree.leaves(state.lanes.agent.actor)[1]
+    np.testing.assert_array_equal(kernel[0], kernel[2])
+    assert np.abs(kernel[0] - kernel[1]).max() > 0.01

@@ -1,0 +1,58 @@
+"""The memory of a run: computed, printed, and refused before anything is written."""
+
+import dataclasses
+
+import jax
+import pytest
+
+import earl_jax
+from earl_jax.algos import make_algo
+from earl_jax.envs import list_envs, make
+from earl_jax.training import memory
+from earl_jax.training.demo_rows import replay_capacity
+from tests.conftest import make_problem, make_train_state, tiny_method, tiny_train
+
+PUBLISHED_STEPS = {
+    "tabletop_organization": 2.5e6, "sawyer_door": 4e6, "sawyer_peg": 5.9e6, "franka_kitchen": 5e6, "dhand_lightbulb": 5e6,
+    "minitaur_pen": 3e6, "cheetah_run": 3e6, "fish_swim": 3e6,
+}  # fmt: skip
+"""Steps of the published tables; of the two dm_control tasks as many as the minitaur's."""
+CARD_BYTES = 141e9
+
+
+@pytest.mark.parametrize("name", list_envs())
+def test_a_hundred_lanes_of_the_published_length_fit_on_one_card(name):
+    assert set(PUBLISHED_STEPS) == set(list_envs())
+    need = memory.need(make_problem(make(name)), make_algo("r3l"), 100, int(PUBLISHED_STEPS[name]))
+    assert need.total < 0.95 * CARD_BYTES
+
+
+@pytest.mark.parametrize("algo", ["naive", "fbrl", "vaprl"])
+def test_replay_and_agent_occupy_the_computed_bytes(problem, algo):
+    method, steps = tiny_method(algo, lanes=3), 300
+    need, state = memory.need(problem, method, 3, steps), make_train_state(problem, method, range(3), steps)
+    occupied = sum(leaf.nbytes for leaf in jax.tree.leaves(state.replay))
+    assert abs(occupied - 3 * need.replay) < 200, "counts, and one more state than transitions"
+    assert sum(leaf.nbytes for leaf in jax.tree.leaves(state.lanes)) == 3 * need.agent
+    assert replay_capacity(problem, method, steps) >= steps
+
+
+def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes_nothing(monkeypatch, tmp_path):
+    need = memory.need(make_problem(make("sawyer_door")), make_algo("naive"), 1, 80)
+    monkeypatch.setattr(memory, "free_bytes", lambda device: 3 * need.lane + 1)
+    with pytest.raises(ValueError, match=r"5 lanes take .* GB free: 3 lanes would fit.*XLA_PYTHON_CLIENT_MEM_FRACTION"):
+        earl_jax.train("sawyer_door", "naive", seeds=5, steps=80, eval_every=80, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    memory.require(dataclasses.replace(need, lanes=3))
+
+
+def test_free_bytes_of_this_machine_are_known_or_none():
+    free = memory.free_bytes(jax.devices()[0])
+    assert free is None or free > 1e8
+
+
+def test_a_run_prints_its_memory_before_its_progress(capsys):
+    tiny_train("naive", progress=True)
+    err = " ".join(capsys.readouterr().err.split())
+    assert "2 lanes take" in err
+    assert err.index("of replay") < err.index("step 120/120")

@@ -1,0 +1,28 @@
+"""The schedule of a program, and hyper-parameters with a lane axis."""
+
+import jax.numpy as jnp
+import pytest
+
+from earl_jax.algos import make_algo
+from earl_jax.training.plan import Span, per_lane, prepare
+from tests.conftest import tiny_method
+
+
+def test_spans_divide_the_steps_to_the_next_evaluation_at_the_end_of_exploration(problem):
+    plan = prepare(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
+    assert plan.chunk == 10
+    assert plan.spans(0) == [Span(4, explore=True)]
+    assert plan.spans(40) == [Span(1, explore=True), Span(3, explore=False)]
+    assert plan.spans(80) == [Span(4, explore=False)]
+
+
+def test_steps_must_be_a_multiple_of_eval_every(problem):
+    with pytest.raises(ValueError, match="steps 100 is not a multiple of eval_every 40"):
+        prepare(problem, tiny_method("naive"), lanes=2, steps=100)
+
+
+def test_integer_leaves_become_floats_and_flags_stay_flags():
+    method = per_lane(make_algo("naive", reward_scale=3, timeout_bootstrap=True), 3)
+    assert method.sac.reward_scale.dtype == jnp.float32
+    assert method.sac.timeout_bootstrap.dtype == bool
+    assert method.sac.discount.shape == (3,)

@@ -1,0 +1,121 @@
+"""Runs that go on from their folder."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax import HelpBudget, algos, envs
+from earl_jax.algos.naive import Naive
+from earl_jax.envs.tabletop import TabletopOrganization
+from earl_jax.runs.folder import RunFolder
+from tests.conftest import TINY, TINY_RUN, assert_equal_trees, tiny_train
+
+
+@dataclasses.dataclass(frozen=True)
+class Meadow(TabletopOrganization):
+    """A task that is not registered."""
+
+    demo_file: str | None = "tabletop_organization"
+    name = "meadow"
+
+
+class Patient(Naive):
+    """A method that is not registered."""
+
+    name = "patient"
+
+
+def make_patient(**options):
+    return Patient(sac=earl_jax.make_algo("naive", **{**TINY, **options}).sac)
+
+
+def train_meadow(**options):
+    return earl_jax.train(Meadow(), make_patient(), **{**TINY_RUN, **options})
+
+
+def assert_equal_results(actual, expected):
+    assert_equal_trees(actual.train_state.lanes, expected.train_state.lanes)
+    assert set(actual.metrics) == set(expected.metrics)
+    for name, values in expected.metrics.items():
+        np.testing.assert_array_equal(actual.metrics[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("algo", ["r3l", "vaprl"])
+def test_a_run_resumed_from_its_folder_ends_bit_identical(tmp_path, algo):
+    whole = tiny_train(algo, out=tmp_path / "whole", checkpoint_every=40)
+    tiny_train(algo, out=tmp_path / "part", checkpoint_every=40, steps=80)
+    resumed = earl_jax.resume(tmp_path / "part", steps=120)
+    assert_equal_results(resumed, whole)
+    assert (tmp_path / "part/metrics.csv").read_text() == (tmp_path / "whole/metrics.csv").read_text()
+    assert [path.name for path in sorted((tmp_path / "part/checkpoints").iterdir())] == ["000000080", "000000120"]
+
+
+def test_a_finished_run_is_not_trained_again(tmp_path):
+    first = tiny_train("naive", out=tmp_path / "run")
+    again = earl_jax.resume(tmp_path / "run")
+    assert_equal_results(again, first)
+    with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
+        earl_jax.resume(tmp_path / "run", steps=80)
+
+
+@pytest.mark.parametrize("setting", ["deployment", "continuing"])
+def test_unregistered_objects_train_in_both_settings(setting):
+    result = train_meadow(setting=setting)
+    assert (result.config.env, result.config.algo) == ("meadow", "patient")
+    assert (result.env, type(result.method)) == (Meadow(), Patient)
+    expected = tiny_train("naive", reward_scale=10.0, setting=setting)
+    np.testing.assert_array_equal(result.metrics["entropy"], expected.metrics["entropy"])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run of unregistered objects that was never stopped."""
+    return train_meadow(out=tmp_path_factory.mktemp("meadow") / "whole")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The folder of the same run, stopped after 80 of its 120 steps."""
+    train_meadow(out=tmp_path / "part", steps=80)
+    return tmp_path / "part"
+
+
+def test_a_folder_names_the_classes_of_unregistered_objects(folder):
+    config = json.loads((folder / "config.json").read_text())
+    assert config["env_class"] == "tests.training.test_resume:Meadow"
+    assert config["algo_class"] == "tests.training.test_resume:Patient"
+
+
+def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(folder):
+    call = r"earl_jax\.register_env\('meadow', Meadow\), or pass the object: earl_jax\.resume\(folder, env=\.\.\.\)"
+    with pytest.raises(ValueError, match=call):
+        earl_jax.resume(folder)
+    call = r"earl_jax\.register_algo\('patient', Patient\), or pass the object: earl_jax\.resume\(folder, algo=\.\.\.\)"
+    with pytest.raises(ValueError, match=call):
+        earl_jax.resume(folder, env=Meadow())
+
+
+def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
+    assert_equal_results(earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120), whole)
+
+
+def test_resuming_after_registration_ends_bit_identical(folder, whole, monkeypatch):
+    for registry in (algos._ALGOS, envs._ENVS):
+        monkeypatch.setattr(registry, "_table", dict(registry._table))
+    earl_jax.register_env("meadow", Meadow)
+    earl_jax.register_algo("patient", Patient)
+    assert_equal_results(earl_jax.resume(folder, steps=120), whole)
+
+
+def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_path):
+    options = {"steps": 40, "eval_every": 20, "seeds": 2, "eval_episodes": 1, "checkpoint_every": 20}
+    env, method = HelpBudget(Meadow(eval_horizon=5), budget=5.0), make_patient(random_steps=40)
+    expected = earl_jax.train(env, method, out=tmp_path / "run", **options)
+    for given in (env, env.task):
+        resumed = earl_jax.resume(tmp_path / "run", env=given, algo=method)
+        assert resumed.env == env
+        assert_equal_results(resumed, expected)
+    assert RunFolder.open(tmp_path / "run").config.setting == {"name": "deployment", "budget": 5.0}
