@@ -1,4 +1,4 @@
-"""Learning curves beside the published ones: what the reports of benchmarks.tabletop, sawyer and dense share."""
+"""Learning curves beside the published ones, for the reports of benchmarks.tabletop, sawyer and dense."""
 
 import argparse
 import dataclasses
@@ -13,11 +13,10 @@ from earl_jax import assets
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves
 from earl_jax.report.tables import row_of, trailing, write
-from earl_jax.runs.folder import RunFolder
-from earl_jax.training import execute, train
+from earl_jax.training import resume, train
 
 LEVELS = ("0.5", "0.9")
-KEPT = (
+METRICS = (
     "deployed/success",
     "deployed/return",
     "continuing/reward",
@@ -30,54 +29,53 @@ KEPT = (
 
 
 def advance(folder: Path, steps: int, *task_and_method: str, **options: Any) -> None:
-    """Train to `steps` in `folder`, going on where a killed run stopped."""
+    """Train to `steps` in `folder`; a killed run is resumed."""
     if folder.exists():
-        opened = RunFolder.open(folder).extended(steps)
-        execute(opened.config, opened, progress=True)
+        resume(folder, steps=steps, progress=True)
     else:
         train(*task_and_method, steps=steps, out=folder, checkpoint_every=500_000, progress=True, **options)
 
 
 def split(curves: Curves, *options: str) -> dict[tuple[float, ...], Curves]:
-    """Return the curves of each combination of values of `options`, in which the lanes of one run differ."""
+    """Return the curves of each combination of the values of `options`, in which the lanes of a run differ."""
     lanes, parts = list(zip(*(curves.config.options[option] for option in options), strict=True)), {}
     for values in dict.fromkeys(lanes):
-        chosen = [number for number, lane in enumerate(lanes) if lane == values]
+        members = [number for number, lane in enumerate(lanes) if lane == values]
         shared = {**curves.config.options, **dict(zip(options, values, strict=True))}
-        metrics = {name: part[chosen] for name, part in curves.metrics.items()}
+        metrics = {name: part[members] for name, part in curves.metrics.items()}
         parts[values] = Curves(dataclasses.replace(curves.config, options=shared), curves.steps, metrics)
     return parts
 
 
 def crossings(env: str, algo: str) -> dict[str, str]:
-    """Return the published last-10 success and crossings of a method on a task, empty where there are none."""
+    """Return the published last-10 success and crossings of a method on a task, or an empty row."""
     return assets.published_row("crossings", env=env, algo=algo)
 
 
 def summary(curves: Curves, **identity: Any) -> dict[str, Any]:
-    """Return a row of the table under the columns of `identity`: ours, and the published figures beside them."""
+    """Return a row of the table after the columns of `identity`: our numbers beside the published ones."""
     env, algo = curves.config.env, curves.config.algo
-    found, published = row_of(curves, last=10, name=algo), crossings(env, algo)
-    wanted = ("seeds", "steps", "deployed", "deployed_stderr", "deployed_iqm", "deployed_low", "deployed_high")
+    row, published = row_of(curves, last=10, name=algo), crossings(env, algo)
+    columns = ("seeds", "steps", "deployed", "deployed_stderr", "deployed_iqm", "deployed_low", "deployed_high")
     reached = {}
     for level in LEVELS:
-        reached[f"to_{level}"] = found[f"steps_to_{level}"]
+        reached[f"to_{level}"] = row[f"steps_to_{level}"]
         reached[f"published_to_{level}"] = published.get(f"steps_to_{level}")
     return {
         **identity,
-        **{name: found[name] for name in wanted},
+        **{name: row[name] for name in columns},
         "published_last10": published.get("last10"),
         **reached,
-        "continuing": found["continuing"],
-        "continuing_stderr": found["continuing_stderr"],
-        "published_continuing": found["published_continuing"],
-        "steps_per_reward": found["steps_per_reward"],
+        "continuing": row["continuing"],
+        "continuing_stderr": row["continuing_stderr"],
+        "published_continuing": row["published_continuing"],
+        "steps_per_reward": row["steps_per_reward"],
         "published_steps_per_reward": published.get("steps_per_reward"),
     }
 
 
 def cells(row: dict[str, Any]) -> dict[str, str]:
-    """Return the columns of a row of `summary` for people, by title."""
+    """Return the formatted columns of a row of `summary`, by title."""
 
     def steps(value: Any) -> str:
         return f"{float(value) / 1e6:.2f}M" if value else "-"
@@ -96,24 +94,24 @@ def cells(row: dict[str, Any]) -> dict[str, str]:
 
 
 def rate(value: Any) -> str:
-    """Return steps a reward for people."""
+    """Return formatted steps per reward."""
     return f"{float(value):.1f}" if value else "-"
 
 
 def markdown(rows: Sequence[dict[str, str]]) -> str:
-    """Return a table of `rows` by title, which all have the same ones."""
+    """Return a Markdown table of `rows`, which have the same titles."""
     lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
     return "\n".join([*lines, *("| " + " | ".join(row.values()) + " |" for row in rows)]) + "\n"
 
 
 def write_curves(path: Path, parts: Sequence[tuple[dict[str, Any], Curves]]) -> None:
-    """Write what every seed of `parts` measured as csv, each under the columns that identify its part."""
+    """Write the metrics of every seed of `parts` as csv, after the columns that identify the part."""
     rows = []
     for identity, curves in parts:
-        kept = [name for name in KEPT if name in curves.metrics]
+        names = [name for name in METRICS if name in curves.metrics]
         for number, step in enumerate(curves.steps.tolist()):
-            for lane in range(len(curves.metrics[kept[0]])):
-                values = {name: f"{curves.metrics[name][lane, number]:.6g}" for name in kept}
+            for lane in range(len(curves.metrics[names[0]])):
+                values = {name: f"{curves.metrics[name][lane, number]:.6g}" for name in names}
                 rows.append({**identity, "step": step, "seed": lane, **values})
     write(rows, path)
 
@@ -147,7 +145,7 @@ def command_line(
     run: Callable[[str, int, Path], None],
     report: Callable[[Path], None],
 ) -> None:
-    """Do what the command line asks: `run NAME --steps --out`, or `report DIR`."""
+    """Execute the command line: `run NAME --steps --out`, or `report DIR`."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     runner = commands.add_parser("run")

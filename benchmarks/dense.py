@@ -1,11 +1,11 @@
-"""Franka kitchen, DHand lightbulb and Minitaur pen against the paper: returns, at several settings in one program.
+"""Compare Franka kitchen, DHand lightbulb and Minitaur pen with the paper: returns, several settings in one program.
 
     python -m benchmarks.dense run minitaur_oracle --steps 1000000 --out runs/dense
     python -m benchmarks.dense report runs/dense
 
-`run` goes on where a killed one stopped; a name that ends in `_ln` normalises the critics' layers. `report` takes every run
-folder below DIR whose name begins with a task's, and tells lanes apart by the options in which they differ. It writes
-benchmarks/results/dense/: the curves of every seed as csv, the table as csv, json and md, and the figure.
+`run` resumes a killed run; a name that ends in `_ln` normalises the critics' layers. `report` reads every run folder below DIR
+whose name begins with a task's, and groups lanes by the options in which they differ. It writes benchmarks/results/dense/: the
+curves of every seed as csv, the table as csv, json and md, and the figure.
 """
 
 from pathlib import Path
@@ -25,8 +25,8 @@ ALGOS = ("oracle", "naive", "fbrl", "r3l")
 NAMES = [f"{task}_{algo}{norm}" for task in TASKS for algo in ALGOS for norm in ("", "_ln")]
 SCALES = {"kitchen": (0.1, 1.0), "dhand": (0.1, 1.0), "minitaur": (0.1,)}
 SEEDS = {"kitchen": 3, "dhand": 3, "minitaur": 5}
-SHOWN = {"reward_scale": "scale", "discount": "discount"}
-"""Options in which lanes of a run may differ, and what the table calls them."""
+VARIED = {"reward_scale": "scale", "discount": "discount"}
+"""Options in which lanes of a run may differ, and their titles in the table."""
 RESULTS = Path(__file__).parent / "results" / "dense"
 
 
@@ -39,25 +39,25 @@ def run(name: str, steps: int, out: Path) -> None:
 
 
 def parts(curves: Curves) -> list[tuple[dict[str, float], Curves]]:
-    """Return the curves of each setting of a run with the options that tell it from the others."""
-    lists = [option for option in SHOWN if isinstance(curves.config.options.get(option), list)]
+    """Return the curves of each setting of a run, with the options that distinguish it."""
+    lists = [option for option in VARIED if isinstance(curves.config.options.get(option), list)]
     if not lists:
         return [({}, curves)]
     return [(dict(zip(lists, values, strict=True)), part) for values, part in split(curves, *lists).items()]
 
 
 def summary(name: str, setting: dict[str, float], curves: Curves) -> dict[str, Any]:
-    """Return a row of the table: where the return began, where it ended, its best, and the published end."""
-    found, returns = row_of(curves, 10, name), curves.metrics["deployed/return"]
+    """Return a row of the table: the first, last and best returns, and the published last return."""
+    row, returns = row_of(curves, 10, name), curves.metrics["deployed/return"]
     return {
-        "run": name, **{option: curves.config.options.get(option, setting.get(option)) for option in SHOWN},
+        "run": name, **{option: curves.config.options.get(option, setting.get(option)) for option in VARIED},
         "layer_norm": bool(curves.config.options.get("layer_norm")),
-        "seeds": found["seeds"], "steps": found["steps"],
+        "seeds": row["seeds"], "steps": row["steps"],
         "first_return": float(returns[:, 0].mean()),
         "last5_return": float(returns[:, -5:].mean()),
         "last5_best_seed": float(returns[:, -5:].mean(axis=1).max()),
         "best_mean": float(returns.mean(axis=0).max()),
-        "published_return": found["published_deployed"],
+        "published_return": row["published_deployed"],
         "last5_success": float(curves.metrics["deployed/success"][:, -5:].mean()),
         "first_continuing": float(curves.metrics["continuing/recent"][:, 0].mean()),
         "last5_continuing": float(curves.metrics["continuing/recent"][:, -5:].mean()),
@@ -65,18 +65,18 @@ def summary(name: str, setting: dict[str, float], curves: Curves) -> dict[str, A
 
 
 def _cells(row: dict[str, Any]) -> dict[str, str]:
-    render_state = {title: "default" if row[option] is None else f"{row[option]:g}" for option, title in SHOWN.items()}
+    varied = {title: "default" if row[option] is None else f"{row[option]:g}" for option, title in VARIED.items()}
     return {
         "run": row["run"],
-        **render_state,
+        **varied,
         "seeds": str(row["seeds"]),
         "steps": f"{row['steps'] / 1e6:.2f}M",
         "first return": f"{row['first_return']:.0f}",
         "last-5 return": f"{row['last5_return']:.0f}",
-        "its best seed": f"{row['last5_best_seed']:.0f}",
+        "best seed": f"{row['last5_best_seed']:.0f}",
         "published end": row["published_return"] or "-",
         "last-5 success": f"{row['last5_success']:.2f}",
-        "reward a step, first and last-5": f"{row['first_continuing']:.2f}, {row['last5_continuing']:.2f}",
+        "reward per step, first and last-5": f"{row['first_continuing']:.2f}, {row['last5_continuing']:.2f}",
     }
 
 
@@ -85,9 +85,9 @@ def report(out: Path) -> None:
     RESULTS.mkdir(parents=True, exist_ok=True)
     folders = {path.name: path for path in sorted(out.iterdir()) if path.name.split("_")[0] in TASKS}
     runs = {name: parts(read(folder)) for name, folder in folders.items()}
-    rows = [summary(name, setting, part) for name, found in runs.items() for setting, part in found]
-    for name, found in runs.items():
-        write_curves(RESULTS / f"{name}.csv", found)
+    rows = [summary(name, setting, part) for name, settings in runs.items() for setting, part in settings]
+    for name, settings in runs.items():
+        write_curves(RESULTS / f"{name}.csv", settings)
     command = "python -m benchmarks.dense run RUN --steps STEPS --out DIR; python -m benchmarks.dense report DIR"
     write_table(RESULTS, rows, markdown([_cells(row) for row in rows]), command, folders)
     _figure(runs).savefig(RESULTS / "curves.png", dpi=130)
@@ -95,8 +95,8 @@ def report(out: Path) -> None:
 
 def _draw(axis: Any, name: str, setting: dict[str, float], curves: Curves, colour: str, style: str) -> None:
     smooth = trailing(curves.metrics["deployed/return"])
-    told = ", ".join(f"{SHOWN[option]} {value:g}" for option, value in setting.items())
-    label = " ".join(name.split("_")[1:]) + f" ({told})" * bool(told)
+    text = ", ".join(f"{VARIED[option]} {value:g}" for option, value in setting.items())
+    label = " ".join(name.split("_")[1:]) + f" ({text})" * bool(text)
     axis.plot(curves.steps, smooth.mean(axis=0), style, color=colour, label=label)
     if len(smooth) > 2:
         low, high = np.array([bootstrap(column, iqm) for column in smooth.T]).T
@@ -104,14 +104,14 @@ def _draw(axis: Any, name: str, setting: dict[str, float], curves: Curves, colou
 
 
 def _figure(runs: dict[str, list[tuple[dict[str, float], Curves]]]) -> Figure:
-    """Return a panel a task: deployed returns of each run and setting with several seeds; the published oracle is a thin line."""
+    """Return a figure with a panel per task: deployed returns of settings with several seeds, and the published oracle."""
     figure = Figure(figsize=(15, 5), layout="constrained")
     for axis, task in zip(figure.subplots(1, len(TASKS)), TASKS, strict=True):
         several = [
-            (name, *found)
-            for name, many in runs.items()
-            for found in many
-            if name.startswith(task) and len(found[1].metrics["deployed/return"]) > 1
+            (name, setting, part)
+            for name, settings in runs.items()
+            for setting, part in settings
+            if name.startswith(task) and len(part.metrics["deployed/return"]) > 1
         ]
         for number, line in enumerate(several):
             _draw(axis, *line, colour=f"C{number % 10}", style=("-", "--")[number // 10 % 2])

@@ -1,6 +1,7 @@
-"""How training scales over devices: `python -m benchmarks.devices --counts 1 2 --lanes 400 --out FILE`, lanes on every device.
+"""Measure how training scales over devices: `python -m benchmarks.devices --counts 1 2 --lanes 400 --out FILE`.
 
-Prints steps a second for each number of devices and its share of linear scaling; FILE.json and FILE.csv.
+`--lanes` is the number on every device. Prints steps per second for each number of devices and its share of linear scaling,
+and writes FILE.json and FILE.csv.
 """
 
 import argparse
@@ -17,31 +18,33 @@ from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
-from earl_jax.training import runner as program
+from earl_jax.training import runner
 from earl_jax.training.devices import lane_mesh, placed
-from earl_jax.training.state import Problem
+from earl_jax.training.plan import per_lane
+from earl_jax.training.state import Problem, seed_keys
 
 
 def measure(
     name: str, algo: str, lanes: int, count: int, steps: int, repeats: int, options: dict[str, str]
 ) -> dict[str, Any]:
     """Return the rate of `lanes` lanes on each of `count` devices, the median of `repeats` calls."""
-    every = lanes * count
-    env, mesh = make(name).for_lanes(lanes), lane_mesh(count, every)
+    total = lanes * count
+    env, mesh = make(name).for_lanes(lanes), lane_mesh(count, total)
     problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
-    method = placed(program.per_lane(make_algo(algo, **options), every), mesh)
-    keys = placed(jax.vmap(jax.random.key)(jnp.arange(every)), mesh)
-    lives = program._begin(problem, method, keys, steps * (repeats + 2) + 20_000, mesh)
+    method = placed(per_lane(make_algo(algo, **options), total), mesh)
+    rules = placed(jax.tree.map(lambda rule: jnp.full(total, rule), problem.protocol.rules), mesh)
+    keys = placed(seed_keys(range(total)), mesh)
+    state = runner._init(problem, method, keys, rules, steps * (repeats + 2) + 20_000, mesh)
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
-        lives = program._advance(problem, method, lives, steps, False, mesh)
-        lives.step.block_until_ready()
+        state = runner._advance(problem, method, state, steps, False, mesh)
+        state.step.block_until_ready()
         times.append(time.perf_counter() - began)
-    pace = steps / statistics.median(times[1:])
+    rate = steps / statistics.median(times[1:])
     return {
-        "env": name, "algo": algo, **options, "devices": count, "lanes": every, "steps_per_s": round(pace, 2),
-        "lane_steps_per_s": round(pace * every), "first_call_s": round(times[0], 1),
+        "env": name, "algo": algo, **options, "devices": count, "lanes": total, "steps_per_s": round(rate, 2),
+        "lane_steps_per_s": round(rate * total), "first_call_s": round(times[0], 1),
     }  # fmt: skip
 
 

@@ -1,8 +1,8 @@
-"""The scripted grasp of dhand_lightbulb, and what doing nothing earns: `python -m benchmarks.dhand --engine c`.
+"""Measure the scripted grasp of dhand_lightbulb and the return of no action: `python -m benchmarks.dhand --engine c`.
 
-Five documented starts (the bulb under the target and 4 cm to each side) and `--random` starts of the task's own, an episode
-each of no action, of random actions and of `env.expert`. A lift raises the bulb by 10 cm; a hold keeps it within 10 cm of the
-target for 5 s (50 control steps) on end. Prints one JSON line and writes it to --out with its provenance.
+There are five documented starts (the bulb under the target and 4 cm to each side) and `--random` starts of the task's own, each
+with an episode of no action, of random actions and of `env.expert`. A lift raises the bulb by 10 cm; a hold keeps it within
+10 cm of the target for 5 s (50 consecutive control steps). Prints one JSON line and writes it to --out with its provenance.
 """
 
 import argparse
@@ -27,14 +27,14 @@ LIFTED = 0.1
 HOLD = 50
 
 
-def starts(env: Any, count: int, seed: int) -> Any:
+def start_states(env: Any, count: int, seed: int) -> Any:
     """Return the states of the documented starts, then `count` of the task's own, stacked."""
-    named = jax.vmap(env.placed)(jnp.asarray(TARGET[:2] + OFFSETS))
+    named = jax.vmap(env.start_at)(jnp.asarray(TARGET[:2] + OFFSETS))
     own = jax.vmap(env.reset)(jax.random.split(jax.random.key(seed), count))
-    return jax.tree.map(lambda one, other: jnp.concatenate([one, other]), named, own)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), named, own)
 
 
-def live(env: Any, state: Any, steps: int, seed: int) -> dict[str, np.ndarray]:
+def run_episodes(env: Any, state: Any, steps: int, seed: int) -> dict[str, np.ndarray]:
     """Return reward, success, height of the bulb and fault [steps, policies, starts], all lanes of all policies at once."""
     count = len(state.reward)
     lanes = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(POLICIES)), state)
@@ -45,16 +45,20 @@ def live(env: Any, state: Any, steps: int, seed: int) -> dict[str, np.ndarray]:
         scripted = jax.vmap(env.expert)(state.obs)
         action = jnp.where(policy == 0, 0.0, jnp.where(policy == 1, noise, scripted))
         state = jax.vmap(env.step)(state, action)
-        seen = (state.reward, state.metrics["success"] > 0, state.obs[:, HEIGHT][:, 0], jax.vmap(env.fault)(state))
-        return state, seen
+        return state, (
+            state.reward,
+            state.metrics["success"] > 0,
+            state.obs[:, HEIGHT][:, 0],
+            jax.vmap(env.fault)(state),
+        )
 
     run = jax.jit(lambda lanes: jax.lax.scan(step, lanes, jax.random.split(jax.random.key(seed), steps))[1])
-    seen = [np.asarray(leaf).reshape(steps, len(POLICIES), count) for leaf in run(lanes)]
-    return dict(zip(("reward", "success", "height", "fault"), seen, strict=True))
+    curves = [np.asarray(leaf).reshape(steps, len(POLICIES), count) for leaf in run(lanes)]
+    return dict(zip(("reward", "success", "height", "fault"), curves, strict=True))
 
 
-def longest(success: np.ndarray) -> np.ndarray:
-    """Return the most successes on end [...] in `success [steps, ...]`."""
+def longest_run(success: np.ndarray) -> np.ndarray:
+    """Return the largest number of consecutive successes [...] in `success [steps, ...]`."""
     best = run = np.zeros(success.shape[1:], int)
     for row in success:
         run = np.where(row, run + 1, 0)
@@ -66,18 +70,18 @@ def measure(engine: str, substeps: int, count: int, steps: int, seed: int) -> di
     """Return lifts, holds, heights and returns of every policy on `engine`."""
     env = dataclasses.replace(make("dhand_lightbulb", physics=engine, substeps=substeps), eval_horizon=steps)
     began = time.perf_counter()
-    seen = live(env, starts(env, count, seed), steps, seed)
-    lifted, held = seen["height"].max(axis=0) > REST + LIFTED, longest(seen["success"]) >= HOLD
-    returns, named = seen["reward"].sum(axis=0), len(OFFSETS)
+    episodes = run_episodes(env, start_states(env, count, seed), steps, seed)
+    lifted, held = episodes["height"].max(axis=0) > REST + LIFTED, longest_run(episodes["success"]) >= HOLD
+    returns, named = episodes["reward"].sum(axis=0), len(OFFSETS)
     report: dict[str, Any] = {
         "env": env.name, "engine": env.engine, "substeps": substeps, "steps": steps, "seed": seed,
         "documented_starts": named, "random_starts": count,
         "lifts": int(lifted[2, :named].sum()), "holds": int(held[2, :named].sum()),
         "random_lifts": int(lifted[2, named:].sum()), "random_holds": int(held[2, named:].sum()),
-        "steps_held": longest(seen["success"])[2].tolist(),
-        "highest_m": seen["height"].max(axis=0)[2].astype(float).round(4).tolist(),
-        "last_m": seen["height"][-1, 2].astype(float).round(4).tolist(),
-        "lowest_m": round(float(seen["height"].min()), 4), "faults": int(seen["fault"].sum()),
+        "steps_held": longest_run(episodes["success"])[2].tolist(),
+        "highest_m": episodes["height"].max(axis=0)[2].astype(float).round(4).tolist(),
+        "last_m": episodes["height"][-1, 2].astype(float).round(4).tolist(),
+        "lowest_m": round(float(episodes["height"].min()), 4), "faults": int(episodes["fault"].sum()),
     }  # fmt: skip
     for index, policy in enumerate(POLICIES):
         own = returns[index, named:]

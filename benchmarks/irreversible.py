@@ -1,8 +1,8 @@
-"""Whether anybody gets out of what counts as irreversible: `python -m benchmarks.irreversible sawyer_peg --steps 20000`.
+"""Test whether irreversible states are ever left: `python -m benchmarks.irreversible sawyer_peg --steps 20000`.
 
-The lanes live without interventions (a fault puts one back, as in training) under the actions of `benchmarks.safety`. Counts
-lanes that reach a state which `Env.irreversible` names, what they lived after that, and how much of it was outside again.
-Prints one JSON line and writes it to --out.
+The lanes run without interventions (only a fault resets a lane, as in training) under the actions of `benchmarks.safety`. The
+report counts lanes that reach a state for which `Env.irreversible` is true, their steps after that, and how many of those steps
+were outside such states. Prints one JSON line and writes it to --out.
 """
 
 import argparse
@@ -13,19 +13,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import tell
-from benchmarks.safety import actions
+from benchmarks.output import emit
+from benchmarks.safety import make_actions
 from earl_jax.envs import make
 
 ENVS = ("sawyer_peg", "dhand_lightbulb", "minitaur_pen")
 
 
-def lived(name: str, steps: int, lanes: int) -> tuple[np.ndarray, np.ndarray]:
+def run_lanes(name: str, steps: int, lanes: int) -> tuple[np.ndarray, np.ndarray]:
     """Return bool [steps, lanes]: which states were irreversible, and which were faults."""
     env = make(name)
 
-    def step(state, moved):
-        action, key = moved
+    def step(state, action_and_key):
+        action, key = action_and_key
         after = jax.vmap(env.step)(state, action)
         fault, stuck = jax.vmap(env.fault)(after), jax.vmap(env.irreversible)(after)
         fresh = jax.vmap(env.reset)(jax.random.split(key, lanes))
@@ -35,14 +35,14 @@ def lived(name: str, steps: int, lanes: int) -> tuple[np.ndarray, np.ndarray]:
         return state, (stuck, fault)
 
     state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), lanes))
-    plan = jnp.asarray(actions(steps, lanes, env.action_size)), jax.random.split(jax.random.key(1), steps)
-    _, (stuck, fault) = jax.jit(lambda state, plan: jax.lax.scan(step, state, plan))(state, plan)
+    inputs = jnp.asarray(make_actions(steps, lanes, env.action_size)), jax.random.split(jax.random.key(1), steps)
+    _, (stuck, fault) = jax.jit(lambda state, inputs: jax.lax.scan(step, state, inputs))(state, inputs)
     return np.asarray(stuck), np.asarray(fault)
 
 
 def report(name: str, steps: int, lanes: int) -> dict[str, Any]:
     """Return the counts for one task: a lane counts from its first irreversible state to its next fault or the end."""
-    stuck, fault = lived(name, steps, lanes)
+    stuck, fault = run_lanes(name, steps, lanes)
     entered, after, outside, out_at_the_end = 0, 0, 0, 0
     for lane in range(lanes):
         first = np.flatnonzero(stuck[:, lane] & ~fault[:, lane])
@@ -63,9 +63,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--lanes", type=int, default=32)
     parser.add_argument("--out", type=Path)
-    given = parser.parse_args()
-    command = f"python -m benchmarks.irreversible {given.env} --steps {given.steps} --lanes {given.lanes}"
-    tell(report(given.env, given.steps, given.lanes), given.out, command)
+    arguments = parser.parse_args()
+    command = f"python -m benchmarks.irreversible {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
+    emit(report(arguments.env, arguments.steps, arguments.lanes), arguments.out, command)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""SIGKILL at random moments: `python -m benchmarks.kills --kills 50 --out benchmarks/results/kills/kills.json`.
+"""Kill runs at random times: `python -m benchmarks.kills --kills 50 --out benchmarks/results/kills/kills.json`.
 
-A small run that writes a checkpoint at every evaluation is started, killed after a random time, started again (`earl-jax
-resume`, or `train` where it had not got as far as a config) and so on until it ends; then comes the next run. Each has to
-end with the table of a run that nobody touched, byte for byte, and with its last checkpoint whole. Writes a row a kill
-beside the json.
+A small run that writes a checkpoint at every evaluation is started, gets SIGKILL after a random time, is started again
+(`earl-jax resume`, or `train` if it has no config yet) and so on until it ends. Then the next run starts. Every run must end
+with the table of an uninterrupted run, byte for byte, and with an intact last checkpoint. Writes a row per kill beside the json.
 """
 
 import argparse
@@ -16,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import tell
+from benchmarks.output import emit
 from earl_jax.runs import checkpoint
 
 RUN = [
@@ -27,28 +26,32 @@ CLI = [sys.executable, "-m", "earl_jax.cli"]
 FIELDS = ["run", "command", "seconds", "rows", "newest", "writing"]
 
 
-def started(folder: Path) -> subprocess.Popen:
-    """Return a process that begins the run in `folder`, or goes on with it."""
-    begin = ["train", "tabletop_organization", "--algo", "fbrl", "--out", str(folder), *RUN]
-    arguments = ["resume", str(folder)] if (folder / "config.json").is_file() else begin
+def start(folder: Path) -> subprocess.Popen:
+    """Return a process that trains the run in `folder`, or resumes it."""
+    train = ["train", "tabletop_organization", "--algo", "fbrl", "--out", str(folder), *RUN]
+    arguments = ["resume", str(folder)] if (folder / "config.json").is_file() else train
     return subprocess.Popen([*CLI, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
-def ended(process: subprocess.Popen, seconds: float | None = None) -> bool:
-    """Return whether `process` ended well before it was killed, after `seconds`; one that ends badly is a RuntimeError."""
+def finished(process: subprocess.Popen, seconds: float | None = None) -> bool:
+    """Return whether `process` ended without an error before it is killed after `seconds`.
+
+    Raises:
+        RuntimeError: it ended with an error.
+    """
     try:
-        _, told = process.communicate(timeout=seconds)
+        _, err = process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         return False
     if process.returncode:
-        raise RuntimeError(f"ended with {process.returncode}: {told}")
+        raise RuntimeError(f"ended with {process.returncode}: {err}")
     return True
 
 
-def left(folder: Path) -> dict[str, Any]:
-    """Return what a killed process left behind."""
+def describe(folder: Path) -> dict[str, Any]:
+    """Return what is in `folder` after a kill."""
     table, checkpoints = folder / "metrics.csv", folder / "checkpoints"
     rows = len(table.read_text().splitlines()) - 1 if table.exists() else 0
     return {
@@ -59,22 +62,22 @@ def left(folder: Path) -> dict[str, Any]:
 
 
 def measure(count: int, seed: int, root: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return a row for each of `count` kills, and what became of the runs."""
-    whole, chance, kills = root / "whole", random.Random(seed), []
-    ended(started(whole))  # compiles
+    """Return a row for each of `count` kills, and a summary of the runs."""
+    whole, rng, kills = root / "whole", random.Random(seed), []
+    finished(start(whole))  # compiles
     again = root / "again"
     began = time.monotonic()
-    ended(started(again))
+    finished(start(again))
     longest, runs, equal = time.monotonic() - began, 0, 0
     while len(kills) < count:
         folder = root / f"run{runs}"
         runs += 1
         while True:
-            command, seconds = "resume" if (folder / "config.json").is_file() else "train", chance.uniform(0, longest)
-            patience = seconds if len(kills) < count else None
-            if ended(started(folder), patience):
+            command, seconds = "resume" if (folder / "config.json").is_file() else "train", rng.uniform(0, longest)
+            limit = seconds if len(kills) < count else None
+            if finished(start(folder), limit):
                 break
-            kills.append({"run": runs, "command": command, "seconds": round(seconds, 3), **left(folder)})
+            kills.append({"run": runs, "command": command, "seconds": round(seconds, 3), **describe(folder)})
             print(kills[-1], flush=True)
         equal += (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
         checkpoint.verified(folder / "checkpoints" / "000000800")
@@ -91,13 +94,13 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as root:
-        kills, summary = measure(asked.kills, asked.seed, Path(root))
-    out = f" --out {asked.out}" if asked.out else ""
-    tell(summary, asked.out, f"python -m benchmarks.kills --kills {asked.kills} --seed {asked.seed}{out}")
-    if asked.out:
-        with asked.out.with_suffix(".csv").open("w", newline="") as handle:
+        kills, summary = measure(arguments.kills, arguments.seed, Path(root))
+    out = f" --out {arguments.out}" if arguments.out else ""
+    emit(summary, arguments.out, f"python -m benchmarks.kills --kills {arguments.kills} --seed {arguments.seed}{out}")
+    if arguments.out:
+        with arguments.out.with_suffix(".csv").open("w", newline="") as handle:
             writer = csv.DictWriter(handle, FIELDS, lineterminator="\n")
             writer.writeheader()
             writer.writerows(kills)

@@ -1,11 +1,12 @@
-"""The kitchen at work, and how near its arm comes to the original's: one JSON line a row, results/kitchen/NAME.csv and .json.
+"""Run scripts in the kitchen, and compare the motion of its arm with the original's.
 
     python -m benchmarks.kitchen scripts
     python -m benchmarks.kitchen motion path/to/kitchen_earl_compiled.json
 
-`scripts` closes and opens things by waypoints of the mocap body. `motion` builds the original's arm from its compiled model
-(2 ms, 40 substeps, 100 Newton iterations, nothing collides) and lets both arms follow the same mocap body: four sinusoids and
-four walks between random waypoints, 300 steps each, in the box `FREE`, from the reset's pose. It also times both on one core.
+`scripts` closes and opens objects by waypoints of the mocap body. `motion` builds the original's arm from its compiled model
+(2 ms, 40 substeps, 100 Newton iterations, no collisions). Both arms follow the same mocap body along four sinusoids and four
+walks between random waypoints, 300 steps each, in the box `FREE`, from the pose after a reset. It also times both on one core.
+Prints one JSON line per row and writes results/kitchen/NAME.csv and .json.
 """
 
 import argparse
@@ -28,16 +29,16 @@ from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "kitchen"
 FREE = np.array([[-0.6, 0.0, 2.0], [-0.1, 0.25, 2.5]])
-"""Metres: mocap places from which the hand touches nothing."""
+"""Bounds [m] of mocap positions at which the hand touches nothing."""
 STEPS = 300
 NEARLY = 0.03
-"""How much (rad, m) may be left of a chore that is done."""
+"""Remaining distance (rad, m) at which a script's object counts as moved."""
 BACK = 0.1
-"""Where the hand withdraws to along y, in metres."""
+"""Position along y to which the hand withdraws, in metres."""
 
 
 class Script(NamedTuple):
-    """Waypoints [w, 3] of the mocap body for one chore, the place in a state of what it moves, and where that starts and ends."""
+    """Waypoints [w, 3] of the mocap body, the index in a state of the object that it moves, and its start and goal."""
 
     waypoints: tuple[tuple[float, float, float], ...]
     index: int
@@ -62,8 +63,8 @@ SCRIPTS = {
 }  # fmt: skip
 
 
-def begin(env: FrankaKitchen, script: Script) -> State:
-    """Return a fresh state in which only what `script` moves stands elsewhere than closed."""
+def start_state(env: FrankaKitchen, script: Script) -> State:
+    """Return a state after a reset in which all objects are closed, except that of `script`, which is at its start."""
     state = env.reset(jax.random.key(0))
     objects = jnp.zeros(len(kitchen_reward.FIRST) - kitchen_reward.ROBOT)
     objects = jnp.where(kitchen_reward.FIRST[kitchen_reward.ROBOT :] == script.index, script.start, objects)
@@ -72,29 +73,31 @@ def begin(env: FrankaKitchen, script: Script) -> State:
 
 
 def act(script: Script, state: State, stage: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the action [9] and the next waypoint's number: on as the mocap body arrives, backwards once the chore is done."""
-    places, mocap = jnp.array(script.waypoints), state.data.mocap_pos[0]
-    stage = jnp.where(jnp.linalg.norm(places[stage] - mocap) < 2e-3, jnp.minimum(stage + 1, len(places) - 1), stage)
+    """Return the action [9] and the number of the next waypoint; the hand withdraws along y when the object is moved."""
+    waypoints, mocap = jnp.array(script.waypoints), state.data.mocap_pos[0]
+    stage = jnp.where(
+        jnp.linalg.norm(waypoints[stage] - mocap) < 2e-3, jnp.minimum(stage + 1, len(waypoints) - 1), stage
+    )
     left = (script.goal - kitchen_reward.observed(state.data.qpos)[script.index]) * np.sign(script.goal - script.start)
-    target = jnp.where(left < NEARLY, jnp.minimum(mocap, jnp.array([np.inf, BACK, np.inf])), places[stage])
+    target = jnp.where(left < NEARLY, jnp.minimum(mocap, jnp.array([np.inf, BACK, np.inf])), waypoints[stage])
     return jnp.append(jnp.clip((target - mocap) / REACH, -1.0, 1.0), jnp.zeros(6)), stage
 
 
 def play(env: FrankaKitchen, script: Script) -> tuple[jax.Array, State]:
-    """Return the moved object's number [T] after each step, without noise, and the last state."""
+    """Return the position [T] of the moved object after each step, without noise, and the last state."""
 
     def step(carry: tuple[State, jax.Array], _: None) -> tuple[tuple[State, jax.Array], jax.Array]:
         action, stage = act(script, *carry)
         state = env.step(carry[0], action)
         return (state, stage), kitchen_reward.observed(state.data.qpos)[script.index]
 
-    first = (begin(env, script), jnp.zeros((), jnp.int32))
+    first = (start_state(env, script), jnp.zeros((), jnp.int32))
     (state, _), moved = jax.lax.scan(step, first, length=script.steps)
     return moved, state
 
 
 def scripts() -> list[dict[str, Any]]:
-    """Return one row a script, on engine c: where what it moves ends, and how far from its goal."""
+    """Return one row per script, on engine c: the final position of its object, and the distance to its goal."""
     env, rows = make("franka_kitchen", physics="c"), []
     for name, script in SCRIPTS.items():
         moved, state = jax.jit(lambda script=script: play(env, script))()
@@ -110,17 +113,17 @@ def scripts() -> list[dict[str, Any]]:
 
 
 def original_arm(file: Path, old_weld: bool = True) -> mujoco.MjModel:
-    """Return the original's model without shapes, from its compiled numbers in `file`.
+    """Return the original's model without geoms, from its compiled numbers in `file`.
 
-    `old_weld` gives the flange the one inverse weight of MuJoCo up to 2.3, with which the original ran; without it the weld's
+    `old_weld` gives the flange the single inverse weight of MuJoCo up to 2.3, which the original used; without it the weld's
     rotation is as MuJoCo 4 compiles it.
     """
-    found = json.loads(file.read_text())
+    compiled = json.loads(file.read_text())
     spec, bodies = mujoco.MjSpec(), {}
     spec.compiler.degree = False
-    spec.option.timestep, spec.option.iterations = found["opt"]["timestep"], found["opt"]["iterations"]
+    spec.option.timestep, spec.option.iterations = compiled["opt"]["timestep"], compiled["opt"]["iterations"]
     spec.option.cone, spec.option.solver = mujoco.mjtCone.mjCONE_PYRAMIDAL, mujoco.mjtSolver.mjSOL_NEWTON
-    for row in found["bodies"][1:]:
+    for row in compiled["bodies"][1:]:
         parent = bodies.get(row["parent"] or "base", spec.worldbody)
         body = parent.add_body(name=row["name"] or "base", pos=row["pos"], quat=row["quat"], mocap=row["mocap"] >= 0)
         if row["mass"]:
@@ -128,16 +131,16 @@ def original_arm(file: Path, old_weld: bool = True) -> mujoco.MjModel:
             body.explicitinertial = True
         bodies[body.name] = body
     kinds = {"hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SLIDE}
-    for row in found["joints"]:
+    for row in compiled["joints"]:
         joint = bodies[row["body"]].add_joint(name=row["name"], type=kinds[row["type"]], axis=row["axis"])
         joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, row["range"]
         joint.damping, joint.armature, joint.frictionloss = [row["damping"], 0, 0], row["armature"], row["frictionloss"]
-    for row in found["sites"]:
+    for row in compiled["sites"]:
         if row["name"] == "end_effector":
             bodies[row["body"]].add_site(name="tip", pos=row["pos"])
-    for row in found["equality"]:
+    for row in compiled["equality"]:
         _couple(spec, row)
-    for row in found["actuators"]:
+    for row in compiled["actuators"]:
         motor = spec.add_actuator(name=row["name"], target=row["trn"], trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_position(kp=row["gain"][0])
         motor.ctrlrange, motor.forcerange = row["ctrlrange"], row["forcerange"]
@@ -157,32 +160,32 @@ def _couple(spec: Any, row: dict[str, Any]) -> None:
 
 
 def paths() -> dict[str, np.ndarray]:
-    """Return mocap places [300, 3] a step apart: sinusoids of 60 to 160 steps an axis, and walks between random waypoints."""
-    rng, found = np.random.default_rng(0), {}
+    """Return mocap positions [300, 3] per step: sinusoids of 60 to 160 steps per axis, and walks between random waypoints."""
+    rng, by_name = np.random.default_rng(0), {}
     for number in range(4):
         period, phase = rng.uniform(60, 160, 3), rng.uniform(0, 2 * np.pi, 3)
         wave = np.sin(2 * np.pi * np.arange(STEPS)[:, None] / period + phase)
-        found[f"sinusoid {number}"] = _followed(FREE.mean(axis=0) + np.ptp(FREE, axis=0) / 2 * wave)
+        by_name[f"sinusoid {number}"] = _follow_waypoints(FREE.mean(axis=0) + np.ptp(FREE, axis=0) / 2 * wave)
         corners = np.repeat(rng.uniform(*FREE, (STEPS // 10, 3)), 30, axis=0)[:STEPS]
-        found[f"walk {number}"] = _followed(corners)
-    return found
+        by_name[f"walk {number}"] = _follow_waypoints(corners)
+    return by_name
 
 
-def _followed(wanted: np.ndarray) -> np.ndarray:
-    """Return the places of a mocap body that goes from its start after `wanted [T, 3]`, at most `REACH` a step and axis."""
-    place, places = np.array(MIDDLE), []
-    for target in wanted:
-        place = np.clip(place + np.clip(target - place, -REACH, REACH), MOCAP_LOW, MOCAP_HIGH)
-        places.append(place)
-    return np.array(places)
+def _follow_waypoints(targets: np.ndarray) -> np.ndarray:
+    """Return the positions of a mocap body that follows `targets [T, 3]`, at most `REACH` per step and axis."""
+    position, positions = np.array(MIDDLE), []
+    for target in targets:
+        position = np.clip(position + np.clip(target - position, -REACH, REACH), MOCAP_LOW, MOCAP_HIGH)
+        positions.append(position)
+    return np.array(positions)
 
 
 def follow(model: mujoco.MjModel, path: np.ndarray, substeps: int = 40) -> np.ndarray:
-    """Return the tip's places [T, 3] as the original's arm is dragged along `path [T, 3]` from our reset's pose."""
+    """Return the tip positions [T, 3] of the original's arm, dragged along `path [T, 3]` from the pose of our reset."""
     data, tips = mujoco.MjData(model), []
     data.qpos[: len(ARM_QPOS)], data.qvel[: len(ARM_QVEL)] = ARM_QPOS, ARM_QVEL
-    for place in path:
-        data.mocap_pos[0] = place
+    for position in path:
+        data.mocap_pos[0] = position
         mujoco.mj_step(model, data, substeps)
         mujoco.mj_kinematics(model, data)
         tips.append(data.site("tip").xpos.copy())
@@ -190,20 +193,23 @@ def follow(model: mujoco.MjModel, path: np.ndarray, substeps: int = 40) -> np.nd
 
 
 def follow_ours(env: FrankaKitchen, paths: np.ndarray) -> np.ndarray:
-    """Return our tip's places [n, T, 3] along `paths [n, T, 3]`, in the task itself with everything closed."""
+    """Return our tip positions [n, T, 3] along `paths [n, T, 3]`, in the task itself with all objects closed."""
     state = env.reset(jax.random.key(0))
     qpos = state.data.qpos.at[kitchen_reward.ROBOT :].set(0.0)
     state = state.replace(data=state.data.replace(qpos=qpos))
 
-    def one(path: jax.Array) -> jax.Array:
-        def step(state: State, place: jax.Array) -> tuple[State, jax.Array]:
-            move = jnp.append((place - state.data.mocap_pos[0]) / REACH, jnp.zeros(6))
+    def follow_path(path: jax.Array) -> jax.Array:
+        def step(state: State, position: jax.Array) -> tuple[State, jax.Array]:
+            move = jnp.append((position - state.data.mocap_pos[0]) / REACH, jnp.zeros(6))
             state = env.step(state, move)
             return state, state.data.qpos
 
         return jax.lax.scan(step, state, path)[1]
 
-    joints, model = np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(paths, jnp.float32))), physics.load_model(env.name)
+    joints, model = (
+        np.asarray(jax.jit(jax.vmap(follow_path))(jnp.asarray(paths, jnp.float32))),
+        physics.load_model(env.name),
+    )
     return np.array([[_tip(model, row) for row in rows] for rows in joints])
 
 
@@ -215,14 +221,14 @@ def _tip(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def motion(file: Path) -> list[dict[str, Any]]:
-    """Return one row a path, substeps and weld of the original: error of our tip in millimetres."""
-    tours, rows = paths(), []
+    """Return one row per path, substeps and weld of the original: the error of our tip in millimetres."""
+    named_paths, rows = paths(), []
     for old_weld in (True, False):
-        theirs = {name: follow(original_arm(file, old_weld), path) for name, path in tours.items()}
+        theirs = {name: follow(original_arm(file, old_weld), path) for name, path in named_paths.items()}
         for substeps in (20, 40):
             env = make("franka_kitchen", physics="c", substeps=substeps, noise=False)
-            ours = follow_ours(env, np.array(list(tours.values())))
-            for name, tips in zip(tours, ours, strict=True):
+            ours = follow_ours(env, np.array(list(named_paths.values())))
+            for name, tips in zip(named_paths, ours, strict=True):
                 error = 1e3 * np.linalg.norm(tips - theirs[name], axis=1)
                 rows.append(
                     {
@@ -235,18 +241,18 @@ def motion(file: Path) -> list[dict[str, Any]]:
 
 
 def speed(file: Path, seconds: float = 3.0) -> list[dict[str, Any]]:
-    """Return control steps a second of one core in a Python loop: the original's arm (nothing collides), and our scene."""
+    """Return control steps per second of one core in a Python loop: the original's arm (no collisions), and our scene."""
     scenes = {"original, no contacts": (original_arm(file), 40)}
     for substeps in (20, 40):
         scenes[f"ours, {substeps} substeps"] = (physics.load_model("franka_kitchen", 0.08 / substeps), substeps)
     rows = []
     for name, (model, substeps) in scenes.items():
-        data, rng, steps, place = mujoco.MjData(model), np.random.default_rng(0), 0, np.array(MIDDLE)
+        data, rng, steps, position = mujoco.MjData(model), np.random.default_rng(0), 0, np.array(MIDDLE)
         data.qpos[: len(ARM_QPOS)] = ARM_QPOS
         began = time.process_time()
         while time.process_time() - began < seconds:
-            place = np.clip(place + REACH * rng.uniform(-1, 1, 3), MOCAP_LOW, MOCAP_HIGH)
-            data.mocap_pos[0] = place
+            position = np.clip(position + REACH * rng.uniform(-1, 1, 3), MOCAP_LOW, MOCAP_HIGH)
+            data.mocap_pos[0] = position
             mujoco.mj_step(model, data, substeps)
             steps += 1
         rows.append({"scene": name, "steps_per_core_second": round(steps / seconds)})

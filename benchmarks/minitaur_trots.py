@@ -1,12 +1,12 @@
-"""Holds the Minitaur to poses and trots recorded in PyBullet and prints one JSON line.
+"""Compare the Minitaur with stances and trots recorded in PyBullet, and print one JSON line.
 
     python -m benchmarks.minitaur_trots reference.json --engine mjx --out benchmarks/results/minitaur/trots_mjx.json
 
-The file has `after_reset` (pos, q: place of the base and the eight motor angles after the reset); `ext`, a list of [extension,
-pos, q, ...] after two seconds of holding all legs at that extension; and `trot`, name to `par` (swing amplitude, extension
-amplitude, Hz, mean extension, phase of the extension against the swing) and `traj`, a row a control step of base place 3,
-orientation 4, motor angles 8 and more. Front left and back right legs are half a turn ahead of the other two. `randomize` is
-off: the robot recorded is the nominal one.
+The file has `after_reset` (pos, q: position of the base and the eight motor angles after the reset); `ext`, a list of
+[extension, pos, q, ...] after two seconds with all legs at that extension; and `trot`, name to `par` (swing amplitude,
+extension amplitude, Hz, mean extension, phase of the extension relative to the swing) and `traj`, a row per control step of base
+position 3, orientation 4, motor angles 8 and more. Front left and back right legs are half a turn ahead of the other two.
+`randomize` is off, because the recorded robot is the nominal one.
 """
 
 import argparse
@@ -19,16 +19,17 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from benchmarks.output import tell
+from benchmarks.output import emit
 from earl_jax import physics
 from earl_jax.envs import make
+from earl_jax.physics.engine_choice import ENGINES
 
 HOLD = 200
-"""Control steps that a stance is held: two seconds."""
+"""Control steps of a stance: two seconds."""
 CONTROL_STEP = 0.01
 PHASES = np.array([0.0, np.pi, np.pi, 0.0])
 FIRST = 50
-"""Control steps over which motor angles are compared, before small differences have added up."""
+"""Control steps over which motor angles are compared, before small differences accumulate."""
 LEGS = ("front_left", "back_left", "front_right", "back_right")
 
 
@@ -49,14 +50,16 @@ def play(engine: str, actions: np.ndarray) -> np.ndarray:
     env = make("minitaur_pen", physics=engine, randomize=False)
     state = env.reset(jax.random.key(0))
 
-    def life(moves):
-        return jax.lax.scan(lambda s, a: (lambda n: (n, n.data.qpos))(env.step(s, a)), state, moves)[1]
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state.data.qpos
 
-    return np.asarray(jax.jit(jax.vmap(life))(jnp.asarray(actions)))
+    run = jax.jit(jax.vmap(lambda actions: jax.lax.scan(step, state, actions)[1]))
+    return np.asarray(run(jnp.asarray(actions)))
 
 
 def loop_error(paths: np.ndarray) -> float:
-    """Return how far apart [m] the two halves of any ankle come along `paths [..., 23]`."""
+    """Return the largest distance [m] between the two halves of an ankle along `paths [..., 23]`."""
     model = physics.load_model("minitaur_pen")
     data, worst = mujoco.MjData(model), 0.0
     for qpos in paths.reshape(-1, paths.shape[-1]):
@@ -69,37 +72,37 @@ def loop_error(paths: np.ndarray) -> float:
 
 
 def motors(qpos: np.ndarray) -> np.ndarray:
-    """Return the motor angles [..., 8] of `qpos [..., 23]` in the motors' own sense."""
+    """Return the motor angles [..., 8] of `qpos [..., 23]` in the motors' direction of rotation."""
     return qpos[..., 7::2] * np.repeat([-1.0, 1.0], 4)
 
 
 def compare_trot(path: np.ndarray, recorded: np.ndarray) -> dict[str, Any]:
-    """Return how a trot's `path [steps, 23]` lies beside the `recorded [steps, >= 15]` one."""
-    moved, should = path[-1, 0] - path[0, 0], recorded[-1, 0] - recorded[0, 0]
-    seen, known = motors(path[:FIRST]), recorded[:FIRST, 7:15]
+    """Return the differences between a trot's `path [steps, 23]` and the `recorded [steps, >= 15]` one."""
+    moved, expected = path[-1, 0] - path[0, 0], recorded[-1, 0] - recorded[0, 0]
+    angles, recorded_angles = motors(path[:FIRST]), recorded[:FIRST, 7:15]
     return {
-        "displacement_m": round(float(moved), 4), "recorded_m": round(float(should), 4),
-        "ratio": round(float(moved / should), 4),
+        "displacement_m": round(float(moved), 4), "recorded_m": round(float(expected), 4),
+        "ratio": round(float(moved / expected), 4),
         "height_rmse_mm": round(float(1e3 * np.sqrt(np.mean((path[:, 2] - recorded[:, 2]) ** 2))), 2),
-        "motor_rmse_rad": round(float(np.sqrt(np.mean((seen - known) ** 2))), 4),
+        "motor_rmse_rad": round(float(np.sqrt(np.mean((angles - recorded_angles) ** 2))), 4),
     }  # fmt: skip
 
 
 def report(file: Path, engine: str) -> dict[str, Any]:
     """Return the comparison of one file with one engine."""
-    known = json.loads(file.read_text())
-    trots = {name: np.array(part["traj"]) for name, part in known["trot"].items()}
+    recording = json.loads(file.read_text())
+    trots = {name: np.array(part["traj"]) for name, part in recording["trot"].items()}
     steps = max([HOLD, *map(len, trots.values())])
-    plans = [stance(row[0], steps) for row in known["ext"]]
-    plans += [trot(known["trot"][name]["par"], steps) for name in trots]
-    paths = play(engine, np.stack(plans))
-    held, walked = paths[: len(known["ext"]), HOLD - 1], paths[len(known["ext"]) :]
+    actions = [stance(row[0], steps) for row in recording["ext"]]
+    actions += [trot(recording["trot"][name]["par"], steps) for name in trots]
+    paths = play(engine, np.stack(actions))
+    held, walked = paths[: len(recording["ext"]), HOLD - 1], paths[len(recording["ext"]) :]
     rest = make("minitaur_pen", randomize=False).reset(jax.random.key(0)).data.qpos
-    heights = [1e3 * (qpos[2] - row[1][2]) for qpos, row in zip(held, known["ext"], strict=True)]
-    angles = [np.abs(motors(qpos) - row[2]).max() for qpos, row in zip(held, known["ext"], strict=True)]
+    heights = [1e3 * (qpos[2] - row[1][2]) for qpos, row in zip(held, recording["ext"], strict=True)]
+    angles = [np.abs(motors(qpos) - row[2]).max() for qpos, row in zip(held, recording["ext"], strict=True)]
     return {
         "env": "minitaur_pen", "file": file.name, "engine": engine,
-        "reset_height_error_mm": round(1e3 * float(rest[2] - known["after_reset"]["pos"][2]), 2),
+        "reset_height_error_mm": round(1e3 * float(rest[2] - recording["after_reset"]["pos"][2]), 2),
         "stances": len(heights), "worst_height_error_mm": round(float(np.abs(heights).max()), 2),
         "worst_motor_error_rad": round(float(max(angles)), 4),
         "trots": {
@@ -113,12 +116,11 @@ def report(file: Path, engine: str) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--engine", choices=physics.ENGINES, default="c")
+    parser.add_argument("--engine", choices=ENGINES, default="c")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    found = report(arguments.file, arguments.engine)
     command = f"python -m benchmarks.minitaur_trots {arguments.file.name} --engine {arguments.engine}"
-    tell(found, arguments.out, command)
+    emit(report(arguments.file, arguments.engine), arguments.out, command)
 
 
 if __name__ == "__main__":

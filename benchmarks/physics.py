@@ -1,9 +1,9 @@
-"""Control steps a second of every engine on the tasks with physics, compile time apart, beside an original-style C loop.
+"""Measure control steps per second of every engine, without compile time, beside an original-style C loop.
 
     python -m benchmarks.physics --lanes 1 100 1000 --engines c mjx warp --out benchmarks/results/physics/h200
 
-Random actions; a control step is a task's own, with observation and reward. The original-style loop, for the Sawyer tasks, is
-one core of MuJoCo C stepped from Python on a scene with the original's shapes (51 colliding geoms instead of listed pairs).
+Actions are random. A control step is that of the task, with observation and reward. The original-style loop, for the Sawyer
+tasks, steps MuJoCo C on one core from Python, in a scene with the original's geoms (51 colliding geoms, no listed pairs).
 """
 
 import argparse
@@ -21,23 +21,24 @@ import numpy as np
 from benchmarks.output import save
 from earl_jax import assets, physics
 from earl_jax.envs import list_envs, make
+from earl_jax.physics.engine_choice import ENGINES
 from earl_jax.report.tables import write
 
 ENVS = [name for name in list_envs() if make(name).engine != "kinematic"]
 REBUILT = ("sawyer_door", "sawyer_peg")
-"""Tasks of which there is an original-style scene."""
-LEAST_S = 1.0
-"""Seconds that one timed repeat takes at least."""
+"""Tasks with an original-style scene."""
+MIN_SECONDS = 1.0
+"""The shortest time of a timed repeat."""
 
 
-def task(name: str, engine: str, substeps: int | None) -> Any:
-    """Return the task `name` on `engine`, at its own substeps for None."""
+def make_task(name: str, engine: str, substeps: int | None) -> Any:
+    """Return the task `name` on `engine`, with its own `substeps` if they are None."""
     return make(name, physics=engine, **({"substeps": substeps} if substeps else {}))
 
 
 def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: int) -> dict[str, Any]:
     """Return compile seconds and the median rate of one env, engine and number of lanes."""
-    env = task(name, engine, substeps)
+    env = make_task(name, engine, substeps)
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), lanes))
 
     def run(state, key, steps):
@@ -54,8 +55,8 @@ def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: i
     compiled = time.perf_counter() - began
     began = time.perf_counter()
     state = jax.block_until_ready(program(state, jax.random.key(2), steps))
-    pace = steps / (time.perf_counter() - began)
-    steps = max(10, int(pace * LEAST_S))
+    first_rate = steps / (time.perf_counter() - began)
+    steps = max(10, int(first_rate * MIN_SECONDS))
     state = jax.block_until_ready(program(state, jax.random.key(3), steps))
     rates = []
     for repeat in range(repeats):
@@ -71,7 +72,7 @@ def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: i
 
 
 def original_style(name: str) -> mujoco.MjModel:
-    """Return our scene with the original's shapes and collisions: cylinders, seven block boxes, split fingers, no pairs."""
+    """Return our scene with the geoms and collisions of the original: cylinders, seven boxes, split fingers, no pairs."""
     spec = mujoco.MjSpec.from_file(str(assets.mjcf(name)))
     spec.option.iterations, spec.option.ls_iterations, spec.option.tolerance = 50, 50, 1e-10
     for pair in list(spec.pairs):
@@ -127,7 +128,7 @@ def _seven_boxes(spec: Any) -> list[str]:
 
 
 def one_core(name: str, scene: str, model: mujoco.MjModel, substeps: int = 5, seconds: float = 4.0) -> dict[str, Any]:
-    """Return the rate of a Python loop over MuJoCo C on one core, on `model` of task `name`."""
+    """Return the rate of a Python loop over MuJoCo C on one core, with `model` of task `name`."""
     env = make(name, physics="c")
     start, data = jax.device_get(env.reset(jax.random.key(0)).data), mujoco.MjData(model)
     rng, steps = np.random.default_rng(0), 0
@@ -153,7 +154,7 @@ def one_core(name: str, scene: str, model: mujoco.MjModel, substeps: int = 5, se
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--envs", nargs="+", default=list(ENVS), choices=ENVS)
-    parser.add_argument("--engines", nargs="+", default=["c", "mjx"], choices=physics.ENGINES)
+    parser.add_argument("--engines", nargs="+", default=["c", "mjx"], choices=ENGINES)
     parser.add_argument("--lanes", type=int, nargs="+", default=[1, 100, 1000])
     parser.add_argument("--substeps", type=int, nargs="+", default=[None], help="other than each task's own")
     parser.add_argument("--repeats", type=int, default=3)
@@ -162,7 +163,7 @@ def main() -> None:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     for name in arguments.envs:
-        plans = [
+        settings = [
             (engine, lanes, substeps)
             for engine in arguments.engines
             for lanes in arguments.lanes
@@ -174,19 +175,19 @@ def main() -> None:
         jobs = [
             lambda scene=scene, model=model, name=name: one_core(name, scene, model) for scene, model in scenes.items()
         ]
-        jobs += [lambda plan=plan, name=name: measure(name, *plan, arguments.repeats) for plan in plans]
+        jobs += [lambda setting=setting, name=name: measure(name, *setting, arguments.repeats) for setting in settings]
         for job in jobs:
             rows.append(job())
             print(rows[-1], flush=True)
-            keep(rows, arguments)
+            save_rows(rows, arguments)
 
 
-def keep(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+def save_rows(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
     """Write the rows so far as csv, and as json with the command, cores and versions."""
-    chosen = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
-    chosen = {field: values for field, values in chosen.items() if values != [None]}
-    options = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in chosen.items())
-    command = f"python -m benchmarks.physics {options}"
+    options = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
+    given = {field: values for field, values in options.items() if values != [None]}
+    text = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in given.items())
+    command = f"python -m benchmarks.physics {text}"
     write(rows, arguments.out.with_suffix(".csv"))
     save(arguments.out.with_suffix(".json"), command, {"cores": len(os.sched_getaffinity(0)), "rows": rows})
 

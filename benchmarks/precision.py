@@ -1,9 +1,9 @@
-"""Whether bf16 learns what tf32 does: `python -m benchmarks.precision` draws and tabulates the runs in results/precision.
+"""Compare learning in bf16 and tf32: `python -m benchmarks.precision` draws and tabulates the runs in results/precision.
 
     earl-jax train tabletop_organization --algo vaprl --seeds 10 --steps 2500000 --eval-every 20000 [--set precision=bf16]
 
-made them, side by side on one H200 for 400 seconds; both stopped there. Beside them stand the ten lanes of reward scale 10 that
-results/tabletop has of the same method at an earlier commit, in tf32.
+made the runs, in parallel on one H200 for 400 seconds, where both stopped. They are compared with the ten lanes of reward scale
+10 in results/tabletop, trained with the same method at an earlier commit in tf32.
 """
 
 import csv
@@ -29,13 +29,13 @@ LAST = 5
 
 def curve(path: Path, seeds: int = 10) -> tuple[np.ndarray, np.ndarray]:
     """Return steps [E], every `EVERY`, and success [N, E] of the seeds of a metrics file, those of reward scale 10."""
-    found: dict[int, dict[int, float]] = defaultdict(dict)
+    table: dict[int, dict[int, float]] = defaultdict(dict)
     with path.open() as handle:
         for row in csv.DictReader(handle):
             if float(row.get("reward_scale", 10.0)) == 10.0 and int(row["step"]) % EVERY == 0:
-                found[int(row["step"])][int(row["seed"])] = float(row[METRIC])
-    steps = sorted(step for step, there in found.items() if len(there) == seeds)
-    return np.array(steps), np.array([[found[step][seed] for step in steps] for seed in range(seeds)])
+                table[int(row["step"])][int(row["seed"])] = float(row[METRIC])
+    steps = sorted(step for step, row in table.items() if len(row) == seeds)
+    return np.array(steps), np.array([[table[step][seed] for step in steps] for seed in range(seeds)])
 
 
 def crossing(steps: np.ndarray, mean: np.ndarray, level: float) -> int | None:
@@ -55,9 +55,9 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(6, 4))
     for name, (steps, success) in curves.items():
         mean, error = success.mean(axis=0), success.std(axis=0, ddof=1) / np.sqrt(len(success))
-        render_state = steps <= 700_000
-        axes.plot(steps[render_state], mean[render_state], label=name)
-        axes.fill_between(steps[render_state], (mean - error)[render_state], (mean + error)[render_state], alpha=0.2)
+        drawn = steps <= 700_000
+        axes.plot(steps[drawn], mean[drawn], label=name)
+        axes.fill_between(steps[drawn], (mean - error)[drawn], (mean + error)[drawn], alpha=0.2)
         last = success[:, steps <= until][:, -LAST:].mean(axis=1)
         rows.append({
             "precision": name, "seeds": len(success), "at_step": int(until), f"success_last_{LAST}": round(float(last.mean()), 3),

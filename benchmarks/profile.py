@@ -1,8 +1,8 @@
-"""Where the time of a training step goes: `python -m benchmarks.profile --envs sawyer_door --lanes 5 50 500 --out FILE`.
+"""Profile a training step: `python -m benchmarks.profile --envs sawyer_door --lanes 5 50 500 --out FILE`.
 
-For every task and number of lanes: milliseconds of the whole step, of the step without learning (random actions, physics,
-storing), of the host's physics alone, and, from a profiler's trace of the whole step, of the device's kernels by what they are
-for (the scopes of the loop), their number, and the time in which the device did nothing. FILE.json, FILE.csv.
+For every task and number of lanes it measures milliseconds of the whole step, of the step without learning (random actions,
+physics, storing) and of the host's physics alone. A profiler's trace of the whole step gives the milliseconds of the device's
+kernels by the named scopes of the loop, their number, and the idle time of the device. Writes FILE.json and FILE.csv.
 """
 
 import argparse
@@ -22,11 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.output import save
-from benchmarks.speed import world
+from benchmarks.speed import make_training
+from earl_jax.envs import MujocoEnv
 from earl_jax.physics.engines import c
 from earl_jax.report.tables import write
-from earl_jax.training import loop as autonomy
-from earl_jax.training.state import TrainState, Problem
+from earl_jax.training.loop import run_steps
+from earl_jax.training.state import Problem, TrainState
 
 PARTS = ("update", "sample", "store", "act", "physics")
 """The named scopes of the loop."""
@@ -34,7 +35,7 @@ TRACED = 40
 
 
 def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
-    """Return the median milliseconds of one of the `steps` of `call`, after one call that doesn't count."""
+    """Return the median milliseconds of one of the `steps` of `call`, after one untimed call."""
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
@@ -43,30 +44,30 @@ def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
     return 1e3 * statistics.median(times[1:]) / steps
 
 
-def on_host(problem: Problem, lives: TrainState, repeats: int = 50) -> float:
+def host_milliseconds(problem: Problem, state: TrainState, repeats: int = 50) -> float:
     """Return milliseconds of engine `c` for one control step of all lanes, without jax; 0 for other engines."""
-    env = problem.env
-    if env.engine != "c":
+    env, env_state = problem.env, state.lanes.env_state
+    if not isinstance(env, MujocoEnv) or env.engine != "c":
         return 0.0
-    simulator, data = env.simulator, lives.lanes.world.data
-    command = jax.vmap(lambda w: env.control(w, jnp.zeros(env.action_size))[1])(lives.lanes.world)
-    fields = [np.asarray(getattr(data, field)).reshape(len(command), -1) for field in c.ORDER + c.HELD]
+    simulator, data = env.simulator, env_state.data
+    command = jax.vmap(lambda lane: env.control(lane, jnp.zeros(env.action_size))[1])(env_state)
+    fields = [np.asarray(getattr(data, field)).reshape(len(command), -1) for field in c.CHANGED + c.CONSTANT]
     rows = np.concatenate([*fields, np.asarray(command)], axis=1)
     host = c.host_of(simulator, data.memory.shape[1])
     return milliseconds(lambda: [host(rows) for _ in range(repeats)], repeats, 3)
 
 
 def scopes(text: str) -> dict[str, str]:
-    """Return the part of a step that each named operation of a compiled program belongs to."""
-    found = {}
-    for name, where in re.findall(r'%?([\w.\-]+) = [^\n]*metadata=\{[^}]*op_name="([^"]*)"', text):
-        words = re.findall(r"\w+", where)
-        found[name] = next((word for word in words if word in PARTS), "")
-    return found
+    """Return the scope of the loop that each named operation of a compiled program belongs to."""
+    scope_of = {}
+    for name, path in re.findall(r'%?([\w.\-]+) = [^\n]*metadata=\{[^}]*op_name="([^"]*)"', text):
+        words = re.findall(r"\w+", path)
+        scope_of[name] = next((word for word in words if word in PARTS), "")
+    return scope_of
 
 
-def traced(call: Callable[[], Any], steps: int, parts: dict[str, str]) -> dict[str, float]:
-    """Return, a step, the device's milliseconds by part, its kernels and its idle milliseconds; nothing without a device."""
+def trace(call: Callable[[], Any], steps: int, parts: dict[str, str]) -> dict[str, float]:
+    """Return milliseconds by scope, kernels and idle milliseconds of a step on the device; an empty dict without one."""
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder):
             call()
@@ -88,8 +89,8 @@ def traced(call: Callable[[], Any], steps: int, parts: dict[str, str]) -> dict[s
 def _summed(work: list[dict[str, Any]], steps: int, parts: dict[str, str]) -> dict[str, float]:
     total: dict[str, float] = collections.defaultdict(float)
     for event in work:
-        known = event.get("args", {}).get("hlo_op") or event["name"]
-        part = parts.get(known) or parts.get(known.replace("_", ".")) or _guess(event["name"])
+        operation = event.get("args", {}).get("hlo_op") or event["name"]
+        part = parts.get(operation) or parts.get(operation.replace("_", ".")) or _guess(event["name"])
         total[f"{part}_ms"] += event["dur"] / 1e3 / steps
     spans = sorted((event["ts"], event["ts"] + event["dur"]) for event in work)
     busy, end = 0.0, spans[0][0]
@@ -109,11 +110,11 @@ def _guess(kernel: str) -> str:
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one task and number of lanes."""
-    problem, method, lives = world(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
-    state = [lives]
+    problem, method, start = make_training(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
+    state = [start]
 
     def runner(count: int, explore: bool) -> tuple[Callable[[], Any], Any]:
-        program = jax.jit(lambda m, s: autonomy.run(problem, m, s, count, explore), donate_argnums=1)
+        program = jax.jit(lambda m, s: run_steps(problem, m, s, count, explore), donate_argnums=1)
         compiled = program.lower(method, state[0]).compile()
 
         def call():
@@ -122,7 +123,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
 
         return call, compiled
 
-    host_ms = on_host(problem, lives)
+    host_ms = host_milliseconds(problem, start)
     explore, _ = runner(steps, True)
     without = milliseconds(explore, steps, 2)
     began = time.perf_counter()
@@ -137,7 +138,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
         "without_learning_ms": round(without, 4), "host_ms": round(host_ms, 4), "compile_s": round(compile_s, 1),
         "temporary_mb": round(compiled.memory_analysis().temp_size_in_bytes / 1e6, 1),
     }  # fmt: skip
-    return {**row, **traced(short, TRACED, scopes(program.as_text()))}
+    return {**row, **trace(short, TRACED, scopes(program.as_text()))}
 
 
 def main() -> None:

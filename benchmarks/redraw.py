@@ -1,8 +1,8 @@
-"""Draw the tables, curves and figure 2 again from the run folders that are kept in benchmarks/results/reproduce/runs.
+"""Redraw the tables, curves and figure 2 from the run folders in benchmarks/results/reproduce/runs.
 
     python -m benchmarks.redraw [--out DIR]
 
-Figures 4 and 5 were made where the checkpoints were; what they show is in figure4_visits.csv and figure5_seeds.csv.
+Figures 4 and 5 need checkpoints, which are not kept; their data are in figure4_visits.csv and figure5_seeds.csv.
 """
 
 import argparse

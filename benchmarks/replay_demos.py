@@ -1,11 +1,11 @@
-"""Replays recorded demonstrations open loop and prints one JSON line: how close a Sawyer task comes to its original.
+"""Replay recorded demonstrations open loop and print one JSON line with the errors of a Sawyer task against its original.
 
     python -m benchmarks.replay_demos sawyer_door FILE.npz --engine mjx
     python -m benchmarks.replay_demos sawyer_peg demo_data.pkl --engine c --substeps 4
 
-Each episode starts where the record does, plays its actions and then holds the last one for 10 steps. A file whose goal is
-not the task's own is a backward one, and starts from the release's `reset_at_goal`; where that leaves the hand elsewhere
-than the record says (its pose there is an outcome of contact), the arm is moved there first.
+Each episode starts in the first recorded state, plays the actions and then repeats the last one for 10 steps. A file whose goal
+is not the task's own is a backward one, which starts from the release's `reset_at_goal`. The recorded pose of the hand there is
+a result of contact; if it differs, the arm is moved to it first.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from earl_jax.envs import State, make
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
 from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
 from earl_jax.envs.sawyer.peg import HEAD
+from earl_jax.physics.engine_choice import ENGINES
 
 HOLD = 10
 ALREADY_THERE = 1e-5
@@ -30,14 +31,14 @@ ALREADY_THERE = 1e-5
 
 
 def start_state(env: Sawyer, first: np.ndarray) -> State:
-    """Return the state in which a recording with the first observation `first [14]` began."""
-    seen, goal = first[4:7], jnp.asarray(first[7:])
+    """Return the state in which a recording with the first observation `first [14]` started."""
+    position, goal = first[4:7], jnp.asarray(first[7:])
     if isinstance(env, SawyerDoor):
-        angle = np.arctan2(*(seen[:2] - HINGE)[::-1]) - np.arctan2(HANDLE[1], HANDLE[0])
-        state = env.placed(jnp.array([angle]), jnp.asarray(seen), goal)
+        angle = np.arctan2(*(position[:2] - HINGE)[::-1]) - np.arctan2(HANDLE[1], HANDLE[0])
+        state = env.start_at(jnp.array([angle]), jnp.asarray(position), goal)
     else:
-        peg = jnp.asarray(seen - HEAD)
-        state = env.placed(peg, jnp.asarray(seen), goal, start=peg, grasp=jnp.zeros(()))
+        peg = jnp.asarray(position - HEAD)
+        state = env.start_at(peg, jnp.asarray(position), goal, start=peg, grasp=jnp.zeros(()))
     if np.abs(np.asarray(state.obs[:3]) - first[:3]).max() < ALREADY_THERE:
         return state
     qpos = moved_hand(env, state, first)
@@ -46,7 +47,7 @@ def start_state(env: Sawyer, first: np.ndarray) -> State:
 
 
 def moved_hand(env: Sawyer, state: State, first: np.ndarray) -> jax.Array:
-    """Return qpos with hand and finger opening where `first` saw them, orientation kept: damped least squares."""
+    """Return qpos with the hand position and finger opening of `first` and the same orientation, by damped least squares."""
     import mujoco
 
     model, data = physics.load_model(env.name), physics.mujoco_data(env.name, state.data)
@@ -68,7 +69,7 @@ def moved_hand(env: Sawyer, state: State, first: np.ndarray) -> jax.Array:
 
 
 def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
-    """Return what was observed [T + 10, 14] in each episode, all of them in one program."""
+    """Return the observations [T + 10, 14] of each episode, all of them simulated in one program."""
     longest = max(len(episode.actions) for episode in episodes) + HOLD
     actions = np.stack(
         [episode.actions[np.minimum(np.arange(longest), len(episode.actions) - 1)] for episode in episodes]
@@ -76,26 +77,26 @@ def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
     starts = [start_state(env, episode.observations[0]) for episode in episodes]
     state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
 
-    def one(state: State, actions: jax.Array) -> jax.Array:
+    def play_episode(state: State, actions: jax.Array) -> jax.Array:
         def step(state, action):
             state = env.step(state, action)
             return state, state.obs
 
         return jax.lax.scan(step, state, actions)[1]
 
-    seen = np.asarray(jax.jit(jax.vmap(one))(state, jnp.asarray(actions)))
-    return [part[: len(episode.actions) + HOLD] for part, episode in zip(seen, episodes, strict=True)]
+    obs = np.asarray(jax.jit(jax.vmap(play_episode))(state, jnp.asarray(actions)))
+    return [part[: len(episode.actions) + HOLD] for part, episode in zip(obs, episodes, strict=True)]
 
 
-def compare(env: Sawyer, episode: Recording, seen: np.ndarray) -> dict[str, Any]:
+def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
     """Return errors [T] of the object in metres, agreement [T] of rewards and the offset of the first success."""
     length = len(episode.actions)
-    success = np.asarray(env.success(jnp.asarray(seen)))
+    success = np.asarray(env.success(jnp.asarray(obs)))
     first = int(np.argmax(success)) if success.any() else None
     recorded = episode.rewards > 0
     ended = int(np.argmax(recorded)) if recorded.any() else length - 1
     return {
-        "errors": np.linalg.norm(seen[:length, 4:7] - episode.next_observations[:, 4:7], axis=1),
+        "errors": np.linalg.norm(obs[:length, 4:7] - episode.next_observations[:, 4:7], axis=1),
         "agreement": success[:length] == recorded,
         "offset": None if first is None else first - ended,
         "by_end": first is not None and first < length,
@@ -107,11 +108,11 @@ def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, A
     episodes = read(file).episodes()
     env = make(name, physics=engine, substeps=substeps)
     if not isinstance(env, Sawyer):
-        raise ValueError(f"{name} is no Sawyer task: its recordings are replayed by tests/envs")
+        raise ValueError(f"{name} is not a Sawyer task; the tests in tests/envs replay its recordings")
     forward = bool(np.abs(episodes[0].observations[0, 7:] - env.goal_states[0]).max() < 1e-4)
     env = make(name, physics=engine, substeps=substeps, reset_at_goal=not forward)
     fresh = np.asarray(env.reset(jax.random.key(0)).obs)
-    results = [compare(env, episode, seen) for episode, seen in zip(episodes, play(env, episodes), strict=True)]
+    results = [compare(env, episode, obs) for episode, obs in zip(episodes, play(env, episodes), strict=True)]
     errors = np.concatenate([result["errors"] for result in results])
     reset_error = max(float(np.abs(fresh[:4] - episode.observations[0, :4]).max()) for episode in episodes)
     return {
@@ -131,7 +132,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("env", choices=["sawyer_door", "sawyer_peg"])
     parser.add_argument("file", type=Path)
-    parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
+    parser.add_argument("--engine", choices=["auto", *ENGINES], default="auto")
     parser.add_argument("--substeps", type=int, default=5)
     arguments = parser.parse_args()
     print(json.dumps(replay(arguments.env, arguments.file, arguments.engine, arguments.substeps)))

@@ -1,11 +1,11 @@
-"""earl_jax beside what people would train seeds with instead, in one run on one machine:
+"""Compare the speed of earl_jax with other ways to train seeds, in one run on one machine:
 
     python -m benchmarks.run --install-peers            # once: .cache/peers, from benchmarks/peers/requirements.txt
     python -m benchmarks.run --suite quick              # under 5 minutes on 2 cores
     python -m benchmarks.run --suite full               # under 8 minutes on a GPU machine with 16 cores
 
-Prints the rows and the ratios between them and writes benchmarks/results/speed/<machine>.json and .csv. Every row is a process of
-its own, ours in this interpreter, the peers in that of `--peer-python`; one that does not run leaves its reason.
+Prints the rows and the ratios between them, and writes benchmarks/results/speed/<machine>.json and .csv. Every row is a separate
+process: ours in this interpreter, the peers in that of `--peer-python`. A row that does not run has its reason instead.
 """
 
 import argparse
@@ -37,14 +37,14 @@ MARK = "python -m benchmarks.run "
 
 
 def install(folder: Path) -> None:
-    """Build the peers' environment in `folder`; with a GPU here, jax brings its CUDA wheels."""
+    """Build the peers' environment in `folder`; on a machine with a GPU, jax gets its CUDA wheels."""
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     cuda = ["jax[cuda13]"] if jax.default_backend() == "gpu" else []
     subprocess.run([folder / "bin" / "python", "-m", "pip", "install", "-r", REQUIREMENTS, *cuda], check=True)
 
 
 def measure(job: Job, python: str, seconds: float) -> dict[str, Any]:
-    """Return the row of `job`, run within `seconds`: rates of side-by-side processes are added, their other times averaged."""
+    """Return the row of `job`, run within `seconds`; rates of parallel processes are added, their other times averaged."""
     blank = {"peer": job.peer, "task": job.task, "device": job.device, "processes": job.processes, "lanes": job.lanes}
     blank |= dict.fromkeys(("lane_steps_per_s", "start_s", "compile_s"))
     if seconds < 1:
@@ -65,14 +65,16 @@ def start(job: Job, python: str, seconds: float) -> list[dict[str, Any]]:
     """Return what each process of `job` printed.
 
     Raises:
-        RuntimeError: one of them failed; the message is the last line it said.
+        RuntimeError: one of them failed; the message is its last line on stderr.
         subprocess.TimeoutExpired: they took longer than `seconds`.
     """
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **job.environment}
     until = time.monotonic() + seconds
-    with tempfile.TemporaryDirectory() as meeting:
-        commands = [[python, *job.arguments, *job.company(number, meeting)] for number in range(job.processes)]
+    with tempfile.TemporaryDirectory() as barrier:
+        commands = [
+            [python, *job.arguments, *job.barrier_arguments(number, barrier)] for number in range(job.processes)
+        ]
         running = [
             subprocess.Popen(
                 command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=ROOT
@@ -80,24 +82,24 @@ def start(job: Job, python: str, seconds: float) -> list[dict[str, Any]]:
             for command in commands
         ]
         try:
-            return [said(process, until - time.monotonic()) for process in running]
+            return [read_row(process, until - time.monotonic()) for process in running]
         finally:
             for process in running:
                 process.kill()
                 process.wait()
 
 
-def said(process: subprocess.Popen, seconds: float) -> dict[str, Any]:
+def read_row(process: subprocess.Popen, seconds: float) -> dict[str, Any]:
     """Return the row that `process` prints as its last line."""
     out, err = process.communicate(timeout=max(seconds, 0.1))
-    lines, complaints = out.strip().splitlines(), err.strip().splitlines()
+    lines, errors = out.strip().splitlines(), err.strip().splitlines()
     if process.returncode or not lines:
-        raise RuntimeError(complaints[-1] if complaints else f"ended with code {process.returncode}")
+        raise RuntimeError(errors[-1] if errors else f"ended with code {process.returncode}")
     return json.loads(lines[-1])
 
 
 def machine() -> str:
-    """Return what results of this machine are called: `cpu2` for two cores, `h200` for that GPU."""
+    """Return the name of this machine's results: `cpu2` for two cores, `h200` for that GPU."""
     if jax.default_backend() == "cpu":
         return f"cpu{cores()}"
     kind = jax.devices()[0].device_kind
@@ -106,10 +108,10 @@ def machine() -> str:
 
 
 def target(name: str) -> Path:
-    """Return the path of the json called `name`.
+    """Return the path of the json `name`.
 
     Raises:
-        ValueError: a file of another benchmark has it already.
+        ValueError: it is the result of another benchmark.
     """
     path = RESULTS / f"{name}.json"
     if path.exists() and not json.loads(path.read_text()).get("command", "").startswith(MARK):
@@ -117,7 +119,7 @@ def target(name: str) -> Path:
     return path
 
 
-def keep(rows: list[dict[str, Any]], path: Path, chosen: argparse.Namespace) -> None:
+def save_rows(rows: list[dict[str, Any]], path: Path, chosen: argparse.Namespace) -> None:
     """Write the rows so far, and the ratios between them, as json and csv."""
     about = {"suite": chosen.suite, "cores": cores(), "note": chosen.note}
     only = " --only " + " ".join(f"'{peer}'" for peer in chosen.only) if chosen.only else ""
@@ -128,13 +130,13 @@ def keep(rows: list[dict[str, Any]], path: Path, chosen: argparse.Namespace) -> 
     write(flat, path.with_suffix(".csv"))
 
 
-def render_state(row: dict[str, Any]) -> str:
+def format_row(row: dict[str, Any]) -> str:
     """Return one line about `row`."""
-    where = f"{row['peer']:24} {row['task']:22} {row['device']:12} {row['processes']:3} x {row['lanes']:3} lanes"
+    label = f"{row['peer']:24} {row['task']:22} {row['device']:12} {row['processes']:3} x {row['lanes']:3} lanes"
     if row.get("reason"):
-        return f"{where}  {row['reason']}"
+        return f"{label}  {row['reason']}"
     times = f"start {row['start_s']:5.1f} s, compile {row['compile_s']:5.1f} s"
-    return f"{where} {row['lane_steps_per_s']:10,.1f} lane-steps/s, {times}"
+    return f"{label} {row['lane_steps_per_s']:10,.1f} lane-steps/s, {times}"
 
 
 def parse() -> argparse.Namespace:
@@ -145,8 +147,8 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--install-peers", action="store_true", help="build the peers' environment and end")
     parser.add_argument("--name", help="the result's name, by default the machine's: cpu2, h200")
-    parser.add_argument("--only", nargs="+", metavar="PEER", help="leave out the rows of all others")
-    parser.add_argument("--note", default="", help="kept with the result: what else the machine did, say")
+    parser.add_argument("--only", nargs="+", metavar="PEER", help="measure these rows only")
+    parser.add_argument("--note", default="", help="a remark stored with the result, such as other load on the machine")
     return parser.parse_args()
 
 
@@ -169,8 +171,8 @@ def main() -> None:
             continue
         python = sys.executable if job.ours else chosen.peer_python
         rows.append(measure(job, python, min(job.limit_s, until - time.monotonic())))
-        print(render_state(rows[-1]), flush=True)
-        keep(rows, path, chosen)
+        print(format_row(rows[-1]), flush=True)
+        save_rows(rows, path, chosen)
     for ratio in ratios(rows):
         print(ratio["says"], flush=True)
 

@@ -1,8 +1,9 @@
-"""Random and saturated actions until something breaks: `python -m benchmarks.safety sawyer_peg --steps 20000 --lanes 64`.
+"""Apply random and saturated actions until something breaks: `python -m benchmarks.safety sawyer_peg --steps 20000 --lanes 64`.
 
-A third of the lanes each act uniformly, at random corners of the action box, and at corners held for up to 50 steps. Counts
-states that are not finite and faults, and measures after every control step how deep any two shapes of a pair interpenetrate,
-how far any joint passes its limits and how far from the middle any free body comes. Prints one JSON line and writes it to --out.
+A third of the lanes each act uniformly, at random corners of the action box, and at corners held for up to 50 steps. The report
+counts faults and states that are not finite. After every control step it measures the penetration of each pair of geoms, the
+distance of each joint beyond its limits, and the distance of each free body from the origin. Prints one JSON line and writes it
+to --out.
 """
 
 import argparse
@@ -15,16 +16,17 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from benchmarks.output import tell
-from benchmarks.physics import ENVS, task
+from benchmarks.output import emit
+from benchmarks.physics import ENVS, make_task
 from earl_jax import physics
+from earl_jax.physics.engine_choice import ENGINES
 
 BLOCK = 500
 LONGEST_HOLD = 50
 LIMIT_MM = 15.0
 
 
-def actions(steps: int, lanes: int, size: int, seed: int = 0) -> np.ndarray:
+def make_actions(steps: int, lanes: int, size: int, seed: int = 0) -> np.ndarray:
     """Return actions [steps, lanes, size]: uniform, corners, and corners held, a third of the lanes each."""
     rng = np.random.default_rng(seed)
     uniform = rng.uniform(-1, 1, (steps, lanes, size))
@@ -42,11 +44,11 @@ def actions(steps: int, lanes: int, size: int, seed: int = 0) -> np.ndarray:
     )
 
 
-def live(env: Any, plan: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def run_blocks(env: Any, actions: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield qpos [BLOCK, lanes, nq] and faults [BLOCK, lanes] block by block; a faulty lane is reset, as in training."""
 
-    def step(state, moved):
-        action, key = moved
+    def step(state, action_and_key):
+        action, key = action_and_key
         after = jax.vmap(env.step)(state, action)
         fault = jax.vmap(env.fault)(after)
         fresh = jax.vmap(env.reset)(jax.random.split(key, len(fault)))
@@ -57,14 +59,16 @@ def live(env: Any, plan: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         return jax.tree.map(pick, fresh, after), (after.data.qpos, fault)
 
     advance = jax.jit(lambda state, block, keys: jax.lax.scan(step, state, (block, keys)))
-    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), plan.shape[1]))
-    for first in range(0, len(plan), BLOCK):
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), actions.shape[1]))
+    for first in range(0, len(actions), BLOCK):
         keys = jax.random.split(jax.random.key(1 + first), BLOCK)
-        state, (qpos, fault) = advance(state, jnp.asarray(plan[first : first + BLOCK]), keys)
+        state, (qpos, fault) = advance(state, jnp.asarray(actions[first : first + BLOCK]), keys)
         yield np.asarray(qpos), np.asarray(fault)
 
 
-def deepest(model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], counts: dict[str, int]) -> None:
+def update_penetration(
+    model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], counts: dict[str, int]
+) -> None:
     """Update over qpos [n, nq] each pair's `worst` depth in mm and its `counts` of contacts beyond the limit."""
     for row in qpos:
         data.qpos[:] = row
@@ -77,7 +81,7 @@ def deepest(model: Any, data: Any, qpos: np.ndarray, worst: dict[str, float], co
             counts[pair] = counts.get(pair, 0) + (depth > LIMIT_MM)
 
 
-def past_limits(model: Any, qpos: np.ndarray) -> np.ndarray:
+def limit_excess(model: Any, qpos: np.ndarray) -> np.ndarray:
     """Return how far [njnt] each joint passes its limits (rad or m) over `qpos [n, nq]`, 0 for those without."""
     limited = model.jnt_limited.astype(bool) & (model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE))
     joints = qpos[:, model.jnt_qposadr]
@@ -85,7 +89,7 @@ def past_limits(model: Any, qpos: np.ndarray) -> np.ndarray:
     return np.where(limited, np.maximum(excess, 0.0), 0.0)
 
 
-def farthest(model: Any, qpos: np.ndarray) -> float:
+def largest_distance(model: Any, qpos: np.ndarray) -> float:
     """Return the largest |x| or |y| of any free body [m] over `qpos [n, nq]`, 0 where there is none."""
     starts = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     return max((float(np.abs(qpos[:, start : start + 2]).max()) for start in starts), default=0.0)
@@ -93,15 +97,15 @@ def farthest(model: Any, qpos: np.ndarray) -> float:
 
 def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) -> dict[str, Any]:
     """Return the report on one task."""
-    env, worst, counts = task(name, engine, substeps), {}, {}
+    env, worst, counts = make_task(name, engine, substeps), {}, {}
     model = physics.load_model(env.model)
     data, broken, faults, reach, past = mujoco.MjData(model), 0, 0, 0.0, np.zeros(model.njnt)
-    for block, fault in live(env, actions(steps, lanes, env.action_size)):
+    for block, fault in run_blocks(env, make_actions(steps, lanes, env.action_size)):
         qpos = block[np.isfinite(block).all(axis=-1)]
         broken += block.shape[0] * block.shape[1] - len(qpos)
         faults += int(fault.sum())
-        past, reach = np.maximum(past, past_limits(model, qpos)), max(reach, farthest(model, qpos))
-        deepest(model, data, qpos, worst, counts)
+        past, reach = np.maximum(past, limit_excess(model, qpos)), max(reach, largest_distance(model, qpos))
+        update_penetration(model, data, qpos, worst, counts)
     return {
         "env": name, "engine": env.engine, "substeps": env.substeps, "steps": steps, "lanes": lanes,
         "not_finite": broken, "faults": faults,
@@ -118,7 +122,7 @@ def main() -> None:
     parser.add_argument("env", choices=ENVS)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--lanes", type=int, default=64)
-    parser.add_argument("--engine", choices=["auto", *physics.ENGINES], default="auto")
+    parser.add_argument("--engine", choices=["auto", *ENGINES], default="auto")
     parser.add_argument("--substeps", type=int, help="other than the task's own")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
@@ -126,7 +130,7 @@ def main() -> None:
         parser.error(f"--steps must be a multiple of {BLOCK}")
     report = run(arguments.env, arguments.steps, arguments.lanes, arguments.engine, arguments.substeps)
     command = f"python -m benchmarks.safety {arguments.env} --steps {arguments.steps} --lanes {arguments.lanes}"
-    tell(report, arguments.out, f"{command} --substeps {report['substeps']}")
+    emit(report, arguments.out, f"{command} --substeps {report['substeps']}")
 
 
 if __name__ == "__main__":

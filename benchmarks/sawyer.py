@@ -1,9 +1,9 @@
-"""Sawyer door and peg against the paper: the oracle on both, FBRL and VaPRL on the door, with and without layer norm.
+"""Compare Sawyer door and peg with the paper: the oracle on both, FBRL and VaPRL on the door, with and without layer norm.
 
     python -m benchmarks.sawyer run door_fbrl --steps 2000000 --out runs/sawyer
     python -m benchmarks.sawyer report runs/sawyer
 
-`run` goes on where a killed one stopped; a name that ends in `_ln` normalises the critics' layers. `report` writes
+`run` resumes a killed run; a name that ends in `_ln` normalises the critics' layers. `report` writes
 benchmarks/results/sawyer/: the curves of every seed as csv, the table as csv, json and md, and the figure.
 """
 
@@ -62,9 +62,9 @@ def report(out: Path) -> None:
 def _figure(runs: dict[str, Curves]) -> Figure:
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     for axis, task in zip(figure.subplots(1, 2), ("door", "peg"), strict=True):
-        render_state = {name: curves for name, curves in runs.items() if name.startswith(task)}
+        task_runs = {name: curves for name, curves in runs.items() if name.startswith(task)}
         colours = {algo: f"C{number}" for number, algo in enumerate(("oracle", "fbrl", "vaprl"))}
-        for name, curves in render_state.items():
+        for name, curves in task_runs.items():
             algo = curves.config.algo
             norm = name.endswith("_ln")
             draw(axis, curves, colours[algo], algo + ", layer norm" * norm, "--" if norm else "-")

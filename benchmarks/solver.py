@@ -1,7 +1,7 @@
-"""What other solver settings cost and how they replay: `python -m benchmarks.solver sawyer_peg FILE.npz --out solver_peg`.
+"""Measure cost and fidelity of other solver settings: `python -m benchmarks.solver sawyer_peg FILE.npz --out solver_peg`.
 
-Each variant of the scene replays the recordings on engine `c` and is timed on one core, in a process of its own; the rates of
-one run are ratios to its first row. Writes NAME.csv and NAME.json below benchmarks/results/physics.
+Each variant of the scene replays the recordings on engine `c` and is timed on one core, in a separate process. Rates are relative
+to the first row. Writes NAME.csv and NAME.json below benchmarks/results/physics.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from earl_jax.envs.sawyer.base import Sawyer
 from earl_jax.report.tables import write
 
 RESULTS = Path(__file__).parent / "results" / "physics"
-TOLD = (
+COLUMNS = (
     "successes_by_end",
     "successes_within_hold",
     "mean_object_error_mm",
@@ -62,14 +62,14 @@ VARIANTS: dict[str, tuple[int, Callable[[Any], None]]] = {
 }
 
 
-def tried(name: str, file: Path, variant: str) -> dict[str, Any]:
-    """Return how `variant` replays `file` and what it costs; changes the process's model, so call it in one of its own."""
+def try_variant(name: str, file: Path, variant: str) -> dict[str, Any]:
+    """Return how well `variant` replays `file` and its speed. It changes the model of this process, so call it in a new one."""
     substeps, change = VARIANTS[variant]
     model = physics.load_model(name, Sawyer.control_step / substeps)
     change(model)
-    found = replay(name, file, "c", substeps)
+    report = replay(name, file, "c", substeps)
     rate = one_core(name, variant, model, substeps)["lane_steps_per_s"]
-    return {"env": name, "variant": variant, **{field: found[field] for field in TOLD}, "lane_steps_per_s": rate}
+    return {"env": name, "variant": variant, **{field: report[field] for field in COLUMNS}, "lane_steps_per_s": rate}
 
 
 def main() -> None:
@@ -81,7 +81,7 @@ def main() -> None:
     rows = []
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for variant in VARIANTS:
-            rows.append(pool.apply(tried, (arguments.env, arguments.file, variant)))
+            rows.append(pool.apply(try_variant, (arguments.env, arguments.file, variant)))
             print(rows[-1], flush=True)
     for row in rows:
         row["relative_speed"] = round(row["lane_steps_per_s"] / rows[0]["lane_steps_per_s"], 3)

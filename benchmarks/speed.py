@@ -1,6 +1,6 @@
-"""Training steps a second of all seeds together, compile time apart: `python -m benchmarks.speed --env sawyer_door --lanes 1 10`.
+"""Measure training steps per second, without compile time: `python -m benchmarks.speed --env sawyer_door --lanes 1 10`.
 
-Writes benchmarks/results/speed/<name>.json and .csv; a lane-step is one control step and one gradient step of one seed.
+Writes benchmarks/results/speed/<name>.json and .csv. A lane-step is one control step and one gradient step of one seed.
 """
 
 import argparse
@@ -10,47 +10,47 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from benchmarks.output import save
 from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
-from earl_jax.training import init as birth
-from earl_jax.training import loop as autonomy
-from earl_jax.training import per_lane
-from earl_jax.training.state import TrainState, Problem
+from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.init import init_train_state
+from earl_jax.training.loop import run_steps
+from earl_jax.training.plan import per_lane
+from earl_jax.training.state import Problem, TrainState, seed_keys
 
 
-def world(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Problem, Method, TrainState]:
-    """Return a loop, its method and fresh lives with room for `steps`."""
+def make_training(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Problem, Method, TrainState]:
+    """Return a problem, its method and the train state at step 0 with a replay for `steps` steps."""
     env = make(name)
     problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
     method = per_lane(make_algo(algo, **options), lanes)
-    keys = jax.vmap(jax.random.key)(jnp.arange(lanes))
-    capacity = birth.capacity_for(problem, method, steps)
-    return problem, method, jax.jit(lambda m, k: birth.begin(problem, m, k, capacity))(method, keys)
+    capacity = replay_capacity(problem, method, steps)
+    init = jax.jit(lambda m, keys: init_train_state(problem, m, keys, capacity))
+    return problem, method, init(method, seed_keys(range(lanes)))
 
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
-    """Return compile seconds and the median steps a second of `algo` on task `name` with `lanes` lanes."""
-    problem, method, lives = world(name, algo, lanes, 100_000)
-    advance = jax.jit(lambda m, state: autonomy.run(problem, m, state, steps), donate_argnums=1)
+    """Return compile seconds and the median steps per second of `algo` on task `name` with `lanes` lanes."""
+    problem, method, state = make_training(name, algo, lanes, 100_000)
+    advance = jax.jit(lambda m, state: run_steps(problem, m, state, steps), donate_argnums=1)
     began = time.perf_counter()
-    program = advance.lower(method, lives).compile()
+    program = advance.lower(method, state).compile()
     compiled = time.perf_counter() - began
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
-        lives = program(method, lives)
-        jax.block_until_ready(lives.step)
+        state = program(method, state)
+        jax.block_until_ready(state.step)
         times.append(time.perf_counter() - began)
-    pace = steps / statistics.median(times[1:])
+    rate = steps / statistics.median(times[1:])
     return {
         "env": name, "engine": problem.env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
-        "steps_per_s": round(pace, 1),
-        "lane_steps_per_s": round(pace * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
+        "steps_per_s": round(rate, 1),
+        "lane_steps_per_s": round(rate * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip
 
 

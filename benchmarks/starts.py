@@ -1,4 +1,4 @@
-"""Whether figure 5 depends on how wide "uniform" is: policies of the quickstart's size, judged from starts of five kinds.
+"""Test how figure 5 depends on the width of "uniform": policies of the quickstart's size, evaluated from five kinds of starts.
 
 python -m benchmarks.starts --out FILE.json [--steps 250000]
 """
@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import tell
+from benchmarks.output import emit
 from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.deployed import deployed
 from earl_jax.physics import PhysicsState
-from earl_jax.training import Result, train
-from earl_jax.training import Policy
+from earl_jax.training import Policy, Result, train
 
 TASK = "tabletop_organization"
 EPISODES = 200
@@ -27,12 +26,12 @@ EPISODES = 200
 def _within(env: Env, limit: float) -> Callable[[jax.Array], State]:
     """Return starts with gripper and mug uniform in ±`limit`."""
 
-    def begin(key):
-        place_key, goal_key = jax.random.split(key)
-        qpos = jax.random.uniform(place_key, (4,), minval=-limit, maxval=limit)
+    def start(key):
+        position_key, goal_key = jax.random.split(key)
+        qpos = jax.random.uniform(position_key, (4,), minval=-limit, maxval=limit)
         return env.with_goal(_at(env, key, qpos), env.sample_goal(goal_key))
 
-    return begin
+    return start
 
 
 def _at(env: Env, key: jax.Array, qpos: jax.Array) -> State:
@@ -42,7 +41,7 @@ def _at(env: Env, key: jax.Array, qpos: jax.Array) -> State:
 
 
 def starts(env: Env) -> dict[str, Callable[[jax.Array], State]]:
-    """Return the kinds of starts by name: the task's, the whole table, smaller squares, and the released wide ones."""
+    """Return the kinds of starts by name: the task's own, the whole table, smaller squares, and the released wide ones."""
     wide = make(TASK, wide=True)
     return {
         "initial": env.reset,
@@ -53,29 +52,33 @@ def starts(env: Env) -> dict[str, Callable[[jax.Array], State]]:
     }
 
 
-def judged(result: Result, begin: Callable[[jax.Array], State]) -> list[float]:
-    """Return the deployed success of each seed from the starts of `begin`."""
+def evaluate(result: Result, start: Callable[[jax.Array], State]) -> list[float]:
+    """Return the deployed success of each seed from the starts of `start`."""
     env = result.env
 
-    def one(method, lane):
+    def evaluate_lane(method, lane):
         policy = Policy.of(env, method, lane)
-        return deployed(env, policy, jax.random.key(0), env.eval_horizon, EPISODES, begin)["deployed/success"]
+        return deployed(env, policy, jax.random.key(0), env.eval_horizon, EPISODES, start)["deployed/success"]
 
-    found = jax.jit(jax.vmap(one))(result.method, result.lives.lanes)
-    return np.asarray(found).round(4).tolist()
+    success = jax.jit(jax.vmap(evaluate_lane))(result.method, result.train_state.lanes)
+    return np.asarray(success).round(4).tolist()
 
 
 def main() -> None:
-    """Train and judge FBRL and the oracle."""
+    """Train and evaluate FBRL and the oracle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=250_000)
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     report = {}
     for algo in ("fbrl", "oracle"):
-        result = train(TASK, algo, seeds=2, steps=asked.steps, eval_every=50_000, progress=True, **PRESET)
-        report[algo] = {name: judged(result, begin) for name, begin in starts(result.env).items()}
-    tell({"steps": asked.steps, "success": report}, asked.out, f"python -m benchmarks.starts --steps {asked.steps}")
+        result = train(TASK, algo, seeds=2, steps=arguments.steps, eval_every=50_000, progress=True, **PRESET)
+        report[algo] = {name: evaluate(result, start) for name, start in starts(result.env).items()}
+    emit(
+        {"steps": arguments.steps, "success": report},
+        arguments.out,
+        f"python -m benchmarks.starts --steps {arguments.steps}",
+    )
 
 
 if __name__ == "__main__":

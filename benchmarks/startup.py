@@ -1,7 +1,7 @@
-"""Seconds until a run has trained, without and with kept programs: `python -m benchmarks.startup --envs sawyer_door --out FILE`.
+"""Measure the start of a run without and with cached programs: `python -m benchmarks.startup --envs sawyer_door --out FILE`.
 
-Every task's training program (5 lanes, the paper's networks) is started twice in a process of its own, with an empty cache and
-with the one that the first start left. FILE.json, FILE.csv.
+The training program of every task (5 lanes, the paper's networks) starts twice in a process of its own: with an empty cache,
+and with the cache of the first start. Writes FILE.json and FILE.csv.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from benchmarks.output import save
 from earl_jax.envs import list_envs
 from earl_jax.report.tables import write
 
-START = """
+TRAIN = """
 import json, sys
 import jax
 spent, events = {}, []
@@ -37,14 +37,14 @@ print(json.dumps({
 
 
 def start(task: str, algo: str, cache: str) -> dict[str, Any]:
-    """Return the seconds of one process that trains 100 steps after the random ones, from its start to its end."""
+    """Return the seconds of one process that trains 100 steps after the 1,000 random ones."""
     began = time.perf_counter()
-    command = [sys.executable, "-c", START, task, algo]
-    out = subprocess.run(
+    command = [sys.executable, "-c", TRAIN, task, algo]
+    result = subprocess.run(
         command, env={**os.environ, "EARL_JAX_CACHE": cache}, capture_output=True, text=True, check=True
     )
-    told = {name: round(value, 2) for name, value in json.loads(out.stdout.splitlines()[-1]).items()}
-    return {"process_s": round(time.perf_counter() - began, 2), **told}
+    parts = {name: round(value, 2) for name, value in json.loads(result.stdout.splitlines()[-1]).items()}
+    return {"process_s": round(time.perf_counter() - began, 2), **parts}
 
 
 def main() -> None:

@@ -1,9 +1,9 @@
-"""Five methods on tabletop organization against the paper, at reward scales 1 and 10, ten seeds of each in one program.
+"""Compare five methods on tabletop organization with the paper, at reward scales 1 and 10, ten seeds each in one program.
 
     python -m benchmarks.tabletop run vaprl --steps 2500000 --out runs/tabletop
     python -m benchmarks.tabletop report runs/tabletop
 
-`run` goes on where a killed one stopped. `report` writes benchmarks/results/tabletop/: the curves of every seed as csv, the
+`run` resumes a killed run. `report` writes benchmarks/results/tabletop/: the curves of every seed as csv, the
 table as csv, json and md, and the figure.
 """
 
@@ -44,13 +44,13 @@ def _by_scale(curves: Curves) -> dict[float, Curves]:
 
 
 def cycle(curves: Curves) -> float | None:
-    """Return the median over seeds of steps between successes of the task phase in the last quarter of a run."""
+    """Return the median over seeds of the steps between successes of the task phase in the last quarter of a run."""
     reached = curves.metrics["reached"]
     start = -max(2, reached.shape[1] // 4)
     successes = reached[:, -1] - reached[:, start]
     steps = curves.steps[-1] - curves.steps[start]
-    able = successes > 1e-3 * steps
-    return float(np.median(steps / successes[able])) if able.any() else None
+    succeeded = successes > 1e-3 * steps
+    return float(np.median(steps / successes[succeeded])) if succeeded.any() else None
 
 
 def report(out: Path) -> None:

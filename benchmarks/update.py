@@ -1,8 +1,8 @@
-"""Gradient steps a second of SAC alone, by precision: `python -m benchmarks.update --out FILE`.
+"""Measure gradient steps per second of SAC alone, by precision: `python -m benchmarks.update --out FILE`.
 
-Prints the device's ceilings (large products, a large copy), a row for every precision and number of lanes with the
-share of both ceilings it reaches, kernel tables and errors against float32 of tf32 and bf16. Writes FILE.json and
-FILE.csv after every row; a run that fails is a row with its error.
+Prints the device's ceilings (large products, a large copy), a row for every precision and number of lanes with its share of both
+ceilings, kernel tables, and errors of tf32 and bf16 against float32. Writes FILE.json and FILE.csv after every row. A run that
+fails is a row with its error.
 """
 
 import argparse
@@ -31,16 +31,16 @@ SIZE = 8192
 
 
 COMPARED = ("tf32", "bf16")
-"""Precisions whose kernels and errors are told."""
+"""Precisions whose kernels and errors are reported."""
 
 
-def timed(call: Callable[[], Any], repeats: int, flight: int = 1) -> float:
-    """Return the median seconds of `call`, `flight` of them sent before waiting, after some that don't count."""
+def timed(call: Callable[[], Any], repeats: int, at_once: int = 1) -> float:
+    """Return the median seconds of `call`, with `at_once` calls dispatched before waiting, after some untimed calls."""
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
-        jax.block_until_ready([call() for _ in range(flight)])
-        times.append((time.perf_counter() - began) / flight)
+        jax.block_until_ready([call() for _ in range(at_once)])
+        times.append((time.perf_counter() - began) / at_once)
     return statistics.median(times[1:])
 
 
@@ -62,7 +62,7 @@ def ceilings() -> dict[str, float]:
 
 
 def cost(sac: SAC, critics: int) -> tuple[float, float]:
-    """Return operations and least bytes of one update of one lane: parameters, moments and targets once each way."""
+    """Return operations and least bytes of one update of one lane: parameters, moments and targets read and written once."""
     batch, hidden = sac.batch_size, sac.hidden_sizes[0]
 
     def net(inputs, outputs):
@@ -77,25 +77,25 @@ def cost(sac: SAC, critics: int) -> tuple[float, float]:
 
 
 @functools.cache
-def world(lanes: int) -> tuple[Agent, Batch, jax.Array]:
+def make_agents(lanes: int) -> tuple[Agent, Batch, jax.Array]:
     """Return agents, pools of random transitions [lanes, POOL, ...] and keys."""
     keys = jax.random.split(jax.random.key(0), lanes)
     agents = jax.jit(jax.vmap(lambda key: sac_lib.init(key, SAC(), OBS, ACTION, CRITICS)))(keys)
     parts = jax.random.split(jax.random.key(1), 5)
     shape = (lanes, POOL)
     pool = Batch(
-        jax.random.normal(parts[0], (*shape, OBS)),
-        jax.random.uniform(parts[1], (*shape, ACTION), minval=-1, maxval=1),
-        jax.random.normal(parts[2], shape),
-        jax.random.bernoulli(parts[3], 0.1, shape),
-        jax.random.normal(parts[4], (*shape, OBS)),
+        obs=jax.random.normal(parts[0], (*shape, OBS)),
+        action=jax.random.uniform(parts[1], (*shape, ACTION), minval=-1, maxval=1),
+        reward=jax.random.normal(parts[2], shape),
+        terminal=jax.random.bernoulli(parts[3], 0.1, shape),
+        next_obs=jax.random.normal(parts[4], (*shape, OBS)),
     )
     return agents, pool, keys
 
 
 def program(sac: SAC, lanes: int, steps: int) -> tuple[Callable, tuple]:
     """Return the compiled scan of `steps` updates of all lanes, which overwrites its agents, and its arguments."""
-    agents, pool, keys = world(lanes)
+    agents, pool, keys = make_agents(lanes)
     agents = jax.jit(functools.partial(jax.tree.map, jnp.copy))(agents)
 
     def step(agents, number, pool, keys):
@@ -105,16 +105,16 @@ def program(sac: SAC, lanes: int, steps: int) -> tuple[Callable, tuple]:
         return jax.vmap(functools.partial(sac_lib.update, sac))(agents, batch, fresh)
 
     def run(agents, pool, keys):
-        agents, said = jax.lax.scan(lambda a, i: step(a, i, pool, keys), agents, jnp.arange(steps))
-        return agents, jax.tree.map(lambda leaf: leaf[-1].mean(), said)
+        agents, diagnostics = jax.lax.scan(lambda a, i: step(a, i, pool, keys), agents, jnp.arange(steps))
+        return agents, jax.tree.map(lambda leaf: leaf[-1].mean(), diagnostics)
 
     return jax.jit(run, donate_argnums=0).lower(agents, pool, keys).compile(), (agents, pool, keys)
 
 
 def measure(
-    precision: str, lanes: int, repeats: int, limits: dict[str, float], look: bool
+    precision: str, lanes: int, repeats: int, limits: dict[str, float], profile: bool
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a precision's row, steps a second and how much of the ceilings they take, and its kernels if to `look`."""
+    """Return the row of a precision, with its rate and share of the ceilings, and with `profile` its kernels."""
     steps = max(2, min(200, 20_000 // lanes)) if jax.default_backend() == "gpu" else 4
     sac = SAC(precision=precision)
     began = time.perf_counter()
@@ -123,23 +123,23 @@ def measure(
     state = [agents]
 
     def call():
-        state[0], said = run(state[0], *rest)
-        return said
+        state[0], diagnostics = run(state[0], *rest)
+        return diagnostics
 
-    pace = steps / timed(call, repeats)
+    step_rate = steps / timed(call, repeats)
     flops, least = cost(sac, CRITICS)
-    rate, traffic = pace * lanes * flops / 1e12, pace * lanes * least / 1e9
+    rate, traffic = step_rate * lanes * flops / 1e12, step_rate * lanes * least / 1e9
     row = {
-        "precision": precision, "lanes": lanes, "compile_s": round(compiled, 1), "steps_per_s": round(pace, 1),
-        "lane_steps_per_s": round(pace * lanes), "tflops": round(rate, 2),
+        "precision": precision, "lanes": lanes, "compile_s": round(compiled, 1), "steps_per_s": round(step_rate, 1),
+        "lane_steps_per_s": round(step_rate * lanes), "tflops": round(rate, 2),
         "of_matmul": round(rate / limits[precision], 4), "of_copy": round(traffic / limits["copy"], 4),
         "critic_loss": float(call()["critic_loss"]), "error": "",
     }  # fmt: skip
-    return row, kernels(precision, lanes, steps, call) if look else []
+    return row, kernels(precision, lanes, steps, call) if profile else []
 
 
 def kernels(precision: str, lanes: int, steps: int, call: Callable[[], Any]) -> list[dict[str, Any]]:
-    """Return microseconds a step and launches of the 25 dearest kernels of `call`, after their sums over all."""
+    """Return microseconds per step and launches of the 25 slowest kernels of `call`, after a row with the sums of all."""
     spent: dict[str, list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder):
@@ -154,14 +154,14 @@ def kernels(precision: str, lanes: int, steps: int, call: Callable[[], Any]) -> 
         each = {"us_per_step": round(sum(times) / steps, 2), "launches_per_step": round(len(times) / steps, 2)}
         return {"precision": precision, "lanes": lanes, "kernel": name[:90], **each}
 
-    dearest = sorted(spent.items(), key=lambda item: -sum(item[1]))[:25]
-    return [row("all", [one for times in spent.values() for one in times]), *[row(*item) for item in dearest]]
+    slowest = sorted(spent.items(), key=lambda item: -sum(item[1]))[:25]
+    return [row("all", list(itertools.chain(*spent.values()))), *[row(*item) for item in slowest]]
 
 
 def errors(tiny: bool) -> Iterator[dict[str, Any]]:
     """Yield the relative error norms of outputs and gradients against float32, for critics and an actor's network."""
     batch, hidden, lanes = (32, 64, 2) if tiny else (256, 256, 8)
-    for name, inputs, outputs in (("critic", OBS + ACTION, 1), ("actor", OBS, 2 * ACTION)):
+    for kind, inputs, outputs in (("critic", OBS + ACTION, 1), ("actor", OBS, 2 * ACTION)):
         network = networks.mlp((hidden, hidden), outputs)
         keys = jax.random.split(jax.random.key(2), (lanes, CRITICS))
         params = jax.vmap(jax.vmap(network.init, (0, None)), (0, None))(keys, jnp.zeros(inputs))
@@ -169,16 +169,17 @@ def errors(tiny: bool) -> Iterator[dict[str, Any]]:
         weight = jax.random.normal(jax.random.key(4), (lanes, CRITICS, batch, outputs))
 
         def results(params, x, precision, network=network, weight=weight):
-            one = functools.partial(networks.apply, network, precision=precision)
-            out, pull = jax.vjp(jax.vmap(jax.vmap(one, (0, None))), params, x)
+            apply = functools.partial(networks.apply, network, precision=precision)
+            out, pull = jax.vjp(jax.vmap(jax.vmap(apply, (0, None))), params, x)
             return out, *pull(weight)
 
-        found = {one: jax.jit(functools.partial(results, precision=one))(params, x) for one in ("float32", *COMPARED)}
+        precisions = ("float32", *COMPARED)
+        by_precision = {name: jax.jit(functools.partial(results, precision=name))(params, x) for name in precisions}
         for precision in COMPARED:
-            pair = found[precision], found["float32"]
-            off = jax.tree.map(lambda a, b: round(float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b)), 5), *pair)
-            layers = {f"{k}/{p}": value for k, layer in off[1]["params"].items() for p, value in layer.items()}
-            yield {"network": name, "precision": precision, "outputs": off[0], "x": off[2], **layers}
+            pair = by_precision[precision], by_precision["float32"]
+            error = jax.tree.map(lambda a, b: round(float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b)), 5), *pair)
+            layers = {f"{k}/{p}": value for k, layer in error[1]["params"].items() for p, value in layer.items()}
+            yield {"network": kind, "precision": precision, "outputs": error[0], "x": error[2], **layers}
 
 
 def _brief(error: Exception) -> str:
@@ -186,7 +187,7 @@ def _brief(error: Exception) -> str:
 
 
 class Report:
-    """Prints rows and writes all so far, so that a run that is cut short leaves what it had."""
+    """Prints rows and writes all of them so far, so that an interrupted run keeps its rows."""
 
     def __init__(self, out: Path, command: str):
         self.out, self.command, self.parts = out, command, defaultdict(list)
@@ -201,13 +202,13 @@ class Report:
 
 
 def compare(report: Report, lanes: list[int], repeats: int, limits: dict[str, float], deadline: float) -> None:
-    """Measure every precision at every number of lanes, and look closely at `COMPARED` at the first."""
+    """Measure every precision at every number of lanes, and profile `COMPARED` at the first number."""
     for count, precision in itertools.product(lanes, reversed(networks.PRECISIONS)):
         if time.perf_counter() > deadline:
             return
         try:
-            look = count == lanes[0] and precision in COMPARED
-            row, table = measure(precision, count, repeats, limits, look)
+            profile = count == lanes[0] and precision in COMPARED
+            row, table = measure(precision, count, repeats, limits, profile)
         except Exception as error:
             names = ("compile_s", "steps_per_s", "lane_steps_per_s", "tflops", "of_matmul", "of_copy", "critic_loss")
             row, table = {"precision": precision, "lanes": count, **dict.fromkeys(names), "error": _brief(error)}, []

@@ -1,15 +1,12 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
 import os
-from importlib.metadata import version
 from pathlib import Path
 
+from tests.compiler import xla_flags
+
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# Compilation takes most of the suite's time. This level of the code generator saves 40 % of it, and the programs run for seconds.
-# Level 0 is faster still, but some programs compute NaN with it.
-os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=1 {os.environ.get('XLA_FLAGS', '')}"
-# This flag saves another third. Only jaxlib 0.10 knows it; an unknown flag ends the process.
-os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false" if version("jaxlib").startswith("0.10.") else ""
+os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""))
 
 import jax
 import jax.numpy as jnp
@@ -30,12 +27,11 @@ TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
 TINY = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 20}
 TINY_RUN = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2}
-DEFAULT_CODEGEN = {"xla_cpu_use_fusion_emitters": True} if "fusion_emitters" in os.environ["XLA_FLAGS"] else {}
-"""Compiler options of the code generator that users have, for a test that expects equal bits from two programs."""
 LONGEST = [
-    "paper/test_reproduce.py", "physics/test_engines.py", "sweeps/test_launcher.py", "training/test_api.py", "training/test_loop.py",
-    "training/test_devices.py", "cli/test_cli.py", "training/test_dense_tasks.py", "sweeps/test_worker.py",
-    "algos/learner/test_sac.py", "adapters/test_gymnasium.py", "runs/test_checkpoint.py",
+    "paper/test_reproduce.py", "physics/test_engines.py", "sweeps/test_launcher.py", "training/test_api.py",
+    "training/test_loop.py", "training/test_devices.py", "cli/test_cli.py", "training/test_dense_tasks.py",
+    "sweeps/test_worker.py", "algos/learner/test_sac.py", "adapters/test_gymnasium.py", "runs/test_checkpoint.py",
+    "training/test_resume.py",
 ]  # fmt: skip
 """The files that take longest, relative to this folder."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
@@ -118,3 +114,11 @@ def assert_equal_trees(actual, expected, **tolerance):
 
 def assert_all_finite(tree):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree))
+
+
+def write_files(files, folder):
+    """Write the texts of `files`, by their paths, below `folder`."""
+    for name, text in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)

@@ -1,4 +1,4 @@
-"""What `python -m benchmarks.run` rests on, without any peer installed: the equal tasks, the plan, the collecting, the ratios."""
+"""The parts of `python -m benchmarks.run` that need no peer: equal tasks, the plan, the collection of rows, the ratios."""
 
 import dataclasses
 import json
@@ -19,45 +19,45 @@ from benchmarks.peers.ratios import BARS, LANES, ratios
 from earl_jax.envs import make
 
 
-class Saying(Job):
-    """A job whose processes say what they are given instead of measuring."""
+class CodeJob(Job):
+    """A job whose processes execute its `module` as code instead of measuring."""
 
     @property
     def arguments(self):
         return ("-c", self.module)
 
 
-def saying(code: str, **changes) -> Saying:
-    return dataclasses.replace(Saying("peer", TABLETOP, code, "cpu", 1), **changes)
+def code_job(code: str, **changes) -> CodeJob:
+    return dataclasses.replace(CodeJob("peer", TABLETOP, code, "cpu", 1), **changes)
 
 
-def test_the_numpy_tabletop_is_ours():
-    theirs, ours = NumpyTabletop(), make(TABLETOP)
-    obs, _ = theirs.reset(seed=3)
-    world = ours.with_goal(ours.reset(jax.random.key(0)), jnp.asarray(obs[6:]))
-    step, expert, rng = jax.jit(ours.step), jax.jit(ours.expert), np.random.default_rng(0)
+def test_the_numpy_tabletop_equals_the_jax_task():
+    numpy_env, env = NumpyTabletop(), make(TABLETOP)
+    obs, _ = numpy_env.reset(seed=3)
+    state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(obs[6:]))
+    step, expert, rng = jax.jit(env.step), jax.jit(env.expert), np.random.default_rng(0)
     rewards = 0.0
     for number in range(120):
-        np.testing.assert_allclose(obs, world.obs, atol=2e-6)
-        action = np.asarray(expert(world.obs)) if number % 4 else rng.uniform(-1.5, 1.5, 3).astype(np.float32)
-        obs, reward, terminated, truncated, _ = theirs.step(action)
-        world = step(world, action)
-        assert reward == float(world.reward) == terminated
+        np.testing.assert_allclose(obs, state.obs, atol=2e-6)
+        action = np.asarray(expert(state.obs)) if number % 4 else rng.uniform(-1.5, 1.5, 3).astype(np.float32)
+        obs, reward, terminated, truncated, _ = numpy_env.step(action)
+        state = step(state, action)
+        assert reward == float(state.reward) == terminated
         assert not truncated
         rewards += reward
     assert rewards > 0
 
 
 def test_an_attempt_at_the_numpy_tabletop_times_out():
-    world = NumpyTabletop(horizon=3)
-    world.reset(seed=0)
-    assert [world.step(np.zeros(3))[3] for _ in range(3)] == [False, False, True]
+    env = NumpyTabletop(horizon=3)
+    env.reset(seed=0)
+    assert [env.step(np.zeros(3))[3] for _ in range(3)] == [False, False, True]
 
 
 def test_the_original_door_starts_where_ours_does_and_moves():
-    door, ours = Door(), make(DOOR, physics="c")
+    door, env = Door(), make(DOOR, physics="c")
     first = door.reset()
-    np.testing.assert_allclose(first, ours.reset(jax.random.key(0)).obs, atol=0.02)
+    np.testing.assert_allclose(first, env.reset(jax.random.key(0)).obs, atol=0.02)
     for _ in range(10):
         obs, reward, success = door.step(np.array([1.0, 0.0, 0.0, 0.0]))
     assert 0.02 < obs[0] - first[0] < 0.12
@@ -75,20 +75,19 @@ def test_the_learners_of_the_python_loop_fit_terminal_rewards(kind):
     for _ in range(2):
         values.append(float(learner.values(obs, action).mean()))
         for _ in range(150):
-            learner.learn(batch)
+            learner.update(batch)
     assert abs(values[1] - 1.0) < 0.2 < abs(values[0] - 1.0)
     assert learner.act(obs[0]).shape == (2,)
 
 
 def test_every_bar_has_its_rows_in_the_full_suite():
     for device in ("cpu", "gpu"):
-        rows = [_row(job.peer, job.task, job.lanes, job.processes, 1.0) for job in plan("full", device, 16)]
+        rows = [make_row(job.peer, job.task, job.lanes, job.processes, 1.0) for job in plan("full", device, 16)]
         assert [entry["ratio"] for entry in ratios(rows)] == [1.0] * len(BARS)
-    alone = [job for job in plan("quick", "cpu", 16) if job.processes > 1]
-    assert not alone
+    assert all(job.processes == 1 for job in plan("quick", "cpu", 16))
 
 
-def _row(peer: str, task: str, lanes: int, processes: int, rate: float | None) -> dict:
+def make_row(peer: str, task: str, lanes: int, processes: int, rate: float | None) -> dict:
     return {
         "peer": peer,
         "task": task,
@@ -99,34 +98,34 @@ def _row(peer: str, task: str, lanes: int, processes: int, rate: float | None) -
     }
 
 
-def test_ratios_are_over_the_fastest_row_that_ran():
+def test_a_ratio_is_to_the_fastest_row_that_ran():
     rows = [
-        _row("earl_jax", TABLETOP, LANES, 1, 300.0), _row("earl_jax", TABLETOP, 5, 1, 900.0),
-        _row("earl_jax", DOOR, LANES, 1, 200.0),
-        _row("sbx", TABLETOP, 1, 1, 20.0), _row("sbx", TABLETOP, 1, 1, 30.0), _row("sbx", TABLETOP, 1, 4, 75.0),
-        _row("rejax", TABLETOP, LANES, 1, 200.0), _row("rejax, 10,000 rows", TABLETOP, LANES, 1, 280.0),
-        _row("brax", TABLETOP, 1, 1, None),
-        _row("original-style, jax", DOOR, 1, 1, 40.0), _row("original-style, torch", DOOR, 1, 1, 50.0),
+        make_row("earl_jax", TABLETOP, LANES, 1, 300.0), make_row("earl_jax", TABLETOP, 5, 1, 900.0),
+        make_row("earl_jax", DOOR, LANES, 1, 200.0),
+        make_row("sbx", TABLETOP, 1, 1, 20.0), make_row("sbx", TABLETOP, 1, 1, 30.0), make_row("sbx", TABLETOP, 1, 4, 75.0),
+        make_row("rejax", TABLETOP, LANES, 1, 200.0), make_row("rejax, 10,000 rows", TABLETOP, LANES, 1, 280.0),
+        make_row("brax", TABLETOP, 1, 1, None),
+        make_row("original-style, jax", DOOR, 1, 1, 40.0), make_row("original-style, torch", DOOR, 1, 1, 50.0),
     ]  # fmt: skip
-    found = {(entry["over"], entry["side_by_side"]): (entry["ratio"], entry["met"]) for entry in ratios(rows)}
-    assert found == {
+    by_bar = {(entry["over"], entry["side_by_side"]): (entry["ratio"], entry["met"]) for entry in ratios(rows)}
+    assert by_bar == {
         ("sbx", False): (10.0, True), ("rejax", False): (1.5, False), ("brax", False): (None, None),
         ("original-style", False): (4.0, None), ("sbx", True): (4.0, None),
     }  # fmt: skip
 
 
-def test_side_by_side_processes_add_up():
+def test_the_rates_of_parallel_processes_are_added():
     row = json.dumps({"peer": "peer", "lane_steps_per_s": 2.5, "start_s": 1.0, "compile_s": 3.0})
-    found = run.measure(saying(f"print('noise'); print({row!r})", processes=3), sys.executable, 60)
-    assert (found["processes"], found["lane_steps_per_s"], found["compile_s"]) == (3, 7.5, 3.0)
+    measured = run.measure(code_job(f"print('noise'); print({row!r})", processes=3), sys.executable, 60)
+    assert (measured["processes"], measured["lane_steps_per_s"], measured["compile_s"]) == (3, 7.5, 3.0)
 
 
-def test_what_does_not_run_leaves_its_reason():
+def test_a_row_that_does_not_run_has_a_reason():
     absent = Job("sbx", TABLETOP, "nowhere", "cpu", 1)
     assert "No module named" in run.measure(absent, sys.executable, 60)["reason"]
     assert "time was over" in run.measure(absent, sys.executable, 0)["reason"]
     assert "no/such/python" in run.measure(absent, "no/such/python", 60)["reason"]
-    slow = run.measure(saying("import time; time.sleep(60)"), sys.executable, 1)
+    slow = run.measure(code_job("import time; time.sleep(60)"), sys.executable, 1)
     assert "timed out" in slow["reason"]
     assert slow["lane_steps_per_s"] is None
 
@@ -140,8 +139,8 @@ def test_the_result_of_another_command_is_not_overwritten(tmp_path, monkeypatch)
     assert run.target("h200") == tmp_path / "h200.json"
 
 
-def test_kept_runs_say_what_the_kept_tables_and_figures_say(tmp_path):
-    """The numbers of docs/results.md, made again from every metrics.csv and config.json."""
+def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
+    """The numbers of docs/results.md, from every metrics.csv and config.json."""
     tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
     assert len(tables) == 4
     for path in tables:

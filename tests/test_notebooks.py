@@ -1,4 +1,4 @@
-"""The notebooks, executed as such: converted to ipynb, every cell in a kernel, at tiny horizons."""
+"""The notebooks: converted to ipynb and executed in a kernel, at tiny horizons."""
 
 import os
 import re
@@ -9,18 +9,18 @@ import pytest
 from tests.conftest import CACHE
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
-each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+EVERY_NOTEBOOK = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 PICTURES = {
     "01_train_five_seeds": 3, "02_compare_two_methods": 3, "03_write_a_method": 1, "04_run_on_a_gpu": 3,
 }  # fmt: skip
 
 
-def test_all_four_are_there():
+def test_there_are_four_notebooks():
     assert [path.stem for path in NOTEBOOKS] == list(PICTURES)
 
 
-@each
-def test_it_says_how_to_open_it_and_what_to_change(path):
+@EVERY_NOTEBOOK
+def test_a_notebook_has_instructions_and_a_cell_of_parameters(path):
     jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
     cells = jupytext.read(path).cells
     assert cells[0].cell_type == "markdown"
@@ -32,8 +32,8 @@ def test_it_says_how_to_open_it_and_what_to_change(path):
 
 
 @pytest.mark.slow
-@each
-def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
+@EVERY_NOTEBOOK
+def test_a_notebook_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
     nbclient = pytest.importorskip("nbclient", reason="notebooks are executed by nbclient")
     monkeypatch.setenv("EARL_JAX_NOTEBOOK", "tiny")
@@ -48,5 +48,5 @@ def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
     assert len(pictures) == PICTURES[path.stem]
-    assert not os.listdir(tmp_path / "here"), "a notebook writes into its temporary folder only"
+    assert not os.listdir(tmp_path / "here"), "a notebook writes into its temporary folder alone"
     assert list((tmp_path / "temporary").glob("earl_jax-*/*/metrics.csv"))

@@ -1,4 +1,4 @@
-"""What people would train seeds with instead: one script a peer, run by `benchmarks.run` in an environment of their own.
+"""Other ways to train seeds: one script per peer, run by `benchmarks.run` in a separate environment.
 
 A script prints one line of JSON, its row. A lane-step is one control step and one gradient step of one seed.
 """
@@ -6,4 +6,4 @@ A script prints one line of JSON, its row. A lane-step is one control step and o
 import time
 
 BEGAN = time.perf_counter()
-"""When this process came here: what a script counts its start from."""
+"""The time at which this process imported the package: the zero of a script's start time."""

@@ -1,4 +1,4 @@
-"""brax's SAC: one seed a process, the whole loop in one program. Rates are its own, of epochs after the compiled first."""
+"""SAC of brax: one seed per process, the whole loop in one program. Rates are those of brax, without the first epoch."""
 
 import functools
 import statistics
@@ -16,9 +16,9 @@ from benchmarks.peers.common import (
     HORIZON,
     LEARNING_RATE,
     TABLETOP,
+    emit,
     options,
     since_start,
-    tell,
 )
 from earl_jax.envs import make
 
@@ -32,16 +32,18 @@ class Tabletop(envs.Env):
     observation_size, action_size, backend = task.obs_size, task.action_size, "none"
 
     def reset(self, rng: jax.Array) -> envs.State:
-        world, zero = self.task.reset(rng), jnp.zeros(())
-        return envs.State(world, world.obs, zero, zero, {}, {})
+        env_state, zero = self.task.reset(rng), jnp.zeros(())
+        return envs.State(env_state, env_state.obs, zero, zero, {}, {})
 
     def step(self, state: envs.State, action: jax.Array) -> envs.State:
-        world = self.task.step(state.pipeline_state, action)
-        return state.replace(pipeline_state=world, obs=world.obs, reward=world.reward, done=world.metrics["success"])
+        env_state = self.task.step(state.pipeline_state, action)
+        return state.replace(
+            pipeline_state=env_state, obs=env_state.obs, reward=env_state.reward, done=env_state.metrics["success"]
+        )
 
 
 def replicated(tree: Any, devices: list[Any]) -> Any:
-    """Return `tree` with a leading axis of one device: what `jax.device_put_replicated` did until jax 0.10 dropped it."""
+    """Return `tree` with a leading axis of one device, as `jax.device_put_replicated` did before jax 0.10 removed it."""
     if len(devices) != 1:
         raise ValueError(f"one device, not {len(devices)}")
     return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], tree)
@@ -49,8 +51,8 @@ def replicated(tree: Any, devices: list[Any]) -> Any:
 
 def main() -> None:
     chosen = options(__doc__)
-    dropped = not hasattr(jax, "device_put_replicated")
-    if dropped:
+    removed = not hasattr(jax, "device_put_replicated")
+    if removed:
         vars(jax)["device_put_replicated"] = replicated
     rates, start, ends = [], since_start(), []
 
@@ -64,8 +66,8 @@ def main() -> None:
         grad_updates_per_step=1, learning_rate=LEARNING_RATE, discounting=0.99, max_devices_per_host=1,
         network_factory=functools.partial(networks.make_sac_networks, hidden_layer_sizes=HIDDEN), progress_fn=progress,
     )  # fmt: skip
-    shim = "; jax.device_put_replicated, which newer jax dropped, is put back for it" if dropped else ""
-    tell(
+    shim = "; jax.device_put_replicated, which newer jax has removed, is restored for it" if removed else ""
+    emit(
         ("brax", "jax", "jaxlib", "flax", "optax"), peer="brax", task=TABLETOP, device=jax.devices()[0].device_kind,
         processes=1, lanes=1, lane_steps_per_s=float(statistics.median(rates[1:])), start_s=start,
         compile_s=ends[1] - start, note=f"training/sps, without its evaluations; {CAPACITY:,} replay rows{shim}",

@@ -1,4 +1,4 @@
-"""SAC for a loop that lives in Python: the same learner twice, as a jitted JAX function and in PyTorch."""
+"""SAC for a loop in Python: the same learner as a jitted JAX function and in PyTorch."""
 
 from typing import Any, NamedTuple
 
@@ -38,11 +38,11 @@ class JaxLearner:
             key, used = jax.random.split(key)
             return sac.act(hyper, actor, obs, used, action_size), key
 
-        def learn(agent, batch, key):
+        def update(agent, batch, key):
             key, used = jax.random.split(key)
             return sac.update(hyper, agent, sac.Batch(*batch), used)[0], key
 
-        self._act, self._learn = jax.jit(act), jax.jit(learn, donate_argnums=0)
+        self._act, self._update = jax.jit(act), jax.jit(update, donate_argnums=0)
         self._values = jax.jit(lambda critics, obs, action: sac.q_values(hyper, critics, obs, action))
         self.device = jax.devices()[0].device_kind
         self.wait = jax.block_until_ready
@@ -51,15 +51,15 @@ class JaxLearner:
         action, self.key = self._act(self.agent.actor, obs, self.key)
         return np.asarray(action)
 
-    def learn(self, batch: Batch) -> None:
-        self.agent, self.key = self._learn(self.agent, batch, self.key)
+    def update(self, batch: Batch) -> None:
+        self.agent, self.key = self._update(self.agent, batch, self.key)
 
     def values(self, obs: np.ndarray, action: np.ndarray) -> np.ndarray:
         """Return both critics' values [2, B]."""
         return np.asarray(self._values(self.agent.critics, obs, action))
 
     def finish(self) -> None:
-        """Wait for what was dispatched."""
+        """Wait for all dispatched work."""
         self.wait(self.agent)
 
 
@@ -71,14 +71,14 @@ class TorchLearner:
     def __init__(self, obs_size: int, action_size: int):
         import torch
 
-        self.torch, self.place = torch, "cuda" if torch.cuda.is_available() else "cpu"
-        self.device = torch.cuda.get_device_name() if self.place == "cuda" else "cpu"
-        torch.set_num_threads(1)  # more of them spin against each other wherever a core is taken: 25 times slower
+        self.torch, self.torch_device = torch, "cuda" if torch.cuda.is_available() else "cpu"
+        self.device = torch.cuda.get_device_name() if self.torch_device == "cuda" else "cpu"
+        torch.set_num_threads(1)  # more threads spin against each other when a core is busy: 25 times slower
         self.actor = self._net(obs_size, 2 * action_size)
         self.critics = torch.nn.ModuleList([self._net(obs_size + action_size, 1) for _ in range(2)])
         self.targets = torch.nn.ModuleList([self._net(obs_size + action_size, 1) for _ in range(2)])
         self.targets.load_state_dict(self.critics.state_dict())
-        self.log_alpha = torch.zeros((), device=self.place, requires_grad=True)
+        self.log_alpha = torch.zeros((), device=self.torch_device, requires_grad=True)
         groups = self.actor.parameters(), self.critics.parameters(), [self.log_alpha]
         self.adams = [torch.optim.Adam(group, lr=LEARNING_RATE) for group in groups]
         self.entropy = -0.5 * action_size
@@ -88,7 +88,7 @@ class TorchLearner:
         for size in HIDDEN:
             layers += [nn.Linear(inputs, size), nn.ReLU()]
             inputs = size
-        return nn.Sequential(*layers, nn.Linear(inputs, outputs)).to(self.place)
+        return nn.Sequential(*layers, nn.Linear(inputs, outputs)).to(self.torch_device)
 
     def _sample(self, obs: Any) -> tuple[Any, Any]:
         """Return squashed actions [B, a] and their log-probabilities [B]."""
@@ -101,7 +101,7 @@ class TorchLearner:
     def values(self, obs: np.ndarray, action: np.ndarray) -> np.ndarray:
         """Return both critics' values [2, B]."""
         with self.torch.no_grad():
-            pair = [self.torch.as_tensor(part, device=self.place) for part in (obs, action)]
+            pair = [self.torch.as_tensor(part, device=self.torch_device) for part in (obs, action)]
             return self._values(self.critics, *pair).cpu().numpy()
 
     def _values(self, critics: Any, obs: Any, action: Any) -> Any:
@@ -110,11 +110,11 @@ class TorchLearner:
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         with self.torch.no_grad():
-            return self._sample(self.torch.as_tensor(obs, device=self.place)[None])[0][0].cpu().numpy()
+            return self._sample(self.torch.as_tensor(obs, device=self.torch_device)[None])[0][0].cpu().numpy()
 
-    def learn(self, batch: Batch) -> None:
+    def update(self, batch: Batch) -> None:
         torch = self.torch
-        obs, action, reward, terminal, next_obs = [torch.as_tensor(part, device=self.place) for part in batch]
+        obs, action, reward, terminal, next_obs = [torch.as_tensor(part, device=self.torch_device) for part in batch]
         alpha = self.log_alpha.exp().detach()
         with torch.no_grad():
             next_action, log_prob = self._sample(next_obs)
@@ -130,14 +130,14 @@ class TorchLearner:
             slow, fast = list(self.targets.parameters()), list(self.critics.parameters())
             torch._foreach_lerp_(slow, fast, TARGET_RATE)
 
-    def _descend(self, which: int, loss: Any) -> None:
-        self.adams[which].zero_grad(set_to_none=True)
+    def _descend(self, group: int, loss: Any) -> None:
+        self.adams[group].zero_grad(set_to_none=True)
         loss.backward()
-        self.adams[which].step()
+        self.adams[group].step()
 
     def finish(self) -> None:
-        """Wait for what was dispatched."""
-        if self.place == "cuda":
+        """Wait for all dispatched work."""
+        if self.torch_device == "cuda":
             self.torch.cuda.synchronize()
 
 

@@ -18,27 +18,27 @@ class NumpyTabletop(gymnasium.Env):
         self.horizon = horizon
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (12,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self.place, self.held, self.goal, self.time = HOME.copy(), False, np.zeros(6, np.float32), 0
+        self.positions, self.held, self.goal, self.time = HOME.copy(), False, np.zeros(6, np.float32), 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         super().reset(seed=seed)
-        self.place, self.held, self.time = HOME.copy(), False, 0
+        self.positions, self.held, self.time = HOME.copy(), False, 0
         coaster = COASTERS[self.np_random.integers(len(COASTERS))]
         self.goal = np.concatenate([HOME[:2], coaster, FREE])
         return self._obs(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         action = np.clip(action, -1.0, 1.0)
-        gripper, mug = self.place[:2], self.place[2:]
+        gripper, mug = self.positions[:2], self.positions[2:]
         near = np.hypot(*(gripper - mug)) < REACH
         self.held = bool(action[2] > 0 and (near or self.held))
         moved = np.clip(gripper + STEP * action[:2], -LIMIT, LIMIT)
         carried = np.clip(mug + (moved - gripper), -LIMIT, LIMIT) if self.held else mug
-        self.place = np.concatenate([moved, carried])
+        self.positions = np.concatenate([moved, carried])
         self.time += 1
-        success = bool(np.linalg.norm(self.place - self.goal[:4]) <= TOLERANCE)
+        success = bool(np.linalg.norm(self.positions - self.goal[:4]) <= TOLERANCE)
         return self._obs(), float(success), success, self.time >= self.horizon, {}
 
     def _obs(self) -> np.ndarray:
         flag = HELD if self.held else FREE
-        return np.concatenate([self.place, flag, self.goal]).astype(np.float32)
+        return np.concatenate([self.positions, flag, self.goal]).astype(np.float32)

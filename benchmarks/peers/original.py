@@ -1,4 +1,4 @@
-"""An original-style loop on the Sawyer door: MuJoCo's C engine from Python, a NumPy replay, one seed a process."""
+"""An original-style loop on the Sawyer door: MuJoCo's C engine from Python, a NumPy replay, one seed per process."""
 
 import time
 from typing import Any
@@ -7,7 +7,7 @@ import jax
 import mujoco
 import numpy as np
 
-from benchmarks.peers.common import BATCH, CAPACITY, DOOR, median_s, options, since_start, tell
+from benchmarks.peers.common import BATCH, CAPACITY, DOOR, emit, median_s, options, since_start
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.physics import original_style
 from earl_jax.envs import make
@@ -17,7 +17,7 @@ WARM_UP = 300
 
 
 class Door:
-    """The door with the original's shapes and collisions: `obs [14]`, `action [4]`, 5 substeps a control step."""
+    """The door with the geoms and collisions of the original: `obs [14]`, `action [4]`, 5 substeps per control step."""
 
     def __init__(self):
         task: Any = make(DOOR, physics="c")
@@ -46,36 +46,39 @@ class Door:
         return np.concatenate([hand, [grip], handle, self.goal]).astype(np.float32)
 
 
-class Life:
-    """One seed: the world, its learner and its replay; `step` is one control step and one gradient step."""
+class Training:
+    """One seed: environment, learner and replay; `step` is one control step and one gradient step."""
 
     def __init__(self, learner: str):
-        self.world, self.rng, self.count, self.age = Door(), np.random.default_rng(0), 0, 0
-        self.obs = self.world.reset()
+        self.env, self.rng, self.count, self.age = Door(), np.random.default_rng(0), 0, 0
+        self.obs = self.env.reset()
         self.learner = LEARNERS[learner](len(self.obs), 4)
-        size, sizes = len(self.obs), (CAPACITY,)
+        size = len(self.obs)
         self.replay = Batch(
-            np.zeros((*sizes, size), np.float32), np.zeros((*sizes, 4), np.float32), np.zeros(sizes, np.float32),
-            np.zeros(sizes, bool), np.zeros((*sizes, size), np.float32),
-        )  # fmt: skip
+            obs=np.zeros((CAPACITY, size), np.float32),
+            action=np.zeros((CAPACITY, 4), np.float32),
+            reward=np.zeros(CAPACITY, np.float32),
+            terminal=np.zeros(CAPACITY, bool),
+            next_obs=np.zeros((CAPACITY, size), np.float32),
+        )
 
-    def step(self, learn: bool = True) -> None:
+    def step(self, update: bool = True) -> None:
         action = self.learner.act(self.obs)
-        following, reward, success = self.world.step(action)
+        following, reward, success = self.env.step(action)
         self.age += 1
-        over = success or self.age >= self.world.horizon
+        over = success or self.age >= self.env.horizon
         for column, value in zip(self.replay, (self.obs, action, reward, over, following), strict=True):
             column[self.count % CAPACITY] = value
         self.count += 1
         self.obs = following
         if over:
-            self.obs, self.age = self.world.reset(), 0
-        if learn:
+            self.obs, self.age = self.env.reset(), 0
+        if update:
             rows = self.rng.integers(min(self.count, CAPACITY), size=BATCH)
-            self.learner.learn(Batch(*[column[rows] for column in self.replay]))
+            self.learner.update(Batch(*[column[rows] for column in self.replay]))
 
-    def live(self, steps: int) -> None:
-        """Take `steps` steps and wait for the last update."""
+    def run(self, steps: int) -> None:
+        """Make `steps` steps and wait for the last update."""
         for _ in range(steps):
             self.step()
         self.learner.finish()
@@ -85,19 +88,20 @@ def main() -> None:
     chosen = options(__doc__, learner={"choices": tuple(LEARNERS), "required": True})
     if chosen.learner == "torch":
         jax.config.update("jax_platforms", "cpu")
-    life = Life(chosen.learner)
+    training = Training(chosen.learner)
     start, began = since_start(), time.perf_counter()
     for _ in range(WARM_UP):
-        life.step(learn=life.count >= BATCH)
-    life.live(chosen.steps)
+        training.step(update=training.count >= BATCH)
+    training.run(chosen.steps)
     compiled = time.perf_counter() - began
-    seconds = median_s(lambda: life.live(chosen.steps), chosen.repeats)
-    alone = "; one thread of torch" if chosen.learner == "torch" and life.learner.device == "cpu" else ""
-    tell(
-        ("mujoco", *life.learner.packages), peer=f"original-style, {chosen.learner}", task=DOOR, device=life.learner.device,
-        processes=1, lanes=1, lane_steps_per_s=chosen.steps / seconds, start_s=start, compile_s=compiled,
-        note=f"MuJoCo C on one core, the original's shapes; batch of {BATCH} from a NumPy replay of {CAPACITY:,}; compile_s "
-        f"holds {WARM_UP + chosen.steps} warm-up steps{alone}",
+    seconds = median_s(lambda: training.run(chosen.steps), chosen.repeats)
+    threads = "; one thread of torch" if chosen.learner == "torch" and training.learner.device == "cpu" else ""
+    emit(
+        ("mujoco", *training.learner.packages), peer=f"original-style, {chosen.learner}", task=DOOR,
+        device=training.learner.device, processes=1, lanes=1,
+        lane_steps_per_s=chosen.steps / seconds, start_s=start, compile_s=compiled,
+        note=f"MuJoCo C on one core, the original's geoms; batch of {BATCH} from a NumPy replay of {CAPACITY:,}; compile_s "
+        f"includes {WARM_UP + chosen.steps} warm-up steps{threads}",
     )  # fmt: skip
 
 

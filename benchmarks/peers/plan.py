@@ -1,4 +1,4 @@
-"""Which rows a suite has, and how long each is measured."""
+"""The rows of a suite, and the length of their measurements."""
 
 import dataclasses
 
@@ -11,16 +11,16 @@ STEPS = {
     "gpu": {"earl_jax": {1: 4000, 5: 4000, 50: 1500, 500: 200}, "rejax": {5: 400, 50: 100}, "sbx": 500, "brax": 3000,
             "original": 300},
 }  # fmt: skip
-"""Steps of each seed in one timed repeat (of three, after one that is not counted), by lanes where lanes matter."""
+"""Steps of each seed in one timed repeat (of three, after an untimed one), by lanes where the number of lanes matters."""
 SHARED_GPU = 8
 """Processes of SBX that share one GPU."""
 SMALL = 10_000
-"""Replay rows of the row that shows what rejax's sampling costs."""
+"""Replay rows of the row that shows the cost of rejax's sampling."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """One row to come: a script of this package, run `processes` times side by side on `device` (cpu or gpu)."""
+    """A row to measure: a script of this package, run in `processes` parallel processes on `device` (cpu or gpu)."""
 
     peer: str
     task: str
@@ -34,29 +34,29 @@ class Job:
 
     @property
     def ours(self) -> bool:
-        """Whether this is a row of earl_jax, which runs where the suite runs."""
+        """Whether this is a row of earl_jax, which runs in the interpreter of the suite."""
         return self.module == "ours"
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """What the interpreter is called with."""
+        """Arguments of the interpreter."""
         sizes = ("--lanes", str(self.lanes), "--steps", str(self.steps))
         return ("-m", f"benchmarks.peers.{self.module}", *sizes, *self.extra)
 
-    def company(self, number: int, meeting: str) -> tuple[str, ...]:
-        """Return what the `number`-th of side-by-side processes is told besides: the folder `meeting` to wait in."""
+    def barrier_arguments(self, number: int, folder: str) -> tuple[str, ...]:
+        """Return more arguments of the `number`-th of parallel processes, which wait for each other in `folder`."""
         if self.processes == 1:
             return ()
-        return ("--meet", meeting, "--processes", str(self.processes), "--number", str(number))
+        return ("--meet", folder, "--processes", str(self.processes), "--number", str(number))
 
     @property
     def environment(self) -> dict[str, str]:
-        """Variables that keep a row on its device."""
+        """Environment variables that keep a row on its device."""
         return {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""} if self.device == "cpu" else {}
 
 
 def plan(suite: str, device: str, cores: int) -> list[Job]:
-    """Return the rows of `suite` (quick or full) on `device` with `cores`, those that the ratios need first."""
+    """Return the rows of `suite` (quick or full) on `device` with `cores`; the rows that the ratios need come first."""
     jobs = [ours(TABLETOP, 50, device), sbx(device), rejax(50, device), ours(DOOR, 50, device)]
     jobs += [original("jax", device), original("torch", device), brax(device)]
     jobs += [ours(TABLETOP, lanes, device) for lanes in (5, 1)]

@@ -1,4 +1,4 @@
-"""rejax's SAC: all seeds vmapped in one program, one env and one gradient step an iteration."""
+"""SAC of rejax: all seeds vmapped in one program, one env and one gradient step per iteration."""
 
 import time
 
@@ -15,36 +15,36 @@ from benchmarks.peers.common import (
     HORIZON,
     LEARNING_RATE,
     TABLETOP,
+    emit,
     median_s,
     options,
     since_start,
-    tell,
 )
 from earl_jax.envs import State, make
 
 
 @struct.dataclass
-class Moment:
-    """A world and the steps since its reset."""
+class TimedState:
+    """An env state and the steps since its reset."""
 
-    world: State
+    env_state: State
     time: jax.Array
 
 
 class Tabletop(environment.Environment):
-    """earl_jax's tabletop task as gymnax would have it: it ends on success or after `HORIZON` steps and resets itself."""
+    """earl_jax's tabletop task with the interface of gymnax: it ends on success or after `HORIZON` steps and resets itself."""
 
     task = make(TABLETOP)
 
     def reset_env(self, key, params):
-        world = self.task.reset(key)
-        return world.obs, Moment(world, jnp.zeros((), jnp.int32))
+        env_state = self.task.reset(key)
+        return env_state.obs, TimedState(env_state, jnp.zeros((), jnp.int32))
 
     def step_env(self, key, state, action, params):
-        world = self.task.step(state.world, action)
-        after = Moment(world, state.time + 1)
-        done = (world.metrics["success"] > 0) | (after.time >= HORIZON)
-        return world.obs, after, world.reward, done, {}
+        env_state = self.task.step(state.env_state, action)
+        after = TimedState(env_state, state.time + 1)
+        done = (env_state.metrics["success"] > 0) | (after.time >= HORIZON)
+        return env_state.obs, after, env_state.reward, done, {}
 
     def action_space(self, params):
         return spaces.Box(-1.0, 1.0, (self.task.action_size,))
@@ -74,12 +74,12 @@ def main() -> None:
 
     repeat()
     seconds = median_s(repeat, chosen.repeats)
-    tell(
+    emit(
         ("rejax", "gymnax", "distrax", "jax", "jaxlib", "flax", "optax"), peer="rejax", task=TABLETOP,
         device=jax.devices()[0].device_kind, processes=1, lanes=chosen.lanes,
         lane_steps_per_s=chosen.steps * chosen.lanes / seconds, start_s=start, compile_s=compiled,
         note=f"its train_iteration in the loop of its train(), without the evaluations; {chosen.capacity:,} replay rows a seed, "
-        "sampled without replacement, as it does; updates from the first step",
+        "sampled without replacement, as rejax does; updates from the first step",
     )  # fmt: skip
 
 

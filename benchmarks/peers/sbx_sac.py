@@ -1,4 +1,4 @@
-"""SBX's SAC (Stable Baselines in JAX): one seed a process, a Python loop over a NumPy env and one jitted update."""
+"""SAC of SBX (Stable Baselines in JAX): one seed per process, a Python loop over a NumPy env and one jitted update."""
 
 import time
 
@@ -7,16 +7,26 @@ from sbx import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.peers import BEGAN
-from benchmarks.peers.common import BATCH, HIDDEN, HORIZON, LEARNING_RATE, TABLETOP, meet, options, since_start, tell
+from benchmarks.peers.common import (
+    BATCH,
+    HIDDEN,
+    HORIZON,
+    LEARNING_RATE,
+    TABLETOP,
+    emit,
+    options,
+    since_start,
+    wait_for_others,
+)
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
 
 LEARNING_STARTS = 256
 WARM_UP = 512
-"""Steps before the clock starts: the random ones, those that compile, and as many again."""
+"""Steps before the clock starts: the random steps, the steps that compile, and as many again."""
 
 
 class Clock(BaseCallback):
-    """Takes the time at step `WARM_UP`, where side-by-side processes meet, and every `steps` after it."""
+    """Records the time at step `WARM_UP`, at which parallel processes wait for each other, and every `steps` after it."""
 
     def __init__(self, chosen):
         super().__init__()
@@ -25,7 +35,7 @@ class Clock(BaseCallback):
     def _on_step(self) -> bool:
         steps = self.num_timesteps - WARM_UP
         if steps == 0:
-            meet(self.chosen)
+            wait_for_others(self.chosen)
         if steps >= 0 and steps % self.chosen.steps == 0:
             self.times.append(time.perf_counter())
         return True
@@ -40,13 +50,13 @@ def main() -> None:
     )  # fmt: skip
     start, clock = since_start(), Clock(chosen)
     model.learn(WARM_UP + chosen.steps * chosen.repeats, callback=clock)
-    took = sorted(after - before for before, after in zip(clock.times, clock.times[1:], strict=False))
-    tell(
+    durations = sorted(after - before for before, after in zip(clock.times, clock.times[1:], strict=False))
+    emit(
         ("sbx-rl", "stable-baselines3", "jax", "jaxlib", "torch", "gymnasium"), peer="sbx", task=TABLETOP,
         device=jax.devices()[0].device_kind, processes=1, lanes=1,
-        lane_steps_per_s=chosen.steps / took[len(took) // 2], start_s=start,
+        lane_steps_per_s=chosen.steps / durations[len(durations) // 2], start_s=start,
         compile_s=clock.times[0] - BEGAN - start,
-        note="replay of 1,000,000; compile_s holds all of the 512 steps before the clock starts",
+        note="replay of 1,000,000; compile_s includes the 512 steps before the clock starts",
     )  # fmt: skip
 
 

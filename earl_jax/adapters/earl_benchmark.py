@@ -128,7 +128,7 @@ class PersistentEnv:
     """
 
     def __init__(self, task: Env, horizon: int, goal_change: int = 0):
-        """Make the env of `task`, done every `horizon` steps, with a new goal every `goal_change` steps, 0 for never."""
+        """Make the env of `task`: done every `horizon` steps, a new goal every `goal_change` steps (0: never)."""
         self._env = ResetFreeEnv(dataclasses.replace(task, eval_horizon=horizon), mode="eval", render_mode="rgb_array")
         self._goal_change = goal_change
         self._steps_since_change = 0

@@ -11,7 +11,7 @@ from earl_jax.envs import Env
 from earl_jax.options import check
 from earl_jax.registry import Registry
 
-__all__ = ["SAC", "Method", "list_algos", "make_algo", "method_for", "register_algo"]
+__all__ = ["SAC", "Method", "algo_class", "list_algos", "make_algo", "method_for", "register_algo"]
 
 _ALGOS = Registry(
     "algo",
@@ -37,6 +37,15 @@ def register_algo(name: str, method: type[Method]) -> None:
         ValueError: the name is taken.
     """
     _ALGOS.register(name, method)
+
+
+def algo_class(name: str) -> type[Method]:
+    """Return the class of the method `name`.
+
+    Raises:
+        ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
+    """
+    return _ALGOS.get(name)
 
 
 def make_algo(name: str, **options) -> Method:

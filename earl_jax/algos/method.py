@@ -103,3 +103,9 @@ class Method(struct.PyTreeNode):
         """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps."""
         del key, env, goals, agent
         return method_state
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Commands":  # the earlier name of GoalIndices
+        return GoalIndices
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -30,6 +30,17 @@ def reproduce(
     """
     from earl_jax.paper import reproduce as paper
 
-    paths = paper.reproduce(name, scale, out, tasks, seeds, steps, parse_options(set), max_lanes, devices, print_line)
+    paths = paper.reproduce(
+        name,
+        scale,
+        out,
+        tasks=tasks,
+        seeds=seeds,
+        steps=steps,
+        options=parse_options(set),
+        max_lanes=max_lanes,
+        devices=devices,
+        emit=print_line,
+    )
     for path in paths:
         print(path)

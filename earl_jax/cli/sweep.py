@@ -51,6 +51,6 @@ def sweep(
 
 def _with_earlier_keys(plan: dict[str, Any]) -> dict[str, Any]:
     """Return `plan` with its earlier keys `cells`, `packs` and `experiment` in addition to the present ones."""
-    cells = {name: {**run, "experiment": run["config"]} for name, run in plan["runs"].items()}
-    packs = [{**group, "cells": group["runs"]} for group in plan["groups"]]
-    return {**plan, "cells": cells, "packs": packs}
+    runs = {name: {**run, "experiment": run["config"]} for name, run in plan["runs"].items()}
+    groups = [{**group, "cells": group["runs"]} for group in plan["groups"]]
+    return {**plan, "cells": runs, "packs": groups}

@@ -34,7 +34,7 @@ def train(
         eval_every: Steps between evaluations.
         eval_episodes: Greedy episodes of each deployed evaluation.
         checkpoint_every: Steps between checkpoints.
-        setting: Setting of the EARL benchmark. docs/formalism.md lists the options of both settings for --set.
+        setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
     """
     from earl_jax import algos, envs
     from earl_jax.runs.hosts import join_hosts

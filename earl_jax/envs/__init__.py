@@ -1,6 +1,7 @@
 """The registry of tasks. To add a task, add a file and a line to the table below; other packages use `register_env`."""
 
 import dataclasses
+from typing import Any
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.mujoco_env import MujocoEnv
@@ -14,6 +15,7 @@ __all__ = [
     "HelpBudget",
     "MujocoEnv",
     "State",
+    "env_class",
     "list_envs",
     "make",
     "register_env",
@@ -59,6 +61,15 @@ def register_env(name: str, factory: type[Env]) -> None:
     _ENVS.register(name, factory)
 
 
+def env_class(name: str) -> type[Env]:
+    """Return the class of the task `name`.
+
+    Raises:
+        ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
+    """
+    return _ENVS.get(name)
+
+
 def make(name: str, **options) -> Env:
     """Return the task `name` with these options, e.g. `make("tabletop_organization", reward_type="dense")`.
 
@@ -82,3 +93,9 @@ def with_physics(env: Env, engine: str | None) -> Env:
     if "physics" not in {field.name for field in dataclasses.fields(env)}:
         raise ValueError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
     return dataclasses.replace(env, **{"physics": engine})
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Helped":  # the earlier name of HelpBudget
+        return HelpBudget
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

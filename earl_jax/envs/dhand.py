@@ -128,6 +128,10 @@ class DHandLightbulb(MujocoEnv):
     """Number of scripted demonstrations, all forward. The paper has none, and none ship."""
 
     @property
+    def title(self) -> str:
+        return "DHand lightbulb"
+
+    @property
     def state_size(self) -> int:
         return FINGERS + ARM + 9
 

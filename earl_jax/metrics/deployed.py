@@ -18,11 +18,11 @@ def episode(
     """
 
     def step(carry, _):
-        state, alive, success, total = carry
+        state, intact, success, total = carry
         state = env.step(state, policy(state.obs))
-        alive &= ~env.fault(state)
-        success |= alive & env.success(state.obs)
-        return (state, alive, success, total + jnp.where(alive, state.reward, 0.0)), None
+        intact &= ~env.fault(state)
+        success |= intact & env.success(state.obs)
+        return (state, intact, success, total + jnp.where(intact, state.reward, 0.0)), None
 
     first = ((start or env.reset)(key), jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
     (_, _, success, total), _ = jax.lax.scan(step, first, length=horizon)

@@ -2,13 +2,13 @@
 
 import dataclasses
 import numbers
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from earl_jax.algos import Method, list_algos, make_algo
-from earl_jax.envs import Env, list_envs, make
+from earl_jax.algos import Method, algo_class, make_algo
+from earl_jax.envs import Env, env_class, make
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
@@ -89,8 +89,8 @@ class RunConfig:
             eval_episodes=eval_episodes,
             checkpoint_every=checkpoint_every,
             setting={"name": setting.name, **_changed_options(setting)},
-            env_class=_unregistered_class(task, list_envs(), make),
-            algo_class=_unregistered_class(method, list_algos(), make_algo),
+            env_class=_unregistered_class(task, env_class),
+            algo_class=_unregistered_class(method, algo_class),
         )
 
     def build_setting(self) -> Setting:
@@ -105,13 +105,13 @@ class RunConfig:
                 class.
         """
         if self.env_class:
-            _require_registered("env", self.env, self.env_class, list_envs(), make)
+            _require_registered("env", self.env, self.env_class, env_class)
         return self.build_setting().wrap(make(self.env, **self.env_options))
 
     def build_method(self) -> Method:
         """Return the method with its hyper-parameters. Errors as `build_env`."""
         if self.algo_class:
-            _require_registered("algo", self.algo, self.algo_class, list_algos(), make_algo)
+            _require_registered("algo", self.algo, self.algo_class, algo_class)
         return make_algo(self.algo, **self.options)
 
     @property
@@ -179,15 +179,21 @@ def _class_name(cls: type) -> str:
     return f"{cls.__module__}:{cls.__qualname__}"
 
 
-def _unregistered_class(target: Any, names: Sequence[str], build: Any) -> str | None:
+def _unregistered_class(target: Any, class_of: Callable[[str], type]) -> str | None:
     """Return the class name of `target` if its name is not registered, or registered for another class; else None."""
-    registered = target.name in names and type(build(target.name)) is type(target)
-    return None if registered else _class_name(type(target))
+    return None if _is_registered(target.name, _class_name(type(target)), class_of) else _class_name(type(target))
 
 
-def _require_registered(kind: str, name: str, class_name: str, names: Sequence[str], build: Any) -> None:
-    """Raise a ValueError unless `name` builds an object of the class `class_name`."""
-    if name in names and _class_name(type(build(name))) == class_name:
+def _is_registered(name: str, class_name: str, class_of: Callable[[str], type]) -> bool:
+    try:
+        return _class_name(class_of(name)) == class_name
+    except ValueError:
+        return False
+
+
+def _require_registered(kind: str, name: str, class_name: str, class_of: Callable[[str], type]) -> None:
+    """Raise a ValueError unless `name` is registered for the class `class_name`."""
+    if _is_registered(name, class_name, class_of):
         return
     cls = class_name.rpartition(":")[2].rpartition(".")[2]
     raise ValueError(

@@ -10,6 +10,8 @@ import numpy as np
 from earl_jax.algos.learner.replay import Replay
 from earl_jax.runs.hosts import gathered
 
+EARLIER_NAMES = {"flags": "marks"}
+"""Names of arrays in earlier checkpoints, which can still be read."""
 PIECE = 1 << 28
 """Bytes of the replay that are copied from a device at a time."""
 
@@ -88,8 +90,9 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
         span = slice(start, start := start + size)
         buffers["counts"][span] = saved["counts"]
         for name in names[:4]:
-            if name in saved:
-                buffers[name][: len(saved[name]), span] = saved[name]
+            rows = saved.get(name, saved.get(EARLIER_NAMES.get(name, name)))
+            if rows is not None:
+                buffers[name][: len(rows), span] = rows
         for name, target in targets.items():
             if name in saved:
                 rows = saved[name] if name == "mine" else saved[name][::-1]

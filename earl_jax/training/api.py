@@ -104,26 +104,33 @@ def train(
     Raises:
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
-    setting = setting_of(setting) if isinstance(setting, str) else setting
-    task, setting = split_setting(make(env) if isinstance(env, str) else env, setting)
-    wrapped = setting.wrap(task)
-    method = method_for(wrapped, algo, **options) if isinstance(algo, str) else _without_options(algo, options)
+    task, method, resolved = _resolve_objects(env, algo, setting, options)
     config = RunConfig.from_objects(
-        wrapped,
+        task,
         method,
-        setting,
+        resolved,
         seeds=range(seeds) if isinstance(seeds, int) else [int(seed) for seed in seeds],
         steps=steps,
         eval_every=eval_every,
         eval_episodes=eval_episodes,
         checkpoint_every=checkpoint_every,
     )
-    run = Run.resolve(config, wrapped, method)
-    run.protocol = setting.protocol(wrapped, config.eval_every, config.eval_episodes)
+    run = Run.resolve(config, task, method, resolved)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, logs)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress)
+
+
+def _resolve_objects(
+    env: str | Env, algo: str | Method, setting: str | Setting, options: dict[str, Any]
+) -> tuple[Env, Method, Setting]:
+    """Return the environment, with help if the setting has a budget, the method and the setting. Errors as `train`."""
+    setting = setting_of(setting) if isinstance(setting, str) else setting
+    task, setting = split_setting(make(env) if isinstance(env, str) else env, setting)
+    wrapped = setting.wrap(task)
+    method = method_for(wrapped, algo, **options) if isinstance(algo, str) else _without_options(algo, options)
+    return wrapped, method, setting
 
 
 def resume(

@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.mixed import mix_methods
 from earl_jax.envs import Env
-from earl_jax.protocol import Protocol, Rules
+from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import Row, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
@@ -48,11 +48,22 @@ class Run:
     rows: list[Row] = dataclasses.field(default_factory=list)
 
     @classmethod
-    def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
-        """Return the run of `config`; objects that are not passed are built from it."""
+    def resolve(
+        cls,
+        config: RunConfig,
+        env: Env | None = None,
+        method: Method | None = None,
+        setting: Setting | None = None,
+    ) -> "Run":
+        """Return the run of `config`; the objects that are not given are built from it."""
         env, method = env or config.build_env(), method or config.build_method()
-        method = per_lane(method, len(config.seeds))
-        return cls(config=config, env=env, method=method, protocol=config.protocol(env))
+        setting = setting or config.build_setting()
+        return cls(
+            config=config,
+            env=env,
+            method=per_lane(method, len(config.seeds)),
+            protocol=setting.protocol(env, config.eval_every, config.eval_episodes),
+        )
 
     @property
     def rules(self) -> Rules:

@@ -1,4 +1,7 @@
-"""Run by test_brax.py with a Python whose jax brax's trainers still work on: SAC on a life of tabletop organization, as JSON."""
+"""SAC of brax on a lifetime of tabletop organization; prints its metrics as JSON.
+
+test_brax.py runs it with a Python that has a jax on which brax's trainers still work.
+"""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What the tests of adapters share."""
+"""Fixtures of the adapter tests."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from earl_jax.rendering.scenes import Scene
 
 @pytest.fixture(scope="module")
 def pictures():
-    """Options of small pictures, where there is a way to draw them."""
+    """Options of small pictures; a machine that cannot draw skips the test."""
     size = {"width": 64, "height": 48}
     try:
         Scene(make("tabletop_organization"), (48, 64)).close()

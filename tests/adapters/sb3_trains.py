@@ -1,6 +1,6 @@
-"""An agent of Stable-Baselines3 lives on tabletop organization through the gymnasium adapter; prints what came of it as JSON.
+"""SAC of Stable-Baselines3 on tabletop organization through the gymnasium adapter; prints its results as JSON.
 
-A process of its own, as a user would have: PyTorch's libraries and those of a software renderer don't go together in one.
+It runs in a process of its own: PyTorch's libraries and those of a software renderer do not work in the same one.
 """
 
 import json
@@ -30,23 +30,23 @@ def mean_return(act):
 
 
 def main():
-    """Train, judge, print."""
+    """Train, evaluate, print."""
     torch.set_num_threads(1)  # small networks on few cores: threads that wait for each other made this ten times slower
-    life = gymnasium.make(env_id("tabletop_organization"), reward_type="dense", train_horizon=2000)
-    check_env(life)
+    env = gymnasium.make(env_id("tabletop_organization"), reward_type="dense", train_horizon=2000)
+    check_env(env)
     agent = SAC(
-        "MlpPolicy", life, learning_rate=1e-3, batch_size=128, learning_starts=200, train_freq=2, gamma=0.95, seed=0,
+        "MlpPolicy", env, learning_rate=1e-3, batch_size=128, learning_starts=200, train_freq=2, gamma=0.95, seed=0,
         policy_kwargs={"net_arch": [64, 64]}, device="cpu",
     )  # fmt: skip
     agent.learn(STEPS)
-    told = {
+    report = {
         "losses": [float(agent.logger.name_to_value[f"train/{name}_loss"]) for name in ("actor", "critic", "ent_coef")],
         "dones": float(agent.replay_buffer.dones[:STEPS].sum()),
-        "interventions": int(life.unwrapped.life.interventions),
+        "interventions": int(env.unwrapped.state.interventions),
         "random": mean_return(lambda env, _: env.action_space.sample()),
-        "learnt": mean_return(lambda _, obs: agent.predict(obs, deterministic=True)[0]),
+        "trained": mean_return(lambda _, obs: agent.predict(obs, deterministic=True)[0]),
     }
-    print(json.dumps(told))
+    print(json.dumps(report))
 
 
 if __name__ == "__main__":

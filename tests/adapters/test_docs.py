@@ -1,4 +1,4 @@
-"""The snippets of docs/adapters.md run as they stand there."""
+"""The snippets of docs/adapters.md run without changes."""
 
 import importlib.util
 import re
@@ -20,11 +20,13 @@ def test_a_snippet_runs(number, capsys):
     if "stable_baselines3" in SNIPPETS[number]:
         if not importlib.util.find_spec("stable_baselines3"):
             pytest.skip("pip install 'earl-jax[peers]'")
-        subprocess.run([sys.executable, "-c", SNIPPETS[number]], check=True)  # alone, as in test_stable_baselines.py
+        subprocess.run(
+            [sys.executable, "-c", SNIPPETS[number]], check=True
+        )  # a process of its own, as in sb3_trains.py
         return
     exec(compile(SNIPPETS[number], "docs/adapters.md", "exec"), {"__name__": "snippet"})
     assert capsys.readouterr().out
 
 
-def test_the_page_names_what_braxs_trainers_are_tested_with():
+def test_the_page_lists_the_versions_that_braxs_trainers_are_tested_with():
     assert f"old/bin/pip install {' '.join(NEEDS)}\n" in PAGE

@@ -1,4 +1,4 @@
-"""An agent of Stable-Baselines3 gets better at tabletop organization through the gymnasium adapter."""
+"""An agent of Stable-Baselines3 learns tabletop organization through the gymnasium adapter."""
 
 import importlib.util
 import json
@@ -15,12 +15,12 @@ SCRIPT = Path(__file__).parent / "sb3_trains.py"
 
 @pytest.mark.slow
 @pytest.mark.skipif(not importlib.util.find_spec("stable_baselines3"), reason="pip install 'earl-jax[peers]'")
-def test_sac_learns_from_a_life():
+def test_sac_learns_from_a_lifetime():
     environment = {**os.environ, "PYTHONPATH": str(SCRIPT.parents[2]), "JAX_PLATFORMS": "cpu"}
-    found = subprocess.run([sys.executable, str(SCRIPT)], capture_output=True, text=True, env=environment)
-    assert found.returncode == 0, found.stderr
-    told = json.loads(found.stdout.splitlines()[-1])
-    assert np.isfinite(told["losses"]).all()
-    assert told["dones"] == 0
-    assert told["interventions"] >= 2
-    assert told["learnt"] > told["random"] + 50
+    finished = subprocess.run([sys.executable, str(SCRIPT)], capture_output=True, text=True, env=environment)
+    assert finished.returncode == 0, finished.stderr
+    report = json.loads(finished.stdout.splitlines()[-1])
+    assert np.isfinite(report["losses"]).all()
+    assert report["dones"] == 0
+    assert report["interventions"] >= 2
+    assert report["trained"] > report["random"] + 50

@@ -9,7 +9,8 @@ import pytest
 
 from earl_jax.algos.method import TASK, Method
 from earl_jax.algos.mixed import MixedMethod, mix_methods, program_signature
-from tests.conftest import DEFAULT_CODEGEN, advance, assert_equal_trees, make_train_state, take_lane, tiny_method
+from tests.compiler import DEFAULT_CODEGEN
+from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
 
 class Custom(Method):

@@ -12,7 +12,9 @@ from tests.conftest import assert_all_finite, assert_equal_trees, take_lane
 
 DEFAULT_REWARD = pytest.mark.parametrize(("name", "reward_type"), [(n, make(n).reward_type) for n in list_envs()])
 """The task's own kind of reward alone: for tests that cost a compilation and do not depend on the reward."""
-EVERY_REWARD = pytest.mark.parametrize(("name", "reward_type"), [(n, r) for n in list_envs() for r in ("sparse", "dense")])
+EVERY_REWARD = pytest.mark.parametrize(
+    ("name", "reward_type"), [(n, r) for n in list_envs() for r in ("sparse", "dense")]
+)
 
 
 def describe(tree):

@@ -1,4 +1,4 @@
-"""DHand lightbulb: what is seen, what moves, starts, reward, the scripted grasp, and a bulb that cannot get away."""
+"""DHand lightbulb: observations, motion, starts, reward, the scripted grasp, and the tether of the bulb."""
 
 import dataclasses
 
@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from benchmarks import dhand as benchmark
-from benchmarks.safety import actions as wild
+from benchmarks.safety import make_actions
 from earl_jax import physics
 from earl_jax.envs import dhand as task
 from earl_jax.envs import make
+from tests.conftest import assert_all_finite, take_lane
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +32,22 @@ def step(env):
 
 
 @pytest.fixture(scope="module")
-def begin(env):
-    return jax.jit(env.placed)
+def start_at(env):
+    return jax.jit(env.start_at)
 
 
-def walk(env, state, plan):
-    """Return the states after every action of `plan [steps, lanes, 22]`, from a batch of lanes."""
-    run = jax.jit(lambda state: jax.lax.scan(lambda s, a: (lambda n: (n, n))(jax.vmap(env.step)(s, a)), state, plan)[1])
-    return run(state)
+def run_actions(env, state, actions):
+    """Return the states after every action of `actions [steps, lanes, 22]`, from a batch of lanes."""
+
+    def step(state, action):
+        state = jax.vmap(env.step)(state, action)
+        return state, state
+
+    return jax.jit(lambda state: jax.lax.scan(step, state, actions)[1])(state)
+
+
+def add_lane_axis(state):
+    return jax.tree.map(lambda leaf: leaf[None], state)
 
 
 def test_numbers_of_the_paper(env):
@@ -63,7 +72,7 @@ def test_the_model_keeps_the_originals_numbers(model):
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
 
 
-def test_the_start_is_where_the_originals_reset_comes_to_rest(env, model):
+def test_the_start_is_the_state_in_which_the_originals_reset_comes_to_rest(env, model):
     data = mujoco.MjData(model)
     middle, half = model.actuator_ctrlrange.mean(axis=1), np.ptp(model.actuator_ctrlrange, axis=1) / 2
     data.qpos[:7] = [0.7, 0.133, -0.503, 1.067, -2.308, 0.976, 0.0973]
@@ -78,8 +87,8 @@ def test_the_start_is_where_the_originals_reset_comes_to_rest(env, model):
     np.testing.assert_allclose(data.site("grasp").xpos, task.START_HAND, atol=1e-7)
 
 
-def test_the_observation_is_mujocos_own(env, begin, step):
-    state = begin(jnp.array([0.7, 0.2]))
+def test_the_observation_is_mujocos_own(env, start_at, step):
+    state = start_at(jnp.array([0.7, 0.2]))
     rng = np.random.default_rng(0)
     for _ in range(5):
         before = state
@@ -118,43 +127,43 @@ def test_starts_cover_the_table_and_stay_inside(env):
     assert not np.asarray(state.metrics["success"]).any()
 
 
-def test_a_start_is_at_rest(env, step, begin):
-    state = step(begin(jnp.array([0.62, 0.25])), jnp.zeros(22))
+def test_nothing_moves_at_a_start(env, step, start_at):
+    state = step(start_at(jnp.array([0.62, 0.25])), jnp.zeros(22))
     np.testing.assert_allclose(state.obs[23:26], [0.62, 0.25, task.REST], atol=1e-6)
     np.testing.assert_allclose(state.obs[26:29], task.START_HAND, atol=2e-4)
     np.testing.assert_allclose(state.obs[16:23], task.START_JOINTS[:7], atol=1e-3)
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_the_wrist_moves_as_told_and_stays_in_its_range(env, begin, way):
-    plan = jnp.zeros((40, 1, 22)).at[:, :, 16:].set(way)
-    states = walk(env, jax.tree.map(lambda leaf: leaf[None], begin(jnp.array([0.86, 0.3]))), plan)
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_wrist_follows_its_command_within_its_range(env, start_at, direction):
+    actions = jnp.zeros((40, 1, 22)).at[:, :, 16:].set(direction)
+    states = run_actions(env, add_lane_axis(start_at(jnp.array([0.86, 0.3]))), actions)
     target = np.asarray(states.data.mocap_pos[:, 0, 0])
-    np.testing.assert_allclose(target[0] - task.START_TARGET, 0.01 * way, atol=1e-6)
-    np.testing.assert_allclose(target[-1], task.HIGH if way > 0 else task.LOW, atol=1e-6)
+    np.testing.assert_allclose(target[0] - task.START_TARGET, 0.01 * direction, atol=1e-6)
+    np.testing.assert_allclose(target[-1], task.HIGH if direction > 0 else task.LOW, atol=1e-6)
     yaw = np.asarray(jax.vmap(task.yaw_of)(states.data.mocap_quat[:, 0, 0]))
-    assert yaw[0] == pytest.approx(0.02 * way, abs=1e-5)
-    assert yaw[-1] == pytest.approx(np.pi / 6 * way, abs=1e-5)
+    assert yaw[0] == pytest.approx(0.02 * direction, abs=1e-5)
+    assert yaw[-1] == pytest.approx(np.pi / 6 * direction, abs=1e-5)
     assert np.abs(np.asarray(states.data.mocap_quat)[..., [0, 3]]).max() == 0, "roll and pitch are inert"
     hand = np.asarray(states.obs[-1, 0, 26:29])
-    assert np.linalg.norm(hand - (target[-1] + task.FROM_TARGET)) < 0.12, "and the hand follows, turned by 30 degrees"
+    assert np.linalg.norm(hand - (target[-1] + task.FROM_TARGET)) < 0.12, "the hand follows, turned by 30 degrees"
 
 
-def test_fingers_go_where_they_are_told(env, begin, step):
-    state = begin(jnp.array([0.58, 0.03]))
+def test_fingers_follow_their_commands(env, start_at, step):
+    state = start_at(jnp.array([0.58, 0.03]))
     push = np.zeros(22, np.float32)
     push[1] = 0.5
     after = step(state, jnp.asarray(push))
     moved = np.asarray(after.obs[:16] - state.obs[:16])
-    assert 0.1 < moved[1] < 0.4, "a time constant of 0.2 s towards 0.4 rad further"
+    assert 0.1 < moved[1] < 0.4, "a time constant of 0.2 s towards a target 0.4 rad away"
     assert np.abs(np.delete(moved, 1)).max() < 0.1
     for _ in range(15):
         state = step(state, jnp.zeros(22).at[:16].set(1.0))
     assert (np.asarray(state.obs[:16]) < task.FINGER_HIGH + 0.1).all(), "targets are clipped"
 
 
-def own_reward(obs):
-    """The documented formula again, in float64, one observation at a time."""
+def documented_reward(obs):
+    """Return the documented formula in float64 for one observation."""
     bulb, hand, goal = obs[23:26], obs[26:29], obs[32:35]
     distance = np.linalg.norm(bulb - goal)
     total = -np.linalg.norm(hand - bulb) - 2 * np.hypot(*(bulb - goal)[:2]) - 2 * abs(bulb[2] - goal[2])
@@ -174,7 +183,7 @@ def test_the_reward_is_the_documented_formula(env):
     obs[:, 32:] = np.where(np.arange(400)[:, None] % 2, task.TARGET, env.initial_states[np.arange(400) % 9])
     obs[::3, 23:26] = obs[::3, 32:] + rng.uniform(-0.08, 0.08, (134, 3))
     np.testing.assert_allclose(
-        env.reward(jnp.asarray(obs)), [own_reward(row) for row in obs.astype(np.float64)], atol=1e-5
+        env.reward(jnp.asarray(obs)), [documented_reward(row) for row in obs.astype(np.float64)], atol=1e-5
     )
     near = np.linalg.norm(obs[:, 23:26] - obs[:, 32:], axis=1) < 0.1
     np.testing.assert_array_equal(env.success(jnp.asarray(obs)), near)
@@ -182,44 +191,46 @@ def test_the_reward_is_the_documented_formula(env):
     np.testing.assert_array_equal(sparse.reward(jnp.asarray(obs)), near.astype(np.float32))
 
 
-def test_a_goal_on_the_table_asks_for_putting_down(env):
+def test_a_goal_on_the_table_rewards_putting_the_bulb_down(env):
     goal = env.initial_states[4]
-    seen = jnp.asarray(goal + np.array([[0, 0, 0], [0, 0, 0.14], [0.13, 0, 0]], np.float32))
-    obs = jnp.zeros((3, 35)).at[:, 23:26].set(seen).at[:, 26:29].set(seen + jnp.array([0, 0, 0.02]))
+    bulb = jnp.asarray(goal + np.array([[0, 0, 0], [0, 0, 0.14], [0.13, 0, 0]], np.float32))
+    obs = jnp.zeros((3, 35)).at[:, 23:26].set(bulb).at[:, 26:29].set(bulb + jnp.array([0, 0, 0.02]))
     obs = obs.at[:, 32:].set(goal)
-    there, above, beside = np.asarray(env.reward(obs)).tolist()
-    assert there > beside > above
+    at_goal, above, beside = np.asarray(env.reward(obs)).tolist()
+    assert at_goal > beside > above
 
 
-def test_the_scripted_grasp_lifts_and_holds_and_doing_nothing_earns_what_was_published(env):
-    seen = benchmark.live(env, benchmark.starts(env, 7, 0), 400, 0)
-    held = benchmark.longest(seen["success"])
+def test_the_scripted_grasp_lifts_and_holds_and_no_action_earns_the_published_return(env):
+    episodes = benchmark.run_episodes(env, benchmark.start_states(env, 7, 0), 400, 0)
+    held = benchmark.longest_run(episodes["success"])
     assert (held[2] >= benchmark.HOLD).all()
-    assert (seen["height"].max(axis=0)[2] > task.REST + benchmark.LIFTED).all()
+    assert (episodes["height"].max(axis=0)[2] > task.REST + benchmark.LIFTED).all()
     assert held[0].max() == 0
-    returns = seen["reward"].sum(axis=0)[:, 5:].mean(axis=1)
+    returns = episodes["reward"].sum(axis=0)[:, 5:].mean(axis=1)
     assert -290 < returns[0] < -190
     assert -550 < returns[1] < -200
     assert 2000 < returns[2] < 2400
-    assert not seen["fault"].any()
+    assert not episodes["fault"].any()
 
 
-def test_the_grasp_also_puts_the_bulb_where_it_is_told(env, begin):
-    state = env.with_goal(begin(jnp.array([0.8, 0.1])), jnp.asarray(env.initial_states[0]))
-    run = jax.jit(
-        lambda s: jax.lax.scan(lambda s, _: (lambda n: (n, n.obs))(env.step(s, env.expert(s.obs))), s, length=120)
-    )
-    last, seen = run(state)
+def test_the_grasp_also_puts_the_bulb_down_at_a_goal_on_the_table(env, start_at):
+    state = env.with_goal(start_at(jnp.array([0.8, 0.1])), jnp.asarray(env.initial_states[0]))
+
+    def step(state, _):
+        state = env.step(state, env.expert(state.obs))
+        return state, state.obs
+
+    last, obs = jax.jit(lambda state: jax.lax.scan(step, state, length=120))(state)
     assert bool(env.success(last.obs))
-    assert float(seen[:, 25].max()) > task.REST + 0.05, "carried, not pushed"
+    assert float(obs[:, 25].max()) > task.REST + 0.05, "carried, not pushed"
     assert float(last.obs[25]) < task.REST + 0.02
 
 
-def test_the_tether_holds(env, begin):
-    """A bulb that is thrown comes back: 3 m/s towards the table's edge."""
-    state = begin(jnp.array([0.72, 0.15]))
+def test_the_tether_holds_a_thrown_bulb(env, start_at):
+    """The bulb starts with 3 m/s towards the edge of the table."""
+    state = start_at(jnp.array([0.72, 0.15]))
     thrown = state.replace(data=state.data.replace(qvel=state.data.qvel.at[23].set(3.0).at[24].set(1.0)))
-    states = walk(env, jax.tree.map(lambda leaf: leaf[None], thrown), jnp.zeros((30, 1, 22)))
+    states = run_actions(env, add_lane_axis(thrown), jnp.zeros((30, 1, 22)))
     bulb = np.asarray(states.obs[:, 0, 23:26])
     reach = np.linalg.norm(bulb - [0.7, 0.15, 0.885], axis=1)
     assert 0.4 < reach.max() < 0.5
@@ -227,33 +238,34 @@ def test_the_tether_holds(env, begin):
     assert not np.asarray(jax.vmap(jax.vmap(env.fault))(states)).any()
 
 
-def test_fingers_pressed_onto_the_table_fold_and_do_not_sink_in(env, begin):
-    """Stiff fingers point straight down and the wrist is told to go down: unguarded, the tips end 6 cm deep."""
-    plan = jnp.zeros((45, 1, 22)).at[:, :, [1, 5, 9]].set(1.0).at[15:, :, 18].set(-1.0)
-    plan = plan.at[:, :, [2, 3, 6, 7, 10, 11]].set(-0.1)
-    states = walk(env, jax.tree.map(lambda leaf: leaf[None], begin(jnp.array([0.58, 0.3]))), plan)
+def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it(env, start_at):
+    """Stiff fingers point straight down while the wrist moves down; without the guard, the tips end 6 cm deep."""
+    actions = jnp.zeros((45, 1, 22)).at[:, :, [1, 5, 9]].set(1.0).at[15:, :, 18].set(-1.0)
+    actions = actions.at[:, :, [2, 3, 6, 7, 10, 11]].set(-0.1)
+    states = run_actions(env, add_lane_axis(start_at(jnp.array([0.58, 0.3]))), actions)
     pressed, target = np.asarray(states.info["pressed"][:, 0]), np.asarray(states.data.mocap_pos[:, 0, 0, 2])
     assert pressed.any()
-    assert (np.diff(target)[pressed[:-1]] >= 0).all(), "while pressed, no lower"
-    data = physics.mujoco_data(env.name, jax.tree.map(lambda leaf: leaf[-1, 0], states.data))
+    assert (np.diff(target)[pressed[:-1]] >= 0).all(), "the target does not go down while the fingers are pressed"
+    data = physics.mujoco_data(env.name, take_lane(states.data, (-1, 0)))
     assert min(data.site(f"{finger}_tip").xpos[2] for finger in ("FF", "MF", "PF")) > task.TABLE + 0.015
     fingers = np.asarray(states.obs[:, 0, :12])
     assert (fingers > task.FINGER_LOW[:12] - 0.1).all()
     assert (fingers < task.FINGER_HIGH[:12] + 0.1).all()
 
 
-@pytest.mark.parametrize("broken", ["nan", "fallen", "lost", "hand"])
-def test_faults(env, begin, broken):
-    state = begin(jnp.array([0.72, 0.15]))
+@pytest.mark.parametrize("fault", ["nan", "fallen bulb", "far bulb", "far hand"])
+def test_a_broken_or_impossible_state_is_a_fault(env, start_at, fault):
+    state = start_at(jnp.array([0.72, 0.15]))
     assert not bool(env.fault(state))
-    where, value = {"nan": (0, jnp.nan), "fallen": (25, 0.6), "lost": (23, 1.5), "hand": (28, 2.0)}[broken]
-    assert bool(env.fault(state.replace(obs=state.obs.at[where].set(value))))
+    faults = {"nan": (0, jnp.nan), "fallen bulb": (25, 0.6), "far bulb": (23, 1.5), "far hand": (28, 2.0)}
+    index, value = faults[fault]
+    assert bool(env.fault(state.replace(obs=state.obs.at[index].set(value))))
 
 
-def test_two_thousand_wild_steps_leave_the_bulb_on_the_table(env):
+def test_two_thousand_random_and_saturated_steps_leave_the_bulb_on_the_table(env):
     lanes = 6
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(2), lanes))
-    states = walk(env, state, jnp.asarray(wild(2000, lanes, 22)))
-    assert np.isfinite(np.asarray(states.obs)).all()
+    states = run_actions(env, state, jnp.asarray(make_actions(2000, lanes, 22)))
+    assert_all_finite(states.obs)
     assert np.asarray(states.obs[..., 25]).min() > task.TABLE
     assert not np.asarray(jax.vmap(jax.vmap(env.fault))(states)).any()

@@ -1,4 +1,4 @@
-"""Kitchen: observation, noise and reward against NumPy, the released reset, scripted chores, limits, faults, the arm's motion."""
+"""Kitchen: observation, noise and reward against NumPy, the released reset, scripts, limits, faults, the motion of the arm."""
 
 import dataclasses
 from pathlib import Path
@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks import kitchen as chores
-from benchmarks.safety import actions
+from benchmarks import kitchen as benchmark
+from benchmarks.safety import make_actions
 from earl_jax import physics
 from earl_jax.envs import make
 from earl_jax.envs.kitchen import reward as kitchen_reward
@@ -25,6 +25,7 @@ from earl_jax.envs.kitchen.franka_kitchen import (
     NOISE,
     PAIRS,
 )
+from tests.conftest import take_lane
 
 COMPILED = Path(__file__).parents[3] / "shared" / "specs" / "data" / "kitchen_earl_compiled.json"
 RELEASED_START = np.array(
@@ -40,8 +41,8 @@ def env():
 
 
 @pytest.fixture(scope="module")
-def lives(env):
-    """64 lanes of 250 uniform, saturated and held actions: states [250, 64], without noise, and faults."""
+def random_states(env):
+    """States and faults [250, 64] of 64 lanes under uniform, saturated and held actions, without noise."""
     exact = dataclasses.replace(env, noise=False)
 
     def step(state, action):
@@ -49,11 +50,11 @@ def lives(env):
         return state, (state, jax.vmap(exact.fault)(state))
 
     start = jax.jit(jax.vmap(exact.reset))(jax.random.split(jax.random.key(0), 64))
-    return jax.jit(lambda s, a: jax.lax.scan(step, s, a)[1])(start, jnp.asarray(actions(250, 64, 9)))
+    return jax.jit(lambda s, a: jax.lax.scan(step, s, a)[1])(start, jnp.asarray(make_actions(250, 64, 9)))
 
 
 def reward_in_numpy(obs, mocap, sites):
-    """The released reward, component by component."""
+    """Return the released reward, component by component."""
     obs = np.asarray(obs, np.float64)
     total = -10 * np.linalg.norm(obs[9:23] - obs[32:46])
     parts = [[9, 10], [11, 12], [13, 14], [15, 16], [17, 18], [19], [20, 21], [22]]
@@ -73,21 +74,21 @@ def test_numbers_as_released(env):
     assert (env.goal_states.shape, env.initial_states.shape) == ((1, 23), (6, 23))
     assert env.simulator.timestep == pytest.approx(0.004)
     changed = {tuple(np.flatnonzero(row != CLOSED).tolist()) for row in env.initial_states}
-    places = {"micro": (22,), "hinge": (20, 21), "slide": (19,), "light": (17, 18)}
-    assert changed == {tuple(sorted(places[one] + places[other])) for one, other in PAIRS}
+    indices = {"micro": (22,), "hinge": (20, 21), "slide": (19,), "light": (17, 18)}
+    assert changed == {tuple(sorted(indices[first] + indices[second])) for first, second in PAIRS}
     with pytest.raises(ValueError, match="released, paper"):
         make("franka_kitchen", variant="other")
 
 
-def test_each_of_the_six_pairs_occurs(env):
+def test_every_pair_of_objects_is_drawn(env):
     exact = dataclasses.replace(env, noise=False)
-    seen = np.asarray(jax.jit(jax.vmap(exact.reset))(jax.random.split(jax.random.key(1), 200)).obs[:, 9:23])
-    nearest = np.abs(seen[:, None] - env.initial_states[None, :, 9:]).max(axis=-1)
+    objects = np.asarray(jax.jit(jax.vmap(exact.reset))(jax.random.split(jax.random.key(1), 200)).obs[:, 9:23])
+    nearest = np.abs(objects[:, None] - env.initial_states[None, :, 9:]).max(axis=-1)
     assert nearest.min(axis=1).max() < 0.01
     assert np.bincount(nearest.argmin(axis=1), minlength=6).min() > 15
 
 
-def test_reset_is_the_end_of_ten_released_steps_of_no_action(env):
+def test_reset_is_the_state_after_ten_released_steps_of_no_action(env):
     model = physics.load_model("franka_kitchen", 0.002)
     joints = np.asarray(jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 200)).data.qpos[:, 9:])
     for lane in range(6):
@@ -99,41 +100,41 @@ def test_reset_is_the_end_of_ten_released_steps_of_no_action(env):
         np.testing.assert_allclose(data.qpos[:9], ARM_QPOS, atol=1e-7)
         np.testing.assert_allclose(data.qvel[:9], ARM_QVEL, atol=1e-6)
         np.testing.assert_allclose(data.qacc_warmstart[:9], ARM_WARMSTART, atol=1e-5)
-        assert np.abs(joints - data.qpos[9:]).max(axis=1).min() < 1e-6, "one of the starts is this one"
+        assert np.abs(joints - data.qpos[9:]).max(axis=1).min() < 1e-6, "some start is this one"
     assert np.abs(np.array(ARM_QPOS[:7]) - CLOSED[:7]).max() < 0.03, (
-        "where the published goal's arm stood, but for its noise"
+        "the arm of the published goal, except for its noise"
     )
 
 
-def test_noise_is_bounded_number_by_number_and_new_every_step(env):
+def test_noise_is_bounded_in_every_number_and_new_at_every_step(env):
     exact = dataclasses.replace(env, noise=False)
 
-    def seen(env, key):
+    def observe_twice(env, key):
         state = env.reset(key)
         after = env.step(state, jnp.zeros(9))
         return jnp.stack([state.obs, after.obs]), jnp.stack([state.data.qpos, after.data.qpos])
 
     keys = jax.random.split(jax.random.key(2), 400)
-    noisy, joints = jax.jit(jax.vmap(lambda key: seen(env, key)))(keys)
+    noisy, joints = jax.jit(jax.vmap(lambda key: observe_twice(env, key)))(keys)
     noise = np.asarray(noisy[..., :23]) - kitchen_reward.observed(np.asarray(joints))
     assert (np.abs(noise) <= NOISE + 1e-6).all()
     np.testing.assert_allclose(np.abs(noise).max(axis=(0, 1)), NOISE, rtol=0.03, atol=1e-6)
     assert np.abs(np.corrcoef(noise[:, 0, 0], noise[:, 1, 0])[0, 1]) < 0.2
-    without, joints = jax.jit(lambda key: seen(exact, key))(keys[0])
+    without, joints = jax.jit(lambda key: observe_twice(exact, key))(keys[0])
     np.testing.assert_array_equal(without[:, :23], kitchen_reward.observed(np.asarray(joints)))
     expected = [*[0.01] * 9, *[0.0005] * 2, *[0.00005] * 6, *[0.0005] * 3, *[0.01] * 3]
     np.testing.assert_allclose(NOISE, expected, rtol=1e-6)
 
 
 def test_observation_and_reward_match_numpy(env):
-    """Plates and light block follow, sites as the last substep saw them, mocap as commanded; also where all is closed."""
+    """Plates and light block follow their joints, sites are those of the last substep, mocap is as commanded."""
 
     def step(state, action):
-        after = env.step(state, action)
-        return after, (after, env.goal_reward(after, after.obs[:23]))
+        state = env.step(state, action)
+        return state, (state, env.goal_reward(state, state.obs[:23]))
 
-    plan = jnp.asarray(actions(60, 3, 9))[:, 2]
-    _, (states, own) = jax.jit(lambda a: jax.lax.scan(step, env.reset(jax.random.key(4)), a))(plan)
+    actions = jnp.asarray(make_actions(60, 3, 9))[:, 2]
+    _, (states, own) = jax.jit(lambda a: jax.lax.scan(step, env.reset(jax.random.key(4)), a))(actions)
     joints = np.asarray(states.data.qpos, np.float64)
     plain = np.concatenate(
         [joints[:, :9], *[joints[:, [9 + k]] / [1, 174] for k in range(4)], joints[:, [13]] / [1, 14], joints[:, 14:]],
@@ -141,21 +142,21 @@ def test_observation_and_reward_match_numpy(env):
     )
     assert (np.abs(states.obs[:, :23] - plain) <= NOISE + 1e-5).all()
     np.testing.assert_array_equal(states.obs[:, 23:], np.tile(CLOSED, (60, 1)))
-    place = np.array(MIDDLE)
-    for move, mocap in zip(np.asarray(plan)[:, :3], states.info["mocap"], strict=True):
-        place = np.clip(place + 0.02 * move, [-0.7, -0.1, 1.8], [0.4, 0.5, 2.6])
-        np.testing.assert_allclose(mocap, place, atol=1e-5)
+    expected = np.array(MIDDLE)
+    for move, mocap in zip(np.asarray(actions)[:, :3], states.info["mocap"], strict=True):
+        expected = np.clip(expected + 0.02 * move, [-0.7, -0.1, 1.8], [0.4, 0.5, 2.6])
+        np.testing.assert_allclose(mocap, expected, atol=1e-5)
     for obs, reward, mocap, sites in zip(
         states.obs, states.reward, states.info["mocap"], states.info["sites"], strict=True
     ):
         assert float(reward) == pytest.approx(reward_in_numpy(obs, mocap, sites), abs=1e-5)
-    np.testing.assert_allclose(own, 8.0, atol=1e-5, err_msg="at its own state as goal, all eight are done")
-    last = physics.mujoco_data(env.name, jax.tree.map(lambda leaf: leaf[-1], states.data)).site_xpos
+    np.testing.assert_allclose(own, 8.0, atol=1e-5, err_msg="with its own state as goal, all eight parts are done")
+    last = physics.mujoco_data(env.name, take_lane(states.data, -1)).site_xpos
     order = [MODEL.site(name).id for name in kitchen_reward.SITES]
     np.testing.assert_allclose(states.info["sites"][-1], last[order], atol=0.01)
 
 
-def test_hand_and_handles_from_joints_are_mujocos(env):
+def test_hand_and_handle_positions_from_joints_are_those_of_mujoco(env):
     rng, data = np.random.default_rng(0), mujoco.MjData(MODEL)
     flange = MODEL.eq_data[MODEL.equality("drag").id, 3:6]
     for _ in range(5):
@@ -163,61 +164,60 @@ def test_hand_and_handles_from_joints_are_mujocos(env):
         mujoco.mj_forward(MODEL, data)
         state = jnp.asarray(kitchen_reward.observed(data.qpos), jnp.float32)
         sites = [data.site(name).xpos for name in kitchen_reward.SITES]
-        np.testing.assert_allclose(kitchen_reward.site_places(state), sites, atol=1e-5)
+        np.testing.assert_allclose(kitchen_reward.site_positions(state), sites, atol=1e-5)
         mocap = data.body("l7").xpos - data.body("mocap").xmat.reshape(3, 3) @ flange
-        np.testing.assert_allclose(kitchen_reward.dragging_place(state), mocap, atol=1e-5)
+        np.testing.assert_allclose(kitchen_reward.dragging_position(state), mocap, atol=1e-5)
 
 
-def test_the_other_rewards(env):
+def test_the_papers_reward_and_the_sparse_reward(env):
     state = jax.jit(lambda: env.step(env.reset(jax.random.key(5)), jnp.zeros(9)))()
     paper, sparse = dataclasses.replace(env, variant="paper"), dataclasses.replace(env, reward_type="sparse")
     error = np.asarray(state.obs[:23] - state.obs[23:], np.float64)
     parts = np.split(error[9:], [2, 4, 6, 8, 10, 11, 13])
     norms = np.array([np.linalg.norm(part) for part in parts])
-    wanted = -np.linalg.norm(error[:9]) - norms.sum() + sum(norms < [0.01 * len(part) for part in parts])
-    assert float(paper.reward(state.obs)) == pytest.approx(wanted, abs=1e-5)
-    assert float(env.reward(state.obs)) == pytest.approx(float(state.reward), abs=0.05), "the hand lags a little"
+    expected = -np.linalg.norm(error[:9]) - norms.sum() + sum(norms < [0.01 * len(part) for part in parts])
+    assert float(paper.reward(state.obs)) == pytest.approx(expected, abs=1e-5)
+    assert float(env.reward(state.obs)) == pytest.approx(float(state.reward), abs=0.05), "the hand lags slightly"
     batch = jnp.stack([state.obs, state.obs.at[9:23].set(state.obs[32:])])
     np.testing.assert_array_equal(env.success(batch), [False, True])
     np.testing.assert_array_equal(sparse.reward(batch), [0.0, 1.0])
     assert env.reward(batch).shape == paper.reward(batch[None]).shape[1:] == (2,)
 
 
-@pytest.mark.parametrize("name", list(chores.SCRIPTS))
-def test_scripted_chores(env, name):
-    """Closing ends within 0.15 of the goal; opening slide and light and turning a burner as well."""
-    script = chores.SCRIPTS[name]
-    moved, state = jax.jit(lambda: chores.play(env, script))()
+@pytest.mark.parametrize("name", list(benchmark.SCRIPTS))
+def test_scripts_move_each_object_to_within_015_of_its_goal(env, name):
+    script = benchmark.SCRIPTS[name]
+    moved, state = jax.jit(lambda: benchmark.play(env, script))()
     assert abs(float(moved[-1]) - script.goal) < 0.15
     assert abs(float(moved[0]) - script.start) < 0.05
     assert not bool(env.fault(state))
 
 
-def test_most_of_the_action_does_nothing_as_released(env):
+def test_six_of_nine_action_components_do_nothing_as_released(env):
     exact = dataclasses.replace(env, noise=False)
     state, rest = exact.reset(jax.random.key(0)), jnp.zeros(9)
     step = jax.jit(exact.step)
-    still = step(state, rest)
-    np.testing.assert_array_equal(step(state, rest.at[3:].set(1.0)).obs, still.obs)
+    after_rest = step(state, rest)
+    np.testing.assert_array_equal(step(state, rest.at[3:].set(1.0)).obs, after_rest.obs)
     up = step(state, rest.at[2].set(1.0))
     np.testing.assert_allclose(up.info["mocap"] - state.info["mocap"], [0, 0, 0.02], atol=1e-6)
-    assert float(still.obs[7]) < float(state.obs[7]) - 0.005, "joint 1 is negative, so the left finger closes"
+    assert float(after_rest.obs[7]) < float(state.obs[7]) - 0.005, "joint 1 is negative, so the left finger closes"
 
 
-def test_random_lives_keep_limits_and_never_fault(lives):
-    states, faults = lives
+def test_random_actions_keep_the_limits_and_cause_no_fault(random_states):
+    states, faults = random_states
     joints, (low, high) = np.asarray(states.data.qpos), MODEL.jnt_range.T
     assert np.isfinite(joints).all()
     assert not np.asarray(faults).any()
     beyond = np.maximum(low - joints, joints - high).max(axis=(0, 1))
-    assert beyond[9:].max() < 0.05, "things"
+    assert beyond[9:].max() < 0.05, "objects"
     assert beyond[7:9].max() < 0.005, "fingers"
     assert (np.asarray(states.info["mocap"]) >= MOCAP_LOW - 1e-6).all()
     assert (np.asarray(states.info["mocap"]) <= MOCAP_HIGH + 1e-6).all()
-    assert np.ptp(joints[:, :, 9:], axis=(0, 1)).min() > 0.1, "everything was moved"
+    assert np.ptp(joints[:, :, 9:], axis=(0, 1)).min() > 0.1, "every object was moved"
 
 
-def test_faults(env):
+def test_states_that_are_not_finite_or_far_beyond_the_limits_are_faults(env):
     state = env.reset(jax.random.key(0))
     assert not bool(env.fault(state))
     for joint, value in [(0, np.nan), (6, 30.0), (17, 0.5), (14, 1.0), (9, -2.0)]:
@@ -226,10 +226,10 @@ def test_faults(env):
 
 
 @pytest.mark.skipif(not COMPILED.exists(), reason="the original's compiled model is not part of the project")
-@pytest.mark.parametrize(("substeps", "bar"), [(20, 15.0), (40, 1.0)])
-def test_the_free_arm_moves_as_the_originals(env, substeps, bar):
-    tours, model = chores.paths(), chores.original_arm(COMPILED)
-    chosen = {name: tours[name] for name in ("sinusoid 3", "walk 2")}
-    ours = chores.follow_ours(dataclasses.replace(env, substeps=substeps, noise=False), np.array(list(chosen.values())))
-    for path, tips in zip(chosen.values(), ours, strict=True):
-        assert 1e3 * np.linalg.norm(tips - chores.follow(model, path), axis=1).max() < bar
+@pytest.mark.parametrize(("substeps", "largest_mm"), [(20, 15.0), (40, 1.0)])
+def test_the_free_arm_moves_like_the_original(env, substeps, largest_mm):
+    all_paths, model = benchmark.paths(), benchmark.original_arm(COMPILED)
+    paths = np.array([all_paths[name] for name in ("sinusoid 3", "walk 2")])
+    tips_of_paths = benchmark.follow_ours(dataclasses.replace(env, substeps=substeps, noise=False), paths)
+    for path, tips in zip(paths, tips_of_paths, strict=True):
+        assert 1e3 * np.linalg.norm(tips - benchmark.follow(model, path), axis=1).max() < largest_mm

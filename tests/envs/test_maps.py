@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import HelpBudget, list_envs, make, tabletop
 from earl_jax.envs import dhand as dhand_lightbulb
+from earl_jax.envs import list_envs, make, tabletop
 from earl_jax.envs.sawyer import peg as sawyer_peg
 
 MAPPED = ["dhand_lightbulb", "fish_swim", "minitaur_pen", "sawyer_door", "sawyer_peg", "tabletop_organization"]
@@ -79,7 +79,11 @@ def test_uniform_starts_cover_the_table_with_a_free_mug_and_every_goal():
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [*[(name, {}) for name in WITH_IRREVERSIBLE_STATES], ("sawyer_peg", {"wide": True}), ("sawyer_peg", {"reset_at_goal": True})],
+    [
+        *[(name, {}) for name in WITH_IRREVERSIBLE_STATES],
+        ("sawyer_peg", {"wide": True}),
+        ("sawyer_peg", {"reset_at_goal": True}),
+    ],
 )
 def test_no_start_is_irreversible(name, options):
     env = make(name, **options)
@@ -146,24 +150,3 @@ def test_a_fault_is_irreversible_too(name):
     env, state = reset_task(name)
     assert not env.irreversible(state)
     assert env.irreversible(state.replace(obs=state.obs.at[0].set(jnp.nan)))
-
-
-def test_a_helped_task_says_what_the_task_says():
-    task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
-    env = HelpBudget(task, budget=4.0)
-    assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
-    assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.ends) == (77, 9, True, "kinematic", True)
-    np.testing.assert_array_equal(env.goal_states, task.goal_states)
-    for direction in env.demo_directions:
-        found, own = env.demos(direction), task.demos(direction)
-        np.testing.assert_array_equal(found.states, np.pad(own.states, ((0, 0), (0, 1)), constant_values=1))
-        np.testing.assert_array_equal(found.next_states[:, 6], 1)
-        np.testing.assert_array_equal(found.actions, np.pad(own.actions, ((0, 0), (0, 1)), constant_values=-1))
-        assert found.goals is own.goals
-    state = env.reset_uniform(KEY)
-    inner = env.task_obs(state.obs)
-    np.testing.assert_array_equal(env.map_position(state.obs), inner[:2])
-    np.testing.assert_array_equal(env.expert(state.obs), [*task.expert(inner), -1])
-    physical = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
-    assert physical.task.physics == physical.engine == "c"
-    assert physical.continuing_horizon == 50_000

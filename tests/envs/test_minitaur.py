@@ -1,4 +1,4 @@
-"""Minitaur pen: motors by the closed form, a body that differs from life to life, walls, and the recorded robot."""
+"""Minitaur pen: motors by the closed form, bodies that differ from reset to reset, walls, and the recorded robot."""
 
 import dataclasses
 from pathlib import Path
@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks import minitaur_trots
-from earl_jax import physics
+from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.minitaur import body as minitaur_body
 from earl_jax.envs.minitaur import pen as minitaur_pen
 from earl_jax.envs.minitaur.motors import DIRECTION, POSITIONS, MinitaurMotors, legs_to_motors, torque
+from tests.conftest import take_lane
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "specs" / "data" / "minitaur_pybullet_reference.json"
 
@@ -25,12 +26,18 @@ def env():
 
 
 @pytest.fixture(scope="module")
-def still():
+def nominal_env():
     return make("minitaur_pen", physics="c", randomize=False)
 
 
 def play(env, state, actions):
-    return jax.lax.scan(lambda s, a: (lambda n: (n, n.data.qpos))(env.step(s, a)), state, jnp.asarray(actions))
+    """Return the last state and qpos [T, 23] after every one of the `actions [T, 8]`."""
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state.data.qpos
+
+    return jax.lax.scan(step, state, jnp.asarray(actions))
 
 
 def test_numbers_as_released(env):
@@ -46,88 +53,88 @@ def test_numbers_as_released(env):
     assert model.body_mass.sum() == pytest.approx(6.0)
 
 
-def by_the_book(angle, speed, wanted, volts, viscosity):
-    """One motor, step by step as the closed form is written down: torque exerted and torque reported."""
-    pwm = min(max(-1.0 * (angle - wanted) - 0.02 * speed, -1.0), 1.0)
+def closed_form(angle, speed, command, volts, viscosity):
+    """Return the exerted and the reported torque of one motor, step by step by the closed form."""
+    pwm = min(max(-1.0 * (angle - command) - 0.02 * speed, -1.0), 1.0)
     reported = min(max(0.0954 * pwm * volts / 0.186, -5.7), 5.7)
     current = min(max(pwm * volts - (0.0954 + viscosity) * speed, -50.0), 50.0) / 0.186
     table, size = [0.0, 1.0, 1.9, 2.45, 3.0, 3.25, 3.5], abs(current)
     if size >= 60:
         return np.sign(current) * 3.5, reported
-    cell, part = int(size // 10), size % 10 / 10
-    return np.sign(current) * (table[cell] + part * (table[cell + 1] - table[cell])), reported
+    index, share = int(size // 10), size % 10 / 10
+    return np.sign(current) * (table[index] + share * (table[index + 1] - table[index])), reported
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
 def test_motors_follow_the_closed_form(xp):
     rng = np.random.default_rng(0)
-    angle, wanted = rng.uniform(-3, 3, (2, 500))
+    angle, command = rng.uniform(-3, 3, (2, 500))
     speed, volts, viscosity = rng.uniform(-60, 60, 500), rng.uniform(14.8, 16.8, 500), rng.uniform(0, 0.01, 500)
     speed[:250] *= 0.05
-    exerted, reported = torque(xp, *map(xp.asarray, (angle - wanted, speed, volts, viscosity)), 1.0, 0.02)
-    expected = np.array([by_the_book(*row) for row in zip(angle, speed, wanted, volts, viscosity, strict=True)])
+    exerted, reported = torque(xp, *map(xp.asarray, (angle - command, speed, volts, viscosity)), 1.0, 0.02)
+    expected = np.array([closed_form(*row) for row in zip(angle, speed, command, volts, viscosity, strict=True)])
     np.testing.assert_allclose(np.stack([exerted, reported], axis=1), expected, atol=1e-5)
     assert (np.abs(expected[:, 0]) == 3.5).any()
     assert (np.abs(expected[:, 0]) < 1).any()
 
 
-def drive_once(motors, qpos, command, memory):
+def run_motors(motors, qpos, command, memory):
     return motors(np, qpos, np.zeros(22), command, memory)
 
 
-def test_a_command_leads_by_at_most_three_tenths_of_a_radian(env):
+def test_a_command_is_clipped_to_three_tenths_of_a_radian_from_the_angle(env):
     qpos, memory = np.array(minitaur_pen.STANDING[0]), np.r_[np.zeros(16), 16.0, 0.0]
     ahead = qpos[POSITIONS] * DIRECTION + 2.0
-    far, _ = drive_once(env.actuator, qpos, ahead, memory)
-    near, _ = drive_once(env.actuator, qpos, ahead - 1.7, memory)
+    far, _ = run_motors(env.actuator, qpos, ahead, memory)
+    near, _ = run_motors(env.actuator, qpos, ahead - 1.7, memory)
     np.testing.assert_allclose(far, near, atol=1e-6)
-    expected, _ = by_the_book(0.0, 0.0, 0.3, 16.0, 0.0)
+    expected, _ = closed_form(0.0, 0.0, 0.3, 16.0, 0.0)
     np.testing.assert_allclose(far * DIRECTION, expected, rtol=1e-5)
 
 
 def test_a_motor_that_is_hot_for_a_second_shuts_down_until_the_next_reset():
-    hot, still = MinitaurMotors(), np.array(minitaur_pen.STANDING[0])
-    ahead, memory = still[POSITIONS] * DIRECTION + 0.3, np.r_[np.zeros(16), 20.0, 0.0]
+    motors, standing = MinitaurMotors(), np.array(minitaur_pen.STANDING[0])
+    ahead, memory = standing[POSITIONS] * DIRECTION + 0.3, np.r_[np.zeros(16), 20.0, 0.0]
     ahead[3:] -= 0.3
     for _ in range(500):
-        controls, memory = drive_once(hot, still, ahead, memory)
+        controls, memory = run_motors(motors, standing, ahead, memory)
     assert (np.abs(controls[:3]) > 2.45).all()
-    paused, _ = drive_once(hot, still, still[POSITIONS] * DIRECTION, memory)
-    np.testing.assert_allclose(paused, 0, atol=1e-6)
-    controls, memory = drive_once(hot, still, ahead, memory)
+    at_rest, _ = run_motors(motors, standing, standing[POSITIONS] * DIRECTION, memory)
+    np.testing.assert_allclose(at_rest, 0, atol=1e-6)
+    controls, memory = run_motors(motors, standing, ahead, memory)
     np.testing.assert_array_equal(controls[:3], 0.0)
-    assert (memory[8:11] > 0).all(), "it still reports what it was asked for"
+    assert (memory[8:11] > 0).all(), "it still reports the commanded torque"
     for _ in range(600):
-        _, memory = drive_once(hot, still, still[POSITIONS] * DIRECTION, memory)
-    controls, _ = drive_once(hot, still, ahead, memory)
+        _, memory = run_motors(motors, standing, standing[POSITIONS] * DIRECTION, memory)
+    controls, _ = run_motors(motors, standing, ahead, memory)
     np.testing.assert_array_equal(controls[:3], 0.0)
-    controls, _ = drive_once(dataclasses.replace(hot, overheat=False), still, ahead, memory)
+    controls, _ = run_motors(dataclasses.replace(motors, overheat=False), standing, ahead, memory)
     assert (np.abs(controls[:3]) > 2.45).all()
 
 
-def test_leg_space():
+def test_legs_are_mapped_to_motors_as_released():
     np.testing.assert_allclose(legs_to_motors(np, np.zeros(8)), np.pi - np.pi / 4 * 1.5)
-    one = legs_to_motors(np, np.eye(8)[0])
-    np.testing.assert_allclose(one[:2] - one[2], [np.pi / 4, -np.pi / 4], atol=1e-6)
+    swung = legs_to_motors(np, np.eye(8)[0])
+    np.testing.assert_allclose(swung[:2] - swung[2], [np.pi / 4, -np.pi / 4], atol=1e-6)
     np.testing.assert_allclose(legs_to_motors(np, np.eye(8)[6])[4:6], np.pi - np.pi / 4 * 2.5, rtol=1e-6)
 
 
-def test_the_standing_robot_is_where_the_released_reset_leaves_it(still):
-    model = mujoco.MjModel.from_xml_path(str(Path(minitaur_pen.__file__).parents[2] / "assets/mjcf/minitaur_pen.xml"))
+def test_the_standing_robot_is_in_the_state_after_the_released_reset(nominal_env):
+    model = mujoco.MjModel.from_xml_path(str(assets.mjcf("minitaur_pen")))
     data, memory = mujoco.MjData(model), np.r_[np.zeros(16), 16.0, 0.0]
     data.qpos[7::2], data.qpos[8::2] = DIRECTION * np.pi / 2, DIRECTION * -2.1834
     for _ in range(100):
-        data.ctrl[:], memory = still.actuator(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
+        data.ctrl[:], memory = nominal_env.actuator(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
         mujoco.mj_step(model, data)
     for ours, theirs in zip(minitaur_pen.STANDING, (data.qpos, data.qvel, data.qacc_warmstart), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(minitaur_pen.REPORTED, memory[8:16], rtol=1e-6)
 
 
-def test_the_observation_is_the_released_one(still):
-    state = still.reset(jax.random.key(0))
+def test_the_observation_is_the_released_one(nominal_env):
+    state = nominal_env.reset(jax.random.key(0))
     for action in np.random.default_rng(0).uniform(-1, 1, (5, 8)):
-        state = still.step(state, action)
+        state = nominal_env.step(state, action)
     data = physics.mujoco_data("minitaur_pen", state.data)
     motors = [data.joint(int(i)) for i in range(1, 17, 2)]
     np.testing.assert_allclose(
@@ -159,7 +166,7 @@ def test_rewards_by_hand(env):
         make("minitaur_pen", variant="other")
 
 
-def test_bodies_differ_from_life_to_life_within_the_released_ranges(env):
+def test_bodies_differ_from_reset_to_reset_within_the_released_ranges(env):
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 400))
     volts, viscosity = np.asarray(states.data.memory[:, 16:]).T
     assert 14.8 <= volts.min() < 14.9 < 16.7 < volts.max() <= 16.8
@@ -175,36 +182,38 @@ def test_bodies_differ_from_life_to_life_within_the_released_ranges(env):
     assert 0.8 <= friction[:, changed].min() < 0.82 < 1.48 < friction[:, changed].max() <= 1.5
 
 
-def test_every_lane_is_stepped_with_its_own_body(env):
+def test_every_lane_is_simulated_with_its_own_body(env):
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(2), 3))
-    step = jax.jit(jax.vmap(lambda s: play(env, s, jnp.tile(jnp.eye(8)[4], (20, 1)))[0].obs))
-    seen, turned = step(states), step(jax.tree.map(lambda leaf: leaf[::-1], states))
-    np.testing.assert_array_equal(seen[::-1, :30], turned[:, :30])
-    assert np.abs(seen[0, :8] - seen[1, :8]).max() > 1e-3
+    run = jax.jit(jax.vmap(lambda s: play(env, s, jnp.tile(jnp.eye(8)[4], (20, 1)))[0].obs))
+    obs, reversed_obs = run(states), run(take_lane(states, slice(None, None, -1)))
+    np.testing.assert_array_equal(obs[::-1, :30], reversed_obs[:, :30])
+    assert np.abs(obs[0, :8] - obs[1, :8]).max() > 1e-3
 
 
-def at_the_wall(env):
+def state_at_the_wall(env):
     state = env.reset(jax.random.key(0))
     return state.replace(data=state.data.replace(qpos=state.data.qpos.at[0].set(1.1)))
 
 
-def test_closed_walls_hold_a_robot_that_crouches_and_floating_ones_do_not(still):
+def test_closed_walls_stop_a_crouching_robot_and_floating_ones_do_not(nominal_env):
     crouched = minitaur_trots.trot([0.5, 0.3, 2.0, 0.5, np.pi / 2], 1000)
     reached = {}
     for walls in minitaur_pen.WALLS:
-        env = dataclasses.replace(still, walls=walls)
-        reached[walls] = float(np.abs(jax.jit(lambda s, e=env: play(e, s, crouched)[1])(at_the_wall(env))[:, :2]).max())
+        env = dataclasses.replace(nominal_env, walls=walls)
+        reached[walls] = float(
+            np.abs(jax.jit(lambda s, e=env: play(e, s, crouched)[1])(state_at_the_wall(env))[:, :2]).max()
+        )
     assert reached["closed"] < 1.5
     assert reached["floating"] > 1.6
 
 
-def test_random_and_saturated_actions_break_nothing(env):
+def test_random_and_saturated_actions_cause_no_fault(env):
     rng = np.random.default_rng(0)
-    moves = rng.uniform(-1, 1, (600, 12, 8))
-    moves[:, 4:] = np.sign(moves[:, 4:])
-    moves[:, 8:] = moves[::30, 8:].repeat(30, axis=0)
+    actions = rng.uniform(-1, 1, (600, 12, 8))
+    actions[:, 4:] = np.sign(actions[:, 4:])
+    actions[:, 8:] = actions[::30, 8:].repeat(30, axis=0)
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 12))
-    final, path = jax.jit(jax.vmap(lambda s, a: play(env, s, a)))(states, jnp.asarray(moves.swapaxes(0, 1)))
+    final, path = jax.jit(jax.vmap(lambda s, a: play(env, s, a)))(states, jnp.asarray(actions.swapaxes(0, 1)))
     assert np.isfinite(path).all()
     assert np.abs(path[..., :2]).max() < 1.5
     assert not np.asarray(jax.vmap(env.fault)(final)).any()
@@ -212,26 +221,24 @@ def test_random_and_saturated_actions_break_nothing(env):
     assert bool(env.fault(env.reset(jax.random.key(0)).replace(data=final.data.replace(qpos=path[0, 0] + 5.0))))
 
 
-@pytest.mark.skipif(not REFERENCE.exists(), reason="the recordings of the original are not at hand")
+@pytest.mark.skipif(not REFERENCE.exists(), reason="the recordings of the original are not part of the project")
 def test_stances_and_trots_are_those_of_the_original():
-    found = minitaur_trots.report(REFERENCE, "c")
-    assert found["stances"] == 9
-    assert found["worst_height_error_mm"] <= 3.0
-    assert abs(found["reset_height_error_mm"]) <= 3.0
-    assert set(found["trots"]) == {"A", "B", "E"}
-    assert all(abs(part["ratio"] - 1) <= 0.15 for part in found["trots"].values())
-    assert found["loop_error_mm"] < 1.0
+    report = minitaur_trots.report(REFERENCE, "c")
+    assert report["stances"] == 9
+    assert report["worst_height_error_mm"] <= 3.0
+    assert abs(report["reset_height_error_mm"]) <= 3.0
+    assert set(report["trots"]) == {"A", "B", "E"}
+    assert all(abs(part["ratio"] - 1) <= 0.15 for part in report["trots"].values())
+    assert report["loop_error_mm"] < 1.0
 
 
-def test_the_trot_benchmark_measures(tmp_path):
-    """Our own robot recorded in the file's layout: no error but rounding; another gait: an error."""
-    steps, par = 60, [0.4, 0.3, 2.0, 0.2, np.pi / 2]
-    path = minitaur_trots.play("c", np.stack([minitaur_trots.trot(par, steps)]))[0]
-    rows = np.hstack([path[:, :3], path[:, 3:7], minitaur_trots.motors(path)])
-    rest = np.array(minitaur_pen.STANDING[0])
-    known = {"after_reset": {"pos": rest[:3].tolist()}, "ext": []}
-    for name, recorded in (("same", rows), ("other", rows * [0.5, *[1] * 14])):
-        known["trot"] = {name: {"par": par, "traj": recorded.tolist()}}
-        trial = minitaur_trots.compare_trot(path, np.array(known["trot"][name]["traj"]))
-        assert trial["ratio"] == pytest.approx({"same": 1.0, "other": 2.0}[name], abs=1e-3)
-    assert trial["motor_rmse_rad"] < 1e-5
+def test_the_trot_benchmark_measures_the_difference_of_two_gaits():
+    """The simulated robot itself as the recording gives an error of rounding alone; half its displacement gives a ratio of 2."""
+    steps, parameters = 60, [0.4, 0.3, 2.0, 0.2, np.pi / 2]
+    path = minitaur_trots.play("c", np.stack([minitaur_trots.trot(parameters, steps)]))[0]
+    recorded = np.hstack([path[:, :3], path[:, 3:7], minitaur_trots.motors(path)])
+    same = minitaur_trots.compare_trot(path, recorded)
+    assert same["ratio"] == pytest.approx(1.0, abs=1e-3)
+    assert same["motor_rmse_rad"] < 1e-5
+    half = minitaur_trots.compare_trot(path, recorded * [0.5, *[1] * 14])
+    assert half["ratio"] == pytest.approx(2.0, abs=1e-3)

@@ -1,4 +1,4 @@
-"""Sawyer door and peg: numbers as released, starts, rewards, experts and the reset-free worlds they make."""
+"""Sawyer door and peg: numbers as released, starts, rewards, demonstrations, experts, and long reset-free use."""
 
 import dataclasses
 from pathlib import Path
@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks import replay_demos
 from earl_jax import assets, physics
-from earl_jax.demos import scripted as demos
+from earl_jax.demos import scripted
 from earl_jax.envs import make
-from earl_jax.envs.sawyer.base import _leashed
+from earl_jax.envs.sawyer.base import _pulled_target
 from earl_jax.envs.sawyer.door import AT_HANDLE, HINGE, handle_at
 from earl_jax.envs.sawyer.door import HOME as DOOR_HOME
 from earl_jax.envs.sawyer.peg import HEADS
@@ -20,7 +20,7 @@ from earl_jax.envs.sawyer.peg import HOME as PEG_HOME
 
 TASKS = ("sawyer_door", "sawyer_peg")
 RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"
-EVERY = pytest.mark.parametrize("name", TASKS)
+EVERY_TASK = pytest.mark.parametrize("name", TASKS)
 
 
 @pytest.fixture(scope="module")
@@ -37,25 +37,19 @@ def starts(env, count=300):
     return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
 
 
-@EVERY
+@EVERY_TASK
 def test_numbers_as_released(name):
     env = make(name)
     assert (env.obs_size, env.action_size) == (14, 4)
-    wanted = {"sawyer_door": (200_000, 300, 600, 0.02, 1), "sawyer_peg": (100_000, 200, 400, 0.05, 15)}[name]
-    assert (
-        env.train_horizon,
-        env.eval_horizon,
-        env.goal_change,
-        env.radius["released"],
-        len(env.initial_states),
-    ) == wanted
+    numbers = (env.train_horizon, env.eval_horizon, env.goal_change, env.radius["released"], len(env.initial_states))
+    assert numbers == {"sawyer_door": (200_000, 300, 600, 0.02, 1), "sawyer_peg": (100_000, 200, 400, 0.05, 15)}[name]
     assert env.goal_states.shape == (1, 7)
 
 
 @pytest.mark.parametrize(
     ("name", "pose"), [("sawyer_door", DOOR_HOME), ("sawyer_door", AT_HANDLE), ("sawyer_peg", PEG_HOME)]
 )
-def test_the_reset_pose_is_seen_where_its_joints_are(name, pose):
+def test_the_observed_reset_pose_agrees_with_its_joints(name, pose):
     env = make(name, reset_at_goal=pose is AT_HANDLE)
     data = physics.mujoco_data(name, env.reset(jax.random.key(0)).data)
     hand, right, left = data.sensordata[:9].reshape(3, 3)
@@ -63,7 +57,7 @@ def test_the_reset_pose_is_seen_where_its_joints_are(name, pose):
     assert np.clip(np.linalg.norm(right - left) / 0.1, 0, 1) == pytest.approx(pose.grip, abs=1e-5)
 
 
-def test_door_starts(door):
+def test_door_starts_cover_the_released_angles(door):
     state = starts(door)
     angle = np.asarray(state.data.qpos[:, 9])
     assert -np.pi / 3 <= angle.min() < -1.04
@@ -78,7 +72,7 @@ def test_door_starts(door):
     np.testing.assert_allclose(closed.info["goal"], np.tile(door.initial_states, (300, 1)))
 
 
-def test_peg_starts(peg):
+def test_peg_starts_cover_the_released_positions(peg):
     middle = np.asarray(starts(peg).data.qpos[:, 9:])
     assert (middle.min(axis=0) >= [0.0, 0.5, 0.0199]).all()
     assert (middle.max(axis=0) <= [0.2, 0.7, 0.0201]).all()
@@ -93,12 +87,12 @@ def test_peg_starts(peg):
         make("sawyer_peg", wide=True, listed=True)
 
 
-@EVERY
+@EVERY_TASK
 def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(name):
     env, released = make(name, variant="paper"), make(name)
     state, full = env.reset(jax.random.key(1)), released.reset(jax.random.key(1))
-    kept = np.delete(np.arange(14), [3, 10])
-    np.testing.assert_array_equal(state.obs, full.obs[kept])
+    observed = np.delete(np.arange(14), [3, 10])
+    np.testing.assert_array_equal(state.obs, full.obs[observed])
     assert env.radius["paper"] == {"sawyer_door": 0.08, "sawyer_peg": 0.05}[name]
     assert env.demos("forward").states.shape[1] == 6
     near = jnp.asarray(np.concatenate([env.goal_states[0] + [0, 0, 0, 0.045, 0, 0], env.goal_states[0]]), jnp.float32)
@@ -112,7 +106,10 @@ def test_door_dense_reward_by_hand(door):
     obs = np.asarray(env.reset(jax.random.key(2)).obs, np.float64)
     hand, handle, goal = obs[:3], obs[4:7], obs[11:14]
     reach, left = np.linalg.norm(hand - handle), np.linalg.norm(handle - goal)
-    bell = lambda distance, free, margin: 0.1 ** ((max(distance - free, 0.0) / margin) ** 2)  # noqa: E731
+
+    def bell(distance, free, margin):
+        return 0.1 ** ((max(distance - free, 0.0) / margin) ** 2)
+
     near = bell(reach, 0.0125, np.linalg.norm(np.array([0, 0.4, 0.2]) - handle) + 0.1)
     placed = bell(left, 0.05, np.linalg.norm(np.array([0.1, 0.95, 0.1]) - goal))
     assert float(env.reward(jnp.asarray(obs, jnp.float32))) == pytest.approx(3 * near + 6 * placed, rel=1e-4)
@@ -121,34 +118,37 @@ def test_door_dense_reward_by_hand(door):
 
 def test_peg_dense_reward_rises_along_a_demonstration_and_ends_at_ten(peg):
     env = dataclasses.replace(peg, reward_type="dense")
-    part = assets.demos("sawyer_peg", "forward")
-    actions = part.actions[: np.flatnonzero(part.ends)[0] + 1]
-    state = replay_demos.begin(env, np.hstack([part.states[0], part.goals[0]]))
-    _, rewards = jax.lax.scan(lambda s, a: (lambda n: (n, n.reward))(env.step(s, a)), state, jnp.asarray(actions))
-    rewards = np.asarray(rewards)
+    demos = assets.demos("sawyer_peg", "forward")
+    actions = jnp.asarray(demos.actions[: np.flatnonzero(demos.ends)[0] + 1])
+    state = replay_demos.start_state(env, np.hstack([demos.states[0], demos.goals[0]]))
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state.reward
+
+    rewards = np.asarray(jax.lax.scan(step, state, actions)[1])
     thirds = [part.mean() for part in np.array_split(rewards[:-5], 3)]
     assert thirds[0] < thirds[1] < thirds[2]
     assert 0 <= rewards.min() < 0.1
     assert 1.0 < rewards[-10:].max() <= 10.0
 
 
-def test_goal_reward_speaks_of_the_goal_it_is_asked_about(peg):
+def test_goal_reward_is_the_reward_under_the_given_goal(peg):
     env = dataclasses.replace(peg, reward_type="dense")
     state = env.step(env.reset(jax.random.key(0)), jnp.zeros(4))
     assert float(env.goal_reward(state, state.info["goal"])) == pytest.approx(float(state.reward))
-    there = jnp.concatenate([state.obs[:4], state.obs[4:7]])
-    assert float(env.goal_reward(state, there)) == 10.0
+    own_state = state.obs[:7]
+    assert float(env.goal_reward(state, own_state)) == 10.0
 
 
 def test_the_door_expert_closes_and_opens_again_without_a_reset(door):
-    """One hand, one door: what a reset-free agent has to do, ten times over."""
+    """The task of a reset-free agent, ten times in a row."""
 
     def phase(state, goal):
         def step(carry, _):
-            state, done = carry
-            after = door.step(state, door.expert(state.obs))
-            done |= door.success(after.obs)
-            return (after, done), None
+            state, success = carry
+            state = door.step(state, door.expert(state.obs))
+            return (state, success | door.success(state.obs)), None
 
         return jax.lax.scan(step, (door.with_goal(state, goal), jnp.zeros((), bool)), length=door.eval_horizon)[0]
 
@@ -157,65 +157,85 @@ def test_the_door_expert_closes_and_opens_again_without_a_reset(door):
     assert np.asarray(run(state)[1]).sum() >= 9
 
 
-@EVERY
+@EVERY_TASK
 @pytest.mark.parametrize("direction", assets.DIRECTIONS)
 def test_shipped_demonstrations_end_in_success(name, direction):
-    env, part = make(name), assets.demos(name, direction)
-    assert part.ends.sum() == {"sawyer_door": 5, "sawyer_peg": 10}[name]
-    np.testing.assert_array_equal(part.rewards > 0, part.ends)
-    success = np.asarray(env.success(jnp.asarray(np.hstack([part.next_states, part.goals]))))
-    np.testing.assert_array_equal(success, part.ends)
+    env, demos = make(name), assets.demos(name, direction)
+    assert demos.ends.sum() == {"sawyer_door": 5, "sawyer_peg": 10}[name]
+    np.testing.assert_array_equal(demos.rewards > 0, demos.ends)
+    success = np.asarray(env.success(jnp.asarray(np.hstack([demos.next_states, demos.goals]))))
+    np.testing.assert_array_equal(success, demos.ends)
     targets = env.goal_states if direction == "forward" else env.initial_states
-    assert all((np.abs(targets - goal).max(axis=1) < 1e-6).any() for goal in part.goals)
-    assert np.abs(part.actions).max() <= 1.0
+    assert all((np.abs(targets - goal).max(axis=1) < 1e-6).any() for goal in demos.goals)
+    assert np.abs(demos.actions).max() <= 1.0
 
 
-@EVERY
-def test_the_command_makes_the_shipped_demonstrations_again(name):
-    made = demos.make(make(name, physics="c"))
-    for direction, part in made.items():
+@EVERY_TASK
+def test_the_demonstration_script_reproduces_the_shipped_demonstrations(name):
+    recorded = scripted.make(make(name, physics="c"))
+    for direction, demos in recorded.items():
         shipped = assets.demos(name, direction)
-        assert part.ends.sum() == shipped.ends.sum()
+        assert demos.ends.sum() == shipped.ends.sum()
         first = np.flatnonzero(shipped.ends)[0]
-        np.testing.assert_allclose(part.states[: first // 2], shipped.states[: first // 2], atol=1e-3)
+        np.testing.assert_allclose(demos.states[: first // 2], shipped.states[: first // 2], atol=1e-3)
 
 
-@EVERY
-def test_recordings_replay_on_c(name, tmp_path):
-    """Ours always; those of the authors, with the bars of the issue, where they are at hand."""
-    part = assets.demos(name, "forward")
-    observations, after = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
-    np.savez(tmp_path / "own.npz", observations=observations, actions=part.actions, rewards=part.rewards,
-             next_observations=after, terminals=part.ends)  # fmt: skip
+@EVERY_TASK
+def test_replayed_demonstrations_on_c_reach_their_goals(name, tmp_path):
+    demos = assets.demos(name, "forward")
+    np.savez(
+        tmp_path / "own.npz",
+        observations=np.hstack([demos.states, demos.goals]),
+        actions=demos.actions,
+        rewards=demos.rewards,
+        next_observations=np.hstack([demos.next_states, demos.goals]),
+        terminals=demos.ends,
+    )
     own = replay_demos.replay(name, tmp_path / "own.npz", "c")
     assert own["successes_within_hold"] == own["episodes"]
     assert own["mean_object_error_mm"] < 1.0
-    file = RECORDED / f"{name}_forward.npz"
-    if not file.exists():
-        pytest.skip("the authors' recordings are not at hand")
-    theirs = replay_demos.replay(name, file, "c")
+
+
+@pytest.mark.skipif(not RECORDED.is_dir(), reason="the authors' recordings are not part of the project")
+@EVERY_TASK
+def test_the_authors_recordings_replayed_on_c_reach_their_goals(name):
+    theirs = replay_demos.replay(name, RECORDED / f"{name}_forward.npz", "c")
     assert theirs["successes_within_hold"] == theirs["episodes"] == {"sawyer_door": 5, "sawyer_peg": 10}[name]
     assert theirs["mean_object_error_mm"] <= {"sawyer_door": 10, "sawyer_peg": 4}[name]
     assert theirs["reward_agreement"] >= 0.97
     assert theirs["reset_arm_error"] <= 1e-6
 
 
-def test_a_hand_that_slips_off_is_not_thrown(door):
-    """The target half a metre ahead of a hand that nothing holds: the original reaches 9 m/s."""
+def test_a_hand_that_slips_off_does_not_get_too_fast(door):
+    """The target is half a metre ahead of a free hand, which reaches 9 m/s in the original."""
     state = door.reset(jax.random.key(0))
     far = state.replace(data=state.data.replace(mocap_pos=state.data.mocap_pos + jnp.array([0.0, 0.5, 0.25])))
-    _, hands = jax.lax.scan(lambda s, a: (lambda n: (n, n.obs[:3]))(door.step(s, a)), far, jnp.zeros((60, 4)))
+
+    def step(state, action):
+        state = door.step(state, action)
+        return state, state.obs[:3]
+
+    _, hands = jax.lax.scan(step, far, jnp.zeros((60, 4)))
     speed = np.linalg.norm(np.diff(np.asarray(hands), axis=0), axis=1) / door.control_step
     assert 1.5 < speed.max() < 4.5
-    assert np.linalg.norm(hands[-1] - far.data.mocap_pos[0]) < 0.1, "and it arrives, as near as the arm can"
-    within = state.obs[:3] + jnp.array([0.0, 0.3, 0.2])
-    np.testing.assert_array_equal(_leashed(state, within), within)
+    assert np.linalg.norm(hands[-1] - far.data.mocap_pos[0]) < 0.1, "the hand arrives, as near as the arm can reach"
+    near = state.obs[:3] + jnp.array([0.0, 0.3, 0.2])
+    np.testing.assert_array_equal(_pulled_target(state, near), near)
 
 
-def test_a_hand_moved_for_a_replay_is_where_the_record_says(door):
+def test_the_start_of_a_replay_has_the_hand_of_the_recording(door):
     first = np.concatenate([[0.3, 0.68, 0.12, 0.8], np.asarray(handle_at(jnp.array(-0.05))), door.initial_states[0]])
-    state = replay_demos.begin(dataclasses.replace(door, reset_at_goal=True), first.astype(np.float32))
+    state = replay_demos.start_state(dataclasses.replace(door, reset_at_goal=True), first.astype(np.float32))
     data = physics.mujoco_data(door.name, state.data)
     np.testing.assert_allclose(data.sensordata[:3], first[:3], atol=1e-4)
     assert np.linalg.norm(data.sensordata[3:6] - data.sensordata[6:9]) == pytest.approx(0.08, abs=2e-3)
     assert np.linalg.norm(np.asarray(state.obs[4:6]) - HINGE) == pytest.approx(0.3907, abs=1e-3)
+
+
+@EVERY_TASK
+def test_leaving_the_workspace_is_a_fault(name):
+    env = make(name, physics="c")
+    state = env.reset(jax.random.key(0))
+    assert not bool(env.fault(state))
+    assert bool(env.fault(state.replace(obs=state.obs.at[5].set(2.0))))
+    assert bool(env.fault(state.replace(obs=state.obs.at[2].set(-0.5))))

@@ -91,7 +91,9 @@ def test_a_goal_change_ends_an_attempt_at_the_task_and_not_a_return():
 
 def test_lanes_under_vmap_follow_their_own_rules():
     rules = Rules(horizon=jnp.array([0, 5, 0]), chance=jnp.zeros(3), goal_change=jnp.array([0, 0, 5]))
-    end = jax.vmap(lambda lane: advance_rules(lane, Chain(), state_at(1), TASK, jnp.asarray(5), jax.random.key(0)))(rules)
+    end = jax.vmap(lambda lane: advance_rules(lane, Chain(), state_at(1), TASK, jnp.asarray(5), jax.random.key(0)))(
+        rules
+    )
     assert end.reset.tolist() == [False, True, False]
     assert end.goal_changes.tolist() == [False, False, True]
     assert end.over.tolist() == [False, True, True]

@@ -30,8 +30,8 @@ def write_run(
 ):
     """Write a run whose seeds score `deployed [N, E]` at `steps [E]`, and return its path.
 
-    Steps are 10, 20, ... by default; `planned` is the length in the config. `metrics` holds further metrics, each of which
-    broadcasts to [N, E].
+    Steps are 10, 20, ... by default; `planned` is the length in the config. `metrics` holds further metrics, each of
+    which broadcasts to [N, E].
     """
     scores = np.asarray(deployed, float)
     steps = list(steps or range(10, 10 * scores.shape[1] + 1, 10))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from earl_jax.runs import checkpoint
+from earl_jax.runs import checkpoint, snapshot
 from earl_jax.runs.files import DamagedWarning
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
@@ -46,6 +46,14 @@ def test_a_saved_state_is_restored(tmp_path, state):
     assert_equal_trees(restored.lanes, state.lanes)
     assert_equal_trees(written_rows(restored.replay), written_rows(state.replay))
     assert int(restored.step) == 40
+
+
+def test_a_replay_of_an_earlier_release_is_restored(state):
+    saved = snapshot.filled(state.replay, slice(None))
+    saved["marks"] = saved.pop("flags")
+    restored = snapshot.spread([saved], [2], state.replay)
+    assert_equal_trees(written_rows(restored), written_rows(state.replay))
+    assert np.asarray(restored.flags).any()
 
 
 def test_a_larger_buffer_keeps_both_ends_of_the_index(tmp_path, problem, state):
@@ -162,7 +170,9 @@ def test_a_failed_write_leaves_the_older_checkpoints(tmp_path, state, monkeypatc
         raise RuntimeError("No space left on device\nand a long story")
 
     monkeypatch.setattr(checkpoint, "_write", fail)
-    with pytest.raises(OSError, match=r"000000080 can't be written: No space left on device; older checkpoints are unchanged"):
+    with pytest.raises(
+        OSError, match=r"000000080 can't be written: No space left on device; older checkpoints are unchanged"
+    ):
         checkpoint.save(tmp_path, at_step(state, 80))
     assert [path.name for path in tmp_path.iterdir()] == ["000000040"]
     assert int(checkpoint.restore(tmp_path, state).step) == 40

@@ -19,9 +19,13 @@ def test_demonstrations_are_the_first_rows_and_are_sampled_unchanged(algo, rewar
     state = make_train_state(problem, tiny_method(algo), [0, 1])
     batch = replay.sample(state.replay, jax.random.split(jax.random.key(0), 2), jnp.zeros(2, int), 3000, jnp.zeros(2))
     forward = assets.demos(env.name, "forward")
-    numbers = {(s.tobytes(), a.tobytes()): i for i, (s, a) in enumerate(zip(forward.states, forward.actions, strict=True))}
+    numbers = {
+        (s.tobytes(), a.tobytes()): i for i, (s, a) in enumerate(zip(forward.states, forward.actions, strict=True))
+    }
     sampled = jax.tree.map(np.asarray, take_lane(batch, 0))
-    number = np.array([numbers.get((s.tobytes(), a.tobytes()), -1) for s, a in zip(sampled.state, sampled.action, strict=True)])
+    number = np.array(
+        [numbers.get((s.tobytes(), a.tobytes()), -1) for s, a in zip(sampled.state, sampled.action, strict=True)]
+    )
     is_forward = number >= 0
     assert (is_forward.mean() < 0.9) == (algo == "vaprl")
     number = number[is_forward]

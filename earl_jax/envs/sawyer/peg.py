@@ -91,7 +91,7 @@ class SawyerPeg(Sawyer):
     def __post_init__(self):
         super().__post_init__()
         if self.listed + self.wide + self.reset_at_goal > 1:
-            raise ValueError("listed, wide and reset_at_goal are different starts: choose only one")
+            raise ValueError("listed, wide and reset_at_goal are different starts: choose one of them")
 
     @property
     def goal_states(self) -> np.ndarray:

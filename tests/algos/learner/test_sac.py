@@ -179,7 +179,8 @@ def test_an_update_moves_actor_targets_and_temperature():
 def test_sac_solves_a_chain_of_known_value():
     """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
 
-    Any other action ends at once, with 0.2 in the first state and 0 in the second. The best return is gamma; a policy that stops at once earns 0.2. The entropy-free pair must learn the true values.
+    Any other action ends at once, with 0.2 in the first state and 0 in the second. The best return is gamma; a policy that stops
+    at once earns 0.2. The entropy-free pair must learn the true values.
     """
     sac = SMALL.replace(learning_rate=3e-3, initial_temperature=0.1, target_rate=0.02, discount=0.9)
     keys = jax.random.split(jax.random.key(0), 3)

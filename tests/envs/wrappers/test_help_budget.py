@@ -261,3 +261,31 @@ def test_a_lane_at_its_absorbing_end_stops_learning_and_storing_while_the_other_
     actors = [take_lane(state.lanes.agent.actor, 1) for state in (before, after)]
     for old, new in zip(*map(jax.tree.leaves, actors), strict=True):
         assert (to_numpy(old) != to_numpy(new)).any()
+
+
+def test_the_wrapper_has_the_properties_of_its_task():
+    task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
+    env = HelpBudget(task, budget=4.0)
+    assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
+    assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.ends) == (77, 9, True, "kinematic", True)
+    assert (env.title, env.step_seconds, env.map_unit) == (task.title, task.step_seconds, task.map_unit)
+    np.testing.assert_array_equal(env.goal_states, task.goal_states)
+    state = env.reset_uniform(jax.random.key(0))
+    task_obs = env.task_obs(state.obs)
+    np.testing.assert_array_equal(env.map_position(state.obs), task_obs[:2])
+    np.testing.assert_array_equal(env.expert(state.obs), [*task.expert(task_obs), -1])
+    wrapped_peg = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
+    assert wrapped_peg.task.physics == wrapped_peg.engine == "c"
+    assert wrapped_peg.continuing_horizon == 50_000
+
+
+def test_demonstrations_have_a_full_budget_and_never_request_help():
+    task = make("tabletop_organization")
+    env = HelpBudget(task, budget=4.0)
+    assert env.demo_directions == task.demo_directions
+    for direction in env.demo_directions:
+        demos, task_demos = env.demos(direction), task.demos(direction)
+        np.testing.assert_array_equal(demos.states, np.pad(task_demos.states, ((0, 0), (0, 1)), constant_values=1))
+        np.testing.assert_array_equal(demos.next_states[:, 6], 1)
+        np.testing.assert_array_equal(demos.actions, np.pad(task_demos.actions, ((0, 0), (0, 1)), constant_values=-1))
+        assert demos.goals is task_demos.goals

@@ -8,7 +8,7 @@ import re
 
 
 class Reader(html.parser.HTMLParser):
-    """The tags of a page, the links that a browser would load, the text that it would show and the scripts it would run."""
+    """The parts of a page: its tags, the links a browser would load, the text it would show, its scripts."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)

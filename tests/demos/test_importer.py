@@ -1,4 +1,4 @@
-"""Foreign files: recordings of the original come in, nothing else does, and nothing in them runs."""
+"""The importer reads recordings of the original benchmark, refuses other files, and executes nothing in them."""
 
 import ast
 import os
@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import earl_jax
 from earl_jax import assets
 from earl_jax.cli.main import main
-from earl_jax.demos import importer as recordings
+from earl_jax.demos import importer
+from earl_jax.envs import make
 
 FUZZ = settings(max_examples=100, deadline=None)
 
@@ -44,7 +46,7 @@ class Bomb:
 
 
 class Disguised:
-    """Asks for admitted names only, to call numpy's array class with a shape of its own."""
+    """Asks for allowed names only, to call numpy's array class with a shape of its own."""
 
     def __reduce__(self):
         return np.ndarray, ((1 << 40,),)
@@ -53,21 +55,21 @@ class Disguised:
 @pytest.mark.parametrize("protocol", [2, 3, 4, 5])
 def test_pickles_of_numpy_arrays_are_read(tmp_path, protocol):
     content = arrays()
-    found = recordings.read(pickled(tmp_path / "demo.pkl", content, protocol))
-    for name, value in found._asdict().items():
+    recording = importer.read(pickled(tmp_path / "demo.pkl", content, protocol))
+    for name, value in recording._asdict().items():
         np.testing.assert_allclose(value, content[name].reshape(value.shape), rtol=1e-6)
-    assert [len(part.actions) for part in found.episodes()] == [5, 5]
+    assert [len(episode.actions) for episode in recording.episodes()] == [5, 5]
 
 
-def test_the_old_name_of_numpys_module_is_admitted(tmp_path):
+def test_the_old_name_of_numpys_module_is_allowed(tmp_path):
     raw = pickle.dumps(arrays(), 2).replace(b"numpy._core.multiarray", b"numpy.core.multiarray")
     path = tmp_path / "old.pkl"
     path.write_bytes(raw)
-    assert len(recordings.read(path).actions) == 10
+    assert len(importer.read(path).actions) == 10
 
 
 @pytest.mark.parametrize("where", ["alone", "in an array", "beside the arrays"])
-def test_a_hostile_pickle_is_refused_and_does_not_run(tmp_path, where):
+def test_a_hostile_pickle_is_refused_and_not_executed(tmp_path, where):
     flag = tmp_path / "flag"
     bomb = Bomb(flag)
     trap = np.array([bomb], object)
@@ -78,7 +80,7 @@ def test_a_hostile_pickle_is_refused_and_does_not_run(tmp_path, where):
     }
     path = pickled(tmp_path / "hostile.pkl", content[where])
     with pytest.raises(ValueError, match=r"hostile.pkl: .*asks for (posix|nt).system"):
-        recordings.read(path)
+        importer.read(path)
     assert not flag.exists()
 
 
@@ -87,11 +89,11 @@ def test_a_hostile_pickle_is_refused_and_does_not_run(tmp_path, where):
     [b"", b"not a pickle", pickle.dumps(Disguised()), pickle.dumps(len), b"cbuiltins\neval\n(S'1'\ntR.", b"P1\n."],
     ids=["empty", "text", "numpy's class called", "a builtin", "eval", "persistent id"],
 )
-def test_anything_else_is_one_clear_error(tmp_path, content):
+def test_any_other_file_is_an_error_that_names_the_file(tmp_path, content):
     path = tmp_path / "other.pkl"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"other.pkl: not a pickle of numpy arrays"):
-        recordings.read(path)
+        importer.read(path)
 
 
 @pytest.fixture(scope="module")
@@ -101,40 +103,40 @@ def whole(tmp_path_factory):
 
 @FUZZ
 @given(where=st.floats(0, 1, exclude_max=True), text=st.binary(min_size=1, max_size=8), cut=st.booleans())
-def test_a_pickle_changed_anywhere_is_a_recording_or_one_clear_error(whole, where, text, cut):
+def test_a_damaged_pickle_is_a_recording_or_an_error_that_names_the_file(whole, where, text, cut):
     data = whole.read_bytes()
-    place = int(where * len(data))
-    victim = whole.with_name("victim.pkl")
-    victim.write_bytes(data[:place] if cut else data[:place] + text + data[place + len(text) :])
+    offset = int(where * len(data))
+    damaged = whole.with_name("damaged.pkl")
+    damaged.write_bytes(data[:offset] if cut else data[:offset] + text + data[offset + len(text) :])
     try:
-        found = recordings.read(victim)
+        recording = importer.read(damaged)
     except ValueError as error:
-        told = str(error)
+        message = str(error)
     else:
-        assert len({len(field) for field in found}) == 1
-        told = str(victim)
-    assert str(victim) in told
+        assert len({len(field) for field in recording}) == 1
+        message = str(damaged)
+    assert str(damaged) in message
 
 
 @FUZZ
 @given(data=st.data())
-def test_arrays_of_any_shape_are_a_recording_or_one_clear_error(tmp_path_factory, data):
+def test_arrays_of_other_shapes_are_an_error_that_names_the_file(tmp_path_factory, data):
     shapes = st.lists(st.integers(0, 4), max_size=3).map(tuple)
     kinds = st.sampled_from([np.float32, np.float64, np.int64, np.bool_, np.complex64, "U3", "datetime64[s]"])
-    content = {name: np.zeros(data.draw(shapes), data.draw(kinds)) for name in recordings.Recording._fields}
+    content = {name: np.zeros(data.draw(shapes), data.draw(kinds)) for name in importer.Recording._fields}
     path = tmp_path_factory.getbasetemp() / "any.npz"
     np.savez(path, **content)
     with pytest.raises(ValueError, match=r"any\.npz: "):  # zeros end no episode
-        recordings.read(path)
+        importer.read(path)
 
 
 LOADERS = {"load", "loads", "Unpickler", "memmap", "fromfile"}
 
 
 def test_nothing_else_in_the_package_unpickles():
-    """Every reader of files that could run code is the restricted one, or is told not to."""
-    found = []
-    for path in Path(recordings.__file__).parent.rglob("*.py"):
+    """Every reader of files that could execute code is the restricted one, or has `allow_pickle=False`."""
+    unsafe = []
+    for path in Path(earl_jax.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
             loads = called.split(".")[0] in (
@@ -151,8 +153,8 @@ def test_nothing_else_in_the_package_unpickles():
                 key.arg == "allow_pickle" and ast.unparse(key.value) == "False" for key in getattr(node, "keywords", [])
             )
             if loads and called.split(".")[-1] in LOADERS and not safe:
-                found.append(f"{path.name}: {called}")
-    assert found == []
+                unsafe.append(f"{path.name}: {called}")
+    assert unsafe == []
 
 
 @pytest.mark.parametrize(
@@ -165,29 +167,28 @@ def test_nothing_else_in_the_package_unpickles():
         (lambda a: a["terminals"].__setitem__(-1, False), "middle of an episode"),
     ],
 )
-def test_arrays_that_do_not_fit_say_why(tmp_path, change, cause):
+def test_arrays_that_do_not_fit_are_refused_with_the_cause(tmp_path, change, cause):
     content = arrays()
     change(content)
     with pytest.raises(ValueError, match=cause):
-        recordings.read(pickled(tmp_path / "odd.pkl", content))
+        importer.read(pickled(tmp_path / "odd.pkl", content))
 
 
-def test_imported_demonstrations_are_trained_with(tmp_path, capsys):
-    own = {name: assets.demos("sawyer_door", name) for name in assets.DIRECTIONS}
+def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path, capsys):
+    shipped = {name: assets.demos("sawyer_door", name) for name in assets.DIRECTIONS}
     files = {}
-    for name, part in own.items():
-        seen, after = np.hstack([part.states, part.goals]), np.hstack([part.next_states, part.goals])
-        fields = [seen, part.actions, part.rewards, after, part.ends]
-        content = dict(zip(recordings.Recording._fields, fields, strict=True))
+    for name, part in shipped.items():
+        observations = np.hstack([part.states, part.goals])
+        next_observations = np.hstack([part.next_states, part.goals])
+        fields = [observations, part.actions, part.rewards, next_observations, part.ends]
+        content = dict(zip(importer.Recording._fields, fields, strict=True))
         files[name] = pickled(tmp_path / f"{name}.pkl", content)
     out = tmp_path / "mine.npz"
     main(["import-demos", str(files["forward"]), "--backward", str(files["backward"]), "--out", str(out)])
     assert "5 forward, 5 backward" in capsys.readouterr().out
-    from earl_jax.envs import make
-
     env = make("sawyer_door", demo_file=str(out))
     assert env.demo_directions == assets.DIRECTIONS
-    for name, part in own.items():
+    for name, part in shipped.items():
         np.testing.assert_array_equal(env.demos(name).states, part.states)
     with pytest.raises(SystemExit):
         main(["import-demos", str(files["forward"]), "--out", str(out)])

@@ -1,12 +1,16 @@
+"""`render`: films, contact sheets, and the actors whose episodes they show."""
+
 import importlib
+import sys
 
 import numpy as np
 import pytest
 
 from earl_jax.envs import make
-from earl_jax.rendering import video as rendering
+from earl_jax.rendering import render
+from earl_jax.rendering.actors import ACTINGS, actor_of, episodes
 from earl_jax.rendering.scenes import Scene
-from earl_jax.rendering.video import ACTINGS, cast_of, episodes, render, step_seconds
+from earl_jax.rendering.sheets import GAP
 from tests.conftest import tiny_options
 
 pytest.importorskip("mediapy", reason="videos are written with mediapy: pip install 'earl-jax[render]'")
@@ -16,58 +20,51 @@ SMALL = (64, 96)
 
 
 @pytest.fixture(scope="module")
-def drawing():
-    try:
-        Scene(make(TASK), (8, 8)).close()
-    except ValueError as error:
-        pytest.skip(str(error))
+def expert_episode():
+    return next(episodes(actor_of(TASK)))
 
 
-@pytest.fixture(scope="module")
-def expert():
-    return next(episodes(cast_of(TASK)))
+def read_video(path):
+    metadata, *frames = importlib.import_module("imageio_ffmpeg").read_frames(path)
+    return metadata, [np.frombuffer(frame, np.uint8).reshape(*metadata["size"][::-1], 3) for frame in frames]
 
 
-def played(path):
-    about, *frames = importlib.import_module("imageio_ffmpeg").read_frames(path)
-    return about, [np.frombuffer(frame, np.uint8).reshape(*about["size"][::-1], 3) for frame in frames]
+def test_an_episode_continues_shortly_after_its_goal(expert_episode):
+    success = expert_episode.states.metrics["success"]
+    assert expert_episode.reached
+    assert success[expert_episode.last] == 1
+    assert success[: expert_episode.last].sum() == 0
+    assert len(success) == expert_episode.last + 7  # 0.6 s
+    assert float(expert_episode.at(3).data.time) == 3
 
 
-def test_an_episode_goes_on_a_moment_after_its_goal(expert):
-    success = expert.states.metrics["success"]
-    assert expert.reached
-    assert success[expert.last] == 1
-    assert success[: expert.last].sum() == 0
-    assert len(success) == expert.last + 7  # 0.6 s
-    assert float(expert.at(3).data.time) == 3
-
-
-def test_a_gif_has_a_frame_for_each_step_at_their_pace(drawing, tmp_path):
+def test_a_gif_has_one_frame_for_each_step(graphics, tmp_path):
     path = render(TASK, tmp_path / "new" / "x.gif", steps=5, size=SMALL)
     assert [entry.name for entry in path.parent.iterdir()] == ["x.gif"]
     with images.open(path) as film:
         assert (film.n_frames, film.size, film.info["duration"]) == (6, SMALL[::-1], 100)
+        assert film.info["loop"] == 0  # forever
         first = np.asarray(film.convert("RGB"))
         film.seek(5)
         assert (first != np.asarray(film.convert("RGB"))).any()
 
 
-def test_a_video_skips_steps_to_the_rate_asked_for(drawing, tmp_path):
+def test_fps_makes_a_video_skip_steps(graphics, tmp_path):
     path = render(TASK, tmp_path / "x.mp4", acting="random", steps=8, size=SMALL, fps=5)
-    about, frames = played(path)
-    assert (len(frames), frames[0].shape, about["fps"]) == (5, (*SMALL, 3), 5)
+    metadata, frames = read_video(path)
+    assert (len(frames), frames[0].shape, metadata["fps"]) == (5, (*SMALL, 3), 5)
     assert frames[0].std() > 10
 
 
-def test_a_sheet_shows_six_moments(drawing, tmp_path, expert):
+def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
     with images.open(render(TASK, tmp_path / "x.png", size=SMALL)) as sheet:
         pixels = np.asarray(sheet.convert("RGB")).astype(int)
-    assert pixels.shape[1] == 6 * SMALL[1] + 5 * rendering.GAP
+    assert pixels.shape[1] == 6 * SMALL[1] + 5 * GAP
     with Scene(make(TASK), (128, 192)) as scene:
-        last = scene.image(expert.at(expert.last))
-    shrunk = np.asarray(images.fromarray(last).reduce(2)).astype(int)
-    assert np.abs(pixels[:64, -96:] - shrunk).mean() < 3
-    assert np.abs(pixels[:64, :96] - shrunk).mean() > np.abs(pixels[:64, -96:] - shrunk).mean()
+        last = scene.image(expert_episode.at(expert_episode.last))
+    reduced = np.asarray(images.fromarray(last).reduce(2)).astype(int)
+    assert np.abs(pixels[:64, -96:] - reduced).mean() < 3
+    assert np.abs(pixels[:64, :96] - reduced).mean() > np.abs(pixels[:64, -96:] - reduced).mean()
     assert (pixels[64:] < 100).any()
 
 
@@ -81,68 +78,73 @@ def test_a_sheet_shows_six_moments(drawing, tmp_path, expert):
         ({"acting": "me"}, "unknown acting 'me'; choose from policy"),
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
         ({"steps": 0}, "steps must be above 0"),
+        ({"fps": -1.0}, "fps must be above 0"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(options, message):
+def test_invalid_arguments_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         render(**{"source": TASK, "out": "x.mp4", **options})
 
 
 def test_a_missing_library_names_its_extra(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "mediapy", None)
+    monkeypatch.setitem(sys.modules, "mediapy", None)
     with pytest.raises(ValueError, match=r"pip install 'earl-jax\[render\]'"):
         render(TASK, "x.mp4")
 
 
-def test_a_film_that_fails_leaves_nothing(drawing, tmp_path, monkeypatch):
+def test_a_failed_film_leaves_no_file(graphics, tmp_path, monkeypatch):
     monkeypatch.setattr(Scene, "image", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         render(TASK, tmp_path / "x.mp4", steps=2, size=SMALL)
     assert not list(tmp_path.iterdir())
 
 
-def test_the_pace_is_the_tasks():
-    assert step_seconds(make("sawyer_door")) == 0.0125
-    assert step_seconds(make(TASK)) == 0.1
+def test_the_pace_follows_the_control_step_of_the_task():
+    assert make("sawyer_door").step_seconds == 0.0125
+    assert make(TASK).step_seconds == 0.1
+
+
+def test_the_actings_are_those_of_the_command():
     assert set(ACTINGS) == {"policy", "expert", "demos", "random"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [TASK, "sawyer_door", "sawyer_peg"])
-def test_demonstrations_reach_their_goals_again(name):
-    cast = cast_of(name, "demos")
-    demos = cast.env.demos("forward")
-    first = int(np.flatnonzero(demos.ends)[0]) + 1
-    episode = next(episodes(cast))
+def test_replayed_demonstrations_reach_their_goals(name):
+    actor = actor_of(name, "demos")
+    demos = actor.env.demos("forward")
+    length = int(np.flatnonzero(demos.ends)[0]) + 1
+    episode = next(episodes(actor))
     assert episode.reached
-    assert abs(episode.last - first) <= 1
-    seen = episode.states.obs[1 : episode.last + 1, : cast.env.state_size]
-    np.testing.assert_allclose(seen[: first - 1], demos.next_states[: first - 1][: len(seen)], atol=0.02)
+    assert abs(episode.last - length) <= 1
+    replayed = episode.states.obs[1 : episode.last + 1, : actor.env.state_size]
+    recorded = demos.next_states[: length - 1][: len(replayed)]
+    np.testing.assert_allclose(replayed[: length - 1], recorded, atol=0.02)
 
 
 @pytest.mark.slow
-def test_a_run_folder_gets_a_video_of_its_policy(drawing, tmp_path, env):
+def test_a_run_folder_gets_a_video_of_its_policy(graphics, tmp_path, env):
     from earl_jax.training import train
 
     train(env, "fbrl", seeds=2, steps=40, eval_every=40, eval_episodes=2, out=tmp_path, **tiny_options("fbrl"))
     path = render(tmp_path, steps=5, size=SMALL)
     assert path == tmp_path / "video.mp4"
-    assert len(played(path)[1]) == 6
-    acted = [next(episodes(cast_of(tmp_path, seed=lane))).states.data.qpos for lane in (0, 1)]
-    assert not np.array_equal(*acted)
-    assert cast_of(tmp_path, "random").acting == "random"
+    assert len(read_video(path)[1]) == 6
+    positions = [next(episodes(actor_of(tmp_path, seed=lane))).states.data.qpos for lane in (0, 1)]
+    assert not np.array_equal(*positions)
+    assert actor_of(tmp_path, "random").acting == "random"
     with pytest.raises(ValueError, match="no lane 2"):
-        cast_of(tmp_path, seed=2)
+        actor_of(tmp_path, seed=2)
 
 
 @pytest.mark.slow
-def test_all_tasks_are_shown_on_one_sheet(drawing, tmp_path):
+def test_a_sheet_of_all_shows_the_six_tasks(graphics, tmp_path):
     with images.open(render("all", tmp_path / "x.png", size=SMALL)) as sheet:
         width, height = sheet.size
         pixels = np.asarray(sheet.convert("RGB"))
-    assert width == 3 * SMALL[1] + 2 * rendering.GAP
+    assert width == 3 * SMALL[1] + 2 * GAP
     for row in range(2):
         for column in range(3):
-            x, y = column * (SMALL[1] + rendering.GAP), row * height // 2
+            x, y = column * (SMALL[1] + GAP), row * height // 2
             assert pixels[y : y + SMALL[0], x : x + SMALL[1]].std() > 20

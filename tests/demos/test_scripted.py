@@ -1,0 +1,72 @@
+"""Demonstrations from the scripts of tasks: which tasks have one, and what a script decides."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import demos
+from earl_jax.envs import make
+from earl_jax.envs.state import DemoStart
+from earl_jax.envs.tabletop import TabletopOrganization
+
+
+@dataclasses.dataclass(frozen=True)
+class OneGoal(TabletopOrganization):
+    """A task of another package with its own script: one pair of demonstrations without noise."""
+
+    name = "my_one_goal"
+    demo_noise = 0.0
+
+    def demo_action(self, obs):
+        return np.array(self.expert(jnp.asarray(obs)))
+
+    def demo_starts(self, seed):
+        start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(self.goal_states[1]))
+        yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class ForwardOnly(OneGoal):
+    """A script without backward demonstrations, whose forward ones continue after success."""
+
+    name = "my_forward_only"
+    demo_hold = 60
+
+    def demo_starts(self, seed):
+        for start in super().demo_starts(seed):
+            yield start._replace(backward_goal=None)
+
+
+def test_a_task_outside_the_package_brings_its_own_script():
+    env = OneGoal()
+    made = demos.make(env)
+    assert {name: part.ends.sum() for name, part in made.items()} == {"forward": 1, "backward": 1}
+    forward, backward = made["forward"], made["backward"]
+    np.testing.assert_array_equal(forward.goals[0], env.goal_states[1])
+    np.testing.assert_array_equal(backward.goals[0], env.initial_states[0])
+    np.testing.assert_array_equal(backward.states[0], forward.next_states[-1])
+    np.testing.assert_array_equal(forward.actions[0], env.demo_action(np.append(forward.states[0], forward.goals[0])))
+
+
+def test_a_script_can_hold_its_goal_and_have_no_backward_demonstrations():
+    made = demos.make(ForwardOnly())
+    assert list(made) == ["forward"]
+    assert np.flatnonzero(made["forward"].ends).tolist() == [59]
+    assert made["forward"].rewards[-5:].all()
+
+
+def test_a_task_without_a_script_names_the_tasks_with_one():
+    choices = "choose from dhand_lightbulb, sawyer_door, sawyer_peg, tabletop_organization"
+    with pytest.raises(ValueError, match=f"fish_swim has no demonstration script; {choices}"):
+        demos.make(make("fish_swim"))
+
+
+@pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_door", "sawyer_peg"])
+def test_a_state_can_be_restored_from_a_demonstration(name):
+    env = make(name)
+    forward = env.demos("forward")
+    state = env.state_from_demo(jnp.asarray(forward.states[0]), jnp.asarray(forward.goals[0]))
+    np.testing.assert_allclose(state.obs, np.concatenate([forward.states[0], forward.goals[0]]), atol=2e-3)

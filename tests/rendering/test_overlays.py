@@ -1,0 +1,113 @@
+"""Overlays: merging MJCF, and models whose physics an overlay leaves as it is."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from earl_jax import assets
+from earl_jax.envs import list_envs, make
+from earl_jax.physics import load_model
+from earl_jax.rendering.overlays import merge, with_overlay
+from earl_jax.rendering.scenes import cameras
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo compiles the models")
+MODELS = sorted(path.stem for path in (assets.root() / "mjcf").glob("*.xml"))
+SIZES = ("nq", "nv", "nu", "nbody", "nmocap")
+PHYSICS = ("qpos0", "jnt_type", "jnt_range", "jnt_axis", "body_mass", "body_inertia", "body_pos", "body_parentid")
+
+
+def body_positions(model, qpos, mocap_pos, mocap_quat):
+    data = mujoco.MjData(model)
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = qpos, mocap_pos, mocap_quat
+    mujoco.mj_kinematics(model, data)
+    return data.xpos
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_an_overlay_leaves_the_physics_unchanged(name):
+    plain, overlaid = load_model(name), with_overlay(name)
+    assert overlaid.ngeom > plain.ngeom
+    assert [getattr(overlaid, size) for size in SIZES] == [getattr(plain, size) for size in SIZES]
+    bodies = [[model.body(i).name for i in range(model.nbody)] for model in (plain, overlaid)]
+    assert bodies[0] == bodies[1]
+    for field in PHYSICS:
+        np.testing.assert_array_equal(getattr(overlaid, field), getattr(plain, field), field)
+    pose = plain.qpos0 + 0.1, np.ones((plain.nmocap, 3)), np.ones((plain.nmocap, 4))
+    np.testing.assert_array_equal(body_positions(overlaid, *pose), body_positions(plain, *pose))
+
+
+@pytest.mark.parametrize("name", list_envs())
+def test_every_task_has_a_default_camera_and_a_second_one(name):
+    assert "default" in cameras(make(name))
+    assert len(cameras(make(name))) > 1
+
+
+def mjcf(text):
+    return ET.fromstring(f"<mujoco>{text}</mujoco>")
+
+
+MODEL = mjcf(
+    '<asset><material name="paint" rgba="1 0 0 1"/></asset>'
+    '<worldbody><light/><camera name="eye"/><geom size="1"/></worldbody>'
+    '<worldbody><geom size="2"/><body name="hand"><geom size="3"/></body></worldbody>'
+)
+
+
+def test_replace_hides_the_geoms_of_the_model():
+    overlay = '<worldbody replace="true"><geom size="4"/></worldbody><body name="hand"><geom size="5"/></body>'
+    merged = merge(MODEL, mjcf(overlay))
+    groups = {geom.get("size"): geom.get("group") for geom in merged.iter("geom")}
+    assert groups == {"1": "3", "2": "3", "3": None, "4": None, "5": None}
+    assert [geom.get("size") for geom in merged.find(".//body").findall("geom")] == ["3", "5"]
+    assert MODEL.find("worldbody/geom").get("group") is None
+
+
+def test_geoms_of_an_overlay_have_its_class_or_their_own():
+    merged = merge(MODEL, mjcf('<body name="hand"><geom size="4"/><geom class="goal_marker" size="5"/></body>'))
+    classes = {geom.get("size"): geom.get("class") for geom in merged.iter("geom")}
+    assert classes == {"1": None, "2": None, "3": None, "4": "overlay", "5": "goal_marker"}
+
+
+def test_lights_assets_and_cameras_of_an_overlay_replace_those_of_the_model():
+    overlay = (
+        '<asset><material name="paint" rgba="0 1 0 1"/></asset><worldbody><camera name="eye" pos="0 0 1"/></worldbody>'
+    )
+    merged = merge(MODEL, mjcf(overlay))
+    assert [material.get("rgba") for material in merged.iter("material")] == ["0 1 0 1"]
+    assert [camera.get("pos") for camera in merged.iter("camera")] == ["0 0 1"]
+    assert not list(merged.iter("light"))
+
+
+def test_a_camera_is_aimed_at_a_point():
+    merged = merge(MODEL, mjcf('<worldbody><camera name="new" pos="0 -2 0" at="0 0 0"/></worldbody>'))
+    axes = np.array(merged.find(".//camera[@name='new']").get("xyaxes").split(), float).reshape(2, 3)
+    np.testing.assert_allclose(axes / np.linalg.norm(axes, axis=1)[:, None], [[1, 0, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_the_size_of_a_geom_scales_its_mesh():
+    overlay = (
+        '<asset><mesh name="ball" builtin="sphere"/></asset>'
+        '<worldbody><geom mesh="ball" size="1 2 3"/><geom mesh="ball" size="1 2 3"/></worldbody>'
+    )
+    merged = merge(MODEL, mjcf(overlay))
+    assert [mesh.get("scale") for mesh in merged.iter("mesh")] == [None, "1 2 3"]
+    assert {geom.get("mesh") for geom in merged.iter("geom") if geom.get("mesh")} == {"ball 1 2 3"}
+
+
+def test_an_overlay_of_an_unknown_body_is_refused():
+    with pytest.raises(ValueError, match="the body 'foot', but the model has none"):
+        merge(MODEL, mjcf('<body name="foot"/>'))
+
+
+def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder(tmp_path):
+    for folder in ("models", "overlays"):
+        (tmp_path / folder).mkdir()
+    model = tmp_path / "models" / "ball.xml"
+    model.write_text('<mujoco><worldbody><body name="ball"><geom size="1"/></body></worldbody></mujoco>')
+    copy = model.with_name("plain.xml")
+    copy.write_text(model.read_text())
+    defaults = '<default><default class="overlay"><geom type="sphere" mass="0"/></default></default>'
+    overlay = tmp_path / "overlays" / "ball.xml"
+    overlay.write_text(f'<mujoco>{defaults}<body name="ball"><geom size=".5"/></body></mujoco>')
+    assert [with_overlay(str(path)).ngeom for path in (model, copy)] == [2, 1]

@@ -1,0 +1,104 @@
+"""Images of states and goals."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.envs import HelpBudget, list_envs, make
+from earl_jax.physics import load_model
+from earl_jax.rendering.scenes import Scene
+
+mujoco = pytest.importorskip("mujoco", reason="pictures are drawn by MuJoCo")
+SMALL = (64, 96)
+
+
+@pytest.fixture(scope="module")
+def start(env):
+    return env.reset(jax.random.key(0))
+
+
+def test_images_show_the_state_and_the_goal(graphics, env, start):
+    moved = start.replace(data=start.data.replace(qpos=start.data.qpos + 1.0))
+    other_goal = env.with_goal(start, jnp.asarray(env.goal_states[0]))
+    with Scene(env, SMALL) as scene:
+        image = scene.image(start)
+        assert (image.shape, image.dtype) == ((*SMALL, 3), np.uint8)
+        np.testing.assert_array_equal(scene.image(start), image)
+        assert (scene.image(moved) != image).any(axis=-1).sum() > 20
+        assert (scene.image(other_goal) != image).any(axis=-1).sum() > 10
+    with Scene(env, SMALL, goal=False) as scene:
+        without_goal = scene.image(start)
+        np.testing.assert_array_equal(scene.image(other_goal), without_goal)
+    assert (without_goal != image).any()
+    with Scene(env, SMALL, camera="above") as scene:
+        assert (scene.image(start) != image).any()
+
+
+def test_a_help_budget_is_drawn_like_its_task(graphics, env, start):
+    wrapped = HelpBudget(env, budget=3.0)
+    state = wrapped.reset(jax.random.key(0))
+    with Scene(env, SMALL) as plain, Scene(wrapped, SMALL) as scene:
+        np.testing.assert_array_equal(scene.image(state), plain.image(state.data))
+
+
+def test_unknown_cameras_and_sizes_are_refused(graphics, env):
+    with pytest.raises(ValueError, match="no camera 'mine'; choose from default, above"):
+        Scene(env, SMALL, camera="mine")
+    with pytest.raises(ValueError, match="size must be at least"):
+        Scene(env, (0, 8))
+
+
+GOAL_SITES = {"sawyer_door": "handle", "sawyer_peg": "head", "dhand_lightbulb": "bulb"}
+
+
+@pytest.mark.parametrize("name", GOAL_SITES)
+def test_goal_markers_are_at_the_goal(name):
+    env = make(name)
+    state = env.reset(jax.random.key(3))
+    goal = jax.device_get(env.render_goal(state))
+    model = load_model(env.model)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = goal.qpos, goal.mocap_pos, goal.mocap_quat
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(data.site(GOAL_SITES[name]).xpos, state.info["goal"][-3:], atol=2e-4)
+
+
+@pytest.mark.slow
+def test_goal_markers_of_the_other_tasks_are_at_the_goal():
+    for name, joints in (
+        ("franka_kitchen", slice(9, 18)),
+        ("minitaur_pen", slice(2)),
+        ("tabletop_organization", slice(4)),
+    ):
+        env = make(name)
+        state = env.reset(jax.random.key(3))
+        kitchen = env.goal_states[0][[9, 11, 13, 15, 17, 19, 20, 21, 22]] if name == "franka_kitchen" else None
+        goal = state.info["goal"] if kitchen is None else kitchen
+        np.testing.assert_array_equal(env.render_goal(state).qpos[joints], goal[: joints.stop])
+    fish = make("fish_swim")
+    goal = jnp.asarray(fish.goal_states[7])
+    state = fish.with_goal(fish.reset(jax.random.key(0)), goal)
+    np.testing.assert_array_equal(fish.render_goal(state).mocap_pos[0], goal)
+    cheetah = make("cheetah_run")
+    assert cheetah.render_goal(cheetah.reset(jax.random.key(0))) is None
+
+
+OBJECTS = {
+    "sawyer_door": 9, "sawyer_peg": 9, "franka_kitchen": 17, "dhand_lightbulb": 23, "minitaur_pen": 0, "cheetah_run": 3,
+    "fish_swim": 0, "tabletop_organization": 2,
+}  # fmt: skip
+"""Index in qpos of a joint of each task's object."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list_envs())
+def test_a_moved_object_changes_the_image(graphics, name):
+    env = make(name)
+    state = env.reset(jax.random.key(0))
+    qpos = state.data.qpos
+    moved = state.replace(data=state.data.replace(qpos=qpos.at[OBJECTS[name]].add(0.25)))
+    with Scene(env, SMALL, goal=False) as scene:
+        before, after = scene.image(state), scene.image(moved)
+    assert before.std() > 10
+    assert 10 < (before != after).any(axis=-1).sum() < (1.0 if name == "cheetah_run" else 0.7) * before[..., 0].size

@@ -1,0 +1,86 @@
+"""The pages of docs/: links, tables of numbers, and code."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from earl_jax import algos, envs
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md"), *(ROOT / "notebooks").glob("*.py")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_have_a_target(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        if target.startswith("http"):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path) if path else page
+        assert file.exists(), target
+        if anchor:
+            titles = re.findall(r"^#+ (.*)", file.read_text(), flags=re.MULTILINE)
+            assert anchor in [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles], target
+
+
+def table_rows(text, first):
+    """Return the rows of the tables whose header begins with `first`, as lists of cells."""
+    tables = re.findall(rf"^\| {re.escape(first)} \|.*\n\|[-| ]*\n((?:\|.*\n)+)", text, flags=re.MULTILINE)
+    return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
+
+
+@pytest.mark.parametrize("name", ["sac", "r3l", "vaprl", "naive", "oracle", "fbrl"])
+def test_the_page_of_algorithms_has_every_hyper_parameter(name):
+    page = (DOCS / "algorithms.md").read_text()
+    cls = algos.SAC if name == "sac" else type(algos.make_algo(name))
+    defaults = {row[0].strip("`"): row[1].replace('"', "'") for row in table_rows(page, f"field of `{cls.__name__}`")}
+    assert defaults == {field.name: repr(field.default) for field in dataclasses.fields(cls) if field.name != "sac"}
+
+
+TOPICS = ["state", "action", "start", "goal", "sparse reward", "dense reward", "horizons", "demonstrations", "engine"]
+
+
+def test_the_page_of_environments_has_the_numbers_of_every_task():
+    page = (DOCS / "environments.md").read_text()
+    tasks = {name: envs.make(name) for name in envs.list_envs()}
+    rows = {row[0].strip("`"): row[1:6] for row in table_rows(page, "task")}
+    assert rows == {
+        name: [
+            f"{number:,}"
+            for number in (env.obs_size, env.action_size, env.train_horizon, env.eval_horizon, env.goal_change)
+        ]
+        for name, env in tasks.items()
+    }
+
+
+def test_the_page_of_environments_has_a_section_with_every_topic_for_each_task():
+    page = (DOCS / "environments.md").read_text()
+    sections = dict(re.findall(r"^## (\S.*?)\n(.*?)(?=^## |\Z)", page, flags=re.MULTILINE | re.DOTALL))
+    for name in envs.list_envs():
+        env, section = envs.make(name), sections[name]
+        shared = sections["The Sawyer arm"] if name.startswith("sawyer") else ""
+        first_cells = " ".join(re.findall(r"^\| ([^|]*) \|", shared + section, flags=re.MULTILINE))
+        for topic in TOPICS:
+            assert topic in first_cells, (name, topic)
+        assert f"H_T {env.train_horizon:,}" in section
+        assert f"H_E {env.eval_horizon:,}" in section
+        assert ("none" in section.split("| demonstrations |")[1].split("\n")[0]) == (not env.has_demos)
+
+
+CODE = {
+    name: re.findall(r"```python\n(.*?)```", (DOCS / f"{name}.md").read_text(), flags=re.DOTALL)
+    for name in ("getting_started", "formalism", "irreversible")
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", CODE)
+def test_the_code_of_a_page_runs_and_writes_nothing(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CODE[page]
+    for block in CODE[page]:
+        exec(compile(block, page, "exec"), {})
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,87 @@
+"""Names of the package, of installed packages, and of registered classes."""
+
+import sys
+
+import pytest
+
+from earl_jax import envs
+from earl_jax.registry import Registry
+from tests.conftest import write_files
+
+MEADOW = """
+import dataclasses
+from earl_jax.envs.tabletop import TabletopOrganization
+
+class Meadow(TabletopOrganization):
+    name = "meadow"
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Return a function that puts a package on the path and returns a registry that sees it.
+
+    `entry_points` are those of envs; `source` is the text of its module `theirs`.
+    """
+
+    def install(entry_points, source="", name="Their_Package"):
+        lines = "".join(f"{key} = {value}\n" for key, value in entry_points.items())
+        files = {
+            f"{name}-0.1.0.dist-info/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n",
+            f"{name}-0.1.0.dist-info/entry_points.txt": f"[earl_jax.envs]\n{lines}",
+            "theirs.py": source,
+        }
+        write_files(files, tmp_path / name)
+        monkeypatch.delitem(sys.modules, "theirs", raising=False)
+        monkeypatch.syspath_prepend(tmp_path / name)
+        return Registry("env", {"sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor"})
+
+    return install
+
+
+def test_the_names_of_a_package_are_listed_and_built(install):
+    registry = install({"meadow": "theirs:Meadow"}, MEADOW)
+    assert registry.names() == ["meadow", "sawyer_door"]
+    assert registry.build("meadow", {"wide": True}).wide
+    with pytest.raises(ValueError, match="'meadow' exists already"):
+        registry.register("meadow", type(registry.build("meadow", {})))
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (
+            "import shepherds",
+            "of Their_Package 0.1.0 cannot be loaded: ModuleNotFoundError: No module named 'shepherds'",
+        ),
+        ("1 / 0", "of Their_Package 0.1.0 cannot be loaded: ZeroDivisionError"),
+        ("", "of Their_Package 0.1.0 cannot be loaded: AttributeError.*Meadow"),
+        (MEADOW.replace('"meadow"', '"lawn"'), "theirs:Meadow of Their_Package 0.1.0 has the name 'lawn'"),
+        ("def Meadow(): ...", "theirs:Meadow of Their_Package 0.1.0 must be a dataclass, not <function Meadow"),
+    ],
+    ids=["import fails", "module fails", "no class", "another name", "no dataclass"],
+)
+def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(install, source, message):
+    registry = install({"meadow": "theirs:Meadow"}, source)
+    assert registry.names() == ["meadow", "sawyer_door"]
+    assert registry.get("sawyer_door").name == "sawyer_door"
+    with pytest.raises(ValueError, match=f"env 'meadow'.*{message}"):
+        registry.get("meadow")
+
+
+def test_a_name_claimed_twice_is_an_error_that_names_both_owners(install):
+    registry = install({"sawyer_door": "theirs:Meadow", "meadow": "theirs:Meadow"}, MEADOW)
+    assert registry.names() == ["meadow", "sawyer_door"]
+    with pytest.raises(ValueError, match=r"'sawyer_door' is claimed by earl_jax and Their_Package 0\.1\.0; rename"):
+        registry.get("sawyer_door")
+    assert registry.get("meadow").name == "meadow"
+    registry = install({"meadow": "theirs:Meadow"}, MEADOW, name="Others")
+    with pytest.raises(ValueError, match=r"'meadow' is claimed by Others 0\.1\.0 and Their_Package 0\.1\.0"):
+        registry.get("meadow")
+
+
+def test_a_class_is_registered_under_its_own_name_only():
+    registry = Registry("env", {})
+    with pytest.raises(ValueError, match="the registered class has the name 'tabletop_organization'"):
+        registry.register("table", type(envs.make("tabletop_organization")))
+    assert registry.names() == []
