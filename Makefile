@@ -9,9 +9,12 @@ TOOLS := $(VENV)/.tools
 MORE := $(VENV)/.more
 QUICK := plot,render,report,tensorboard,test
 ALL := $(QUICK),notebook,peers,wandb
+NEWEST := .venv-newest
+UNBOUNDED := import re, tomllib; names = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
+	print(*[re.split("[<>=!~;]", name)[0] for name in names], "hypothesis", "pytest", "pytest-xdist", sep="\n")
 OUT ?= runs/quickstart-$(shell date +%Y%m%d-%H%M%S)
 
-.PHONY: quickstart test test-slow check demos lock clean
+.PHONY: quickstart test test-slow test-newest check demos lock clean
 
 $(STAMP): pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
@@ -43,6 +46,15 @@ test: check
 test-slow: $(MORE)
 	$(BIN)/pytest -m slow -n 2 --dist loadfile --durations=10
 
+# The physics tests with the newest releases of all dependencies, without the lock file and without upper bounds. They show
+# early what the next release breaks, so that the bounds in pyproject.toml can be raised or explained.
+test-newest: pyproject.toml
+	$(PYTHON) -m venv $(NEWEST)
+	$(NEWEST)/bin/python -c '$(UNBOUNDED)' > $(NEWEST)/requirements.txt
+	$(NEWEST)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade -r $(NEWEST)/requirements.txt
+	$(NEWEST)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(NEWEST)/bin/python -m pytest tests/physics -m "not slow" -n 2 --dist loadfile
+
 # Exact versions for every supported Python, without the address of an index. The CUDA packages of PyTorch are left out, because
 # jax needs another version.
 lock: $(STAMP)
@@ -57,4 +69,4 @@ demos: $(STAMP)
 	$(BIN)/earl-jax demos sawyer_peg --physics c --out assets/demos/sawyer_peg.npz
 
 clean:
-	rm -rf $(VENV) .cache
+	rm -rf $(VENV) $(NEWEST) .cache

@@ -114,7 +114,7 @@ too, which is why we train five of them and print an interval beside every mean.
 last = result.metrics["deployed/success"][:, -3:].mean(axis=1)
 rewards = result.metrics["continuing/reward"][:, -1]
 for seed, success, reward in zip(result.seeds, last, rewards, strict=True):
-    print(f"seed {seed}: success {success:.2f}, reward a step {reward:.4f}")
+    print(f"seed {seed}: success {success:.2f}, reward per step {reward:.4f}")
 final = summarise(last)
 print(
     f"mean {final.mean:.2f}, standard error {final.stderr:.2f}, IQM {final.iqm:.2f} [{final.low:.2f}, {final.high:.2f}]"

@@ -1,5 +1,6 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
+import functools
 import os
 from pathlib import Path
 
@@ -34,6 +35,8 @@ LONGEST = [
     "training/test_resume.py",
 ]  # fmt: skip
 """The files that take longest, relative to this folder."""
+CHUNK = 20
+"""Steps of the programs that tests share; VaPRL refreshes as often."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 
 
@@ -78,17 +81,46 @@ def tiny_train(algo="fbrl", env="tabletop_organization", **options):
     return train(env, algo, **{**TINY_RUN, **tiny_options(algo), **options})
 
 
+@pytest.fixture(autouse=True)
+def own_programs(request):
+    """Give a test that patches code programs of its own: the shared ones would not contain the patch, or keep it."""
+    patches = "monkeypatch" in request.fixturenames
+    for shared in (_init_program, _steps_program) if patches else ():
+        shared.cache_clear()
+    yield
+    for shared in (_init_program, _steps_program) if patches else ():
+        shared.cache_clear()
+
+
 def make_train_state(problem, method, seeds, steps=200, rules=None):
     """Return the lanes of `seeds` at step 0, with a replay that holds `steps` steps."""
     capacity = replay_capacity(problem, method, steps)
-    init = jax.jit(lambda m, keys, rules: init_train_state(problem, m, keys, capacity, rules))
-    return init(method, seed_keys(seeds), rules)
+    return _init_program(problem, capacity)(method, seed_keys(seeds), rules)
+
+
+@functools.cache
+def _init_program(problem, capacity):
+    return jax.jit(lambda method, keys, rules: init_train_state(problem, method, keys, capacity, rules))
 
 
 def advance(problem, method, state, steps, explore=False, compiler_options=None):
-    """Return the train state `steps` steps later."""
-    run = jax.jit(lambda m, state: run_steps(problem, m, state, steps, explore), compiler_options=compiler_options)
-    return run(method, state)
+    """Return the train state `steps` steps later. Whole chunks of `CHUNK` steps share one program."""
+    lengths = [CHUNK] * (steps // CHUNK) + [steps % CHUNK] * (steps % CHUNK > 0)
+    for length in lengths:
+        state = run_whole(problem, method, state, length, explore, compiler_options)
+    return state
+
+
+def run_whole(problem, method, state, steps, explore=False, compiler_options=None):
+    """Return the train state `steps` steps later, computed by one program."""
+    options = tuple((compiler_options or {}).items())
+    return _steps_program(problem, steps, explore, options)(method, state)
+
+
+@functools.cache
+def _steps_program(problem, steps, explore, options):
+    run = functools.partial(run_steps, problem, steps=steps, explore=explore)
+    return jax.jit(lambda method, state: run(method, state), compiler_options=dict(options))
 
 
 def take_lane(tree, lane):

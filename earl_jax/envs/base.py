@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
@@ -218,7 +219,7 @@ class Env(abc.ABC):
 
     def demo_action(self, obs: np.ndarray) -> np.ndarray:
         """Return the action [a] of the demonstration script at `obs [s + g]`, before noise: the expert's by default."""
-        return np.array(self.expert(jnp.asarray(obs)))
+        return np.array(_expert_action(self, jnp.asarray(obs)))
 
     def demo_starts(self, seed: int) -> Iterator[DemoStart]:
         """Yield the starts of scripted demonstrations, one item for each forward demonstration.
@@ -284,3 +285,8 @@ class Env(abc.ABC):
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
         """Return the reward that the step to `state` would have earned with `goal [g]` instead of its own goal."""
         return self.transition_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _expert_action(env: Env, obs: jax.Array) -> jax.Array:
+    return env.expert(obs)

@@ -158,12 +158,12 @@ def resume(
         ValueError: `folder` is not a run folder or is damaged, or the run's objects must be registered or passed.
     """
     opened = RunFolder.open(Path(folder))
-    opened = opened if steps is None else opened.extended(steps)
-    setting = opened.config.build_setting()
-    wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
-    run = Run.resolve(opened.config, wrapped, algo)
-    run.folder = opened
-    return _execute(plan_runs([run], devices), run, progress)
+    config = opened.config if steps is None else dataclasses.replace(opened.config, steps=steps)
+    wrapped = None if env is None else config.build_setting().wrap(env)
+    run = Run.resolve(config, wrapped, algo)
+    plan = plan_runs([run], devices)  # before config.json is changed, so that a failure leaves it as it was
+    run.folder = opened if steps is None else opened.extended(steps)
+    return _execute(plan, run, progress)
 
 
 def _execute(plan: Plan, run: Run, progress: bool) -> Result:

@@ -14,12 +14,15 @@ from earl_jax.protocol import Protocol
 from earl_jax.training import loop
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem
+from tests.compiler import EQUAL_BITS
 from tests.conftest import (
     ALGOS,
     advance,
+    assert_all_finite,
     assert_equal_trees,
     make_problem,
     make_train_state,
+    run_whole,
     take_lane,
     tiny_method,
 )
@@ -41,10 +44,11 @@ def test_a_step_keeps_structure_dtypes_and_weak_types(problem, algo):
 def test_chunks_equal_one_scan_bit_for_bit(problem, algo):
     method = tiny_method(algo)
     start = make_train_state(problem, method, [0, 1])
-    whole = advance(problem, method, start, 60)
+    whole = run_whole(problem, method, start, 60, compiler_options=EQUAL_BITS)
     chunked = start
     for _ in range(3):
-        chunked = advance(problem, method, chunked, 20)
+        chunked = run_whole(problem, method, chunked, 20, compiler_options=EQUAL_BITS)
+    assert_all_finite(chunked.lanes.agent)
     assert_equal_trees(chunked, whole)
     assert int(whole.step) == 60
 
