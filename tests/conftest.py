@@ -1,6 +1,5 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
-import functools
 import os
 from pathlib import Path
 
@@ -17,17 +16,18 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
-from earl_jax.training import train
+from earl_jax.training import runner, train
 from earl_jax.training.demo_rows import replay_capacity
-from earl_jax.training.init import init_train_state
 from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem, seed_keys
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
-TINY = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 20}
-TINY_RUN = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2}
+TINY = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 20}
+RUN_STEPS = 120
+"""The length of the tiny runs, which is part of the shapes of their programs: one length, one program a method."""
+TINY_RUN = {"seeds": 2, "steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2}
 LONGEST = [
     "paper/test_reproduce.py", "physics/test_engines.py", "sweeps/test_launcher.py", "training/test_api.py",
     "training/test_loop.py", "training/test_devices.py", "cli/test_cli.py", "training/test_dense_tasks.py",
@@ -81,46 +81,29 @@ def tiny_train(algo="fbrl", env="tabletop_organization", **options):
     return train(env, algo, **{**TINY_RUN, **tiny_options(algo), **options})
 
 
-@pytest.fixture(autouse=True)
-def own_programs(request):
-    """Give a test that patches code programs of its own: the shared ones would not contain the patch, or keep it."""
-    patches = "monkeypatch" in request.fixturenames
-    for shared in (_init_program, _steps_program) if patches else ():
-        shared.cache_clear()
-    yield
-    for shared in (_init_program, _steps_program) if patches else ():
-        shared.cache_clear()
-
-
-def make_train_state(problem, method, seeds, steps=200, rules=None):
+def make_train_state(problem, method, seeds, steps=RUN_STEPS, rules=None):
     """Return the lanes of `seeds` at step 0, with a replay that holds `steps` steps."""
+    if rules is None:
+        rules = jax.tree.map(lambda rule: jnp.full(len(seeds), rule), problem.protocol.rules)
     capacity = replay_capacity(problem, method, steps)
-    return _init_program(problem, capacity)(method, seed_keys(seeds), rules)
+    return runner._init(problem, method, seed_keys(seeds), rules, capacity, None)
 
 
-@functools.cache
-def _init_program(problem, capacity):
-    return jax.jit(lambda method, keys, rules: init_train_state(problem, method, keys, capacity, rules))
+def advance(problem, method, state, steps, explore=False):
+    """Return the train state `steps` steps later, by the programs of `train`: whole chunks of `CHUNK` steps share one.
 
-
-def advance(problem, method, state, steps, explore=False, compiler_options=None):
-    """Return the train state `steps` steps later. Whole chunks of `CHUNK` steps share one program."""
+    They are shared by all tests, so a test that patches the code of a step takes `run_whole`.
+    """
     lengths = [CHUNK] * (steps // CHUNK) + [steps % CHUNK] * (steps % CHUNK > 0)
     for length in lengths:
-        state = run_whole(problem, method, state, length, explore, compiler_options)
+        state = runner._advance(problem, method, jax.tree.map(jnp.copy, state), length, explore, None)
     return state
 
 
 def run_whole(problem, method, state, steps, explore=False, compiler_options=None):
-    """Return the train state `steps` steps later, computed by one program."""
-    options = tuple((compiler_options or {}).items())
-    return _steps_program(problem, steps, explore, options)(method, state)
-
-
-@functools.cache
-def _steps_program(problem, steps, explore, options):
-    run = functools.partial(run_steps, problem, steps=steps, explore=explore)
-    return jax.jit(lambda method, state: run(method, state), compiler_options=dict(options))
+    """Return the train state `steps` steps later, computed by one program of its own."""
+    run = jax.jit(lambda m, s: run_steps(problem, m, s, steps, explore), compiler_options=compiler_options)
+    return run(method, state)
 
 
 def take_lane(tree, lane):

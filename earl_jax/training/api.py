@@ -159,7 +159,8 @@ def resume(
     """
     opened = RunFolder.open(Path(folder))
     config = opened.config if steps is None else dataclasses.replace(opened.config, steps=steps)
-    wrapped = None if env is None else config.build_setting().wrap(env)
+    setting = config.build_setting()
+    wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
     run = Run.resolve(config, wrapped, algo)
     plan = plan_runs([run], devices)  # before config.json is changed, so that a failure leaves it as it was
     run.folder = opened if steps is None else opened.extended(steps)

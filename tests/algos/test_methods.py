@@ -151,8 +151,8 @@ def test_vaprl_values_come_from_the_entropy_free_pair(problem):
 
     def shift_bias(first, stop, amount):
         critics = jax.tree.map(jnp.copy, lane.agent.critics)
-        bias = critics["params"]["hidden_2"]["bias"]
-        critics["params"]["hidden_2"]["bias"] = bias.at[0, first:stop].add(amount)
+        bias = critics["params"]["hidden_1"]["bias"]
+        critics["params"]["hidden_1"]["bias"] = bias.at[0, first:stop].add(amount)
         return critics
 
     np.testing.assert_allclose(values(shift_bias(0, 2, 5.0)), base, atol=1e-5)

@@ -10,7 +10,7 @@ import pytest
 from earl_jax.algos.method import TASK, Method
 from earl_jax.algos.mixed import MixedMethod, mix_methods, program_signature
 from tests.compiler import DEFAULT_CODEGEN
-from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
+from tests.conftest import assert_equal_trees, make_train_state, run_whole, take_lane, tiny_method
 
 
 class Custom(Method):
@@ -45,8 +45,8 @@ def test_each_lane_trains_as_if_its_method_were_alone(env, problem):
 
     def train_lanes(method, seeds):
         start = make_train_state(problem, method, seeds, steps=60)
-        explored = advance(problem, method, start, 20, explore=True, compiler_options=DEFAULT_CODEGEN)
-        return advance(problem, method, explored, 40, compiler_options=DEFAULT_CODEGEN)
+        explored = run_whole(problem, method, start, 20, explore=True, compiler_options=DEFAULT_CODEGEN)
+        return run_whole(problem, method, explored, 40, compiler_options=DEFAULT_CODEGEN)
 
     state = train_lanes(mixed, [0, 1] * 3)
     for number, method in list(enumerate(methods))[1:]:

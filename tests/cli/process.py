@@ -1,9 +1,13 @@
-"""The command line in its own process, with a tiny training run on which several test files rely."""
+"""The command line, in this process or in its own, with a tiny training run on which several test files rely."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
+import warnings
 
+from earl_jax import cli
 from tests.conftest import CACHE
 
 LENGTHS = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
@@ -22,11 +26,25 @@ def start(*arguments):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
 
 
-def run(*arguments):
-    """Return exit code, stdout and stderr of one command."""
+def run_process(*arguments):
+    """Return exit code, stdout and stderr of one command in its own process."""
     process = start(*arguments)
     out, err = process.communicate(timeout=300)
     return process.returncode, out, err
+
+
+def run(*arguments):
+    """Return exit code, stdout and stderr of one command, run by `main` in this process."""
+    out, err, format_warning = io.StringIO(), io.StringIO(), warnings.formatwarning
+    code = 0
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            cli.main([str(argument) for argument in arguments])
+    except SystemExit as exit_info:
+        code = exit_info.code
+    finally:
+        warnings.formatwarning = format_warning
+    return code, out.getvalue(), err.getvalue()
 
 
 def train(folder, algo="fbrl"):

@@ -1,4 +1,4 @@
-"""Tests of the command line in its own process: output, exit codes, one-line errors."""
+"""Tests of the command line: output, exit codes, one-line errors."""
 
 import json
 import shutil
@@ -8,7 +8,7 @@ import time
 import pytest
 
 from earl_jax import cli
-from tests.cli.process import run, snapshot, start, train
+from tests.cli.process import run, run_process, snapshot, start, train
 
 TASKS = [
     "cheetah_run", "dhand_lightbulb", "fish_swim", "franka_kitchen", "minitaur_pen", "sawyer_door", "sawyer_peg",
@@ -35,7 +35,7 @@ def truncate_largest_file(checkpoint):
 
 
 def test_list_prints_tasks_and_methods():
-    code, out, _ = run("list", "--json")
+    code, out, _ = run_process("list", "--json")
     assert code == 0
     assert json.loads(out) == {"envs": TASKS, "algos": ["fbrl", "naive", "oracle", "r3l", "vaprl"]}
 
@@ -127,7 +127,7 @@ def test_damaged_checkpoints_end_with_a_one_line_error_and_stay_unchanged(finish
 def test_resume_uses_the_previous_checkpoint_if_the_newest_is_damaged(finished, tmp_path):
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
     truncate_largest_file(folder / "checkpoints/000000400")
-    code, _, err = run("resume", folder)
+    code, _, err = run_process("resume", folder)
     assert code == 0, err
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
     assert "000000400 is damaged" in err

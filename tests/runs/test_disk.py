@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from earl_jax.runs.checkpoint import SPARE, newest
-from tests.cli.process import ENVIRONMENT, run, snapshot, train
+from tests.cli.process import ENVIRONMENT, run_process, snapshot, train
 
 pytestmark = pytest.mark.slow
 MAIN_WITH_A_JUMPING_CLOCK = """
@@ -43,7 +43,7 @@ def remount(path, options):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    code, _, err = run(*train(folder))
+    code, _, err = run_process(*train(folder))
     assert code == 0, err
     return folder
 
@@ -60,12 +60,12 @@ def error_line(code, err):
 def test_a_run_on_a_full_disk_stops_with_an_error_line_and_resumes_when_there_is_room(whole, tmp_path):
     size = sum(file.stat().st_size for file in next((whole / "checkpoints").iterdir()).rglob("*") if file.is_file())
     with mounted(tmp_path / "disk", SPARE + 4 * size) as disk:
-        code, _, err = run(*train(disk / "run"))
+        code, _, err = run_process(*train(disk / "run"))
         assert "can't be written" in error_line(code, err)
         assert 0 < newest(disk / "run/checkpoints") < 400
-        assert "can't be written" in error_line(*run("resume", disk / "run")[::2])
+        assert "can't be written" in error_line(*run_process("resume", disk / "run")[::2])
         remount(disk, "size=64m")
-        code, _, err = run("resume", disk / "run")
+        code, _, err = run_process("resume", disk / "run")
         assert code == 0, err
         assert (disk / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
@@ -73,9 +73,9 @@ def test_a_run_on_a_full_disk_stops_with_an_error_line_and_resumes_when_there_is
 def test_a_full_disk_at_the_start_leaves_a_folder_that_can_be_used_later(tmp_path):
     with mounted(tmp_path / "disk", "4k") as disk:
         (disk / "filler").write_bytes(b"x" * 4096)
-        assert "No space left" in error_line(*run(*train(disk / "run"))[::2])
+        assert "No space left" in error_line(*run_process(*train(disk / "run"))[::2])
         remount(disk, "size=64m")
-        code, _, err = run(*train(disk / "run"))
+        code, _, err = run_process(*train(disk / "run"))
         assert code == 0, err
 
 
@@ -84,10 +84,10 @@ def test_a_read_only_run_can_be_evaluated_and_is_not_changed(whole, tmp_path):
         shutil.copytree(whole, disk / "run")
         remount(disk, "ro")
         before = snapshot(disk)
-        assert "can't be written" in error_line(*run("resume", disk / "run")[::2])
-        assert "Read-only file system" in error_line(*run("resume", disk / "run", "--steps", "800")[::2])
-        assert "Read-only file system" in error_line(*run(*train(disk / "other"))[::2])
-        code, out, err = run("evaluate", disk / "run", "--episodes", "2", "--json")
+        assert "can't be written" in error_line(*run_process("resume", disk / "run")[::2])
+        assert "Read-only file system" in error_line(*run_process("resume", disk / "run", "--steps", "800")[::2])
+        assert "Read-only file system" in error_line(*run_process(*train(disk / "other"))[::2])
+        code, out, err = run_process("evaluate", disk / "run", "--episodes", "2", "--json")
         assert code == 0, err
         assert len(json.loads(out)["deployed/success"]) == 2
         assert snapshot(disk) == before

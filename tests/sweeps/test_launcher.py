@@ -13,7 +13,7 @@ import pytest
 
 from earl_jax import cli
 from earl_jax.sweeps import launcher
-from tests.cli.process import ENVIRONMENT, run, start
+from tests.cli.process import ENVIRONMENT, run_process, start
 
 GRID = """
 envs = ["tabletop_organization"]
@@ -82,7 +82,7 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
 @pytest.mark.slow
 def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    code, out, err = run("sweep", grid, "--out", whole)
+    code, out, err = run_process("sweep", grid, "--out", whole)
     assert code == 0, err
     assert "2 runs: 0 done before, 2 done now, 0 failed" in out
     process = start("sweep", grid, "--out", killed)
@@ -93,14 +93,14 @@ def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
     process.communicate()
     assert process.returncode == -signal.SIGKILL
     assert read_tables(killed) != read_tables(whole)
-    code, out, err = run("sweep", grid, "--out", killed)
+    code, out, err = run_process("sweep", grid, "--out", killed)
     assert code == 0, err
     assert out.count("resumed ") + out.count("started ") == 2
     assert read_tables(killed) == read_tables(whole)
     assert len(read_tables(whole)) == 2
     assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())
     before = read_tables(killed)
-    code, out, _ = run("sweep", grid, "--out", killed, "--json")
+    code, out, _ = run_process("sweep", grid, "--out", killed, "--json")
     assert code == 0
     assert json.loads(out)["lines"][-1] == "2 runs: 2 done before, 0 done now, 0 failed"
     assert read_tables(killed) == before

@@ -14,7 +14,6 @@ from earl_jax.protocol import Protocol
 from earl_jax.training import loop
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem
-from tests.compiler import EQUAL_BITS
 from tests.conftest import (
     ALGOS,
     advance,
@@ -44,10 +43,10 @@ def test_a_step_keeps_structure_dtypes_and_weak_types(problem, algo):
 def test_chunks_equal_one_scan_bit_for_bit(problem, algo):
     method = tiny_method(algo)
     start = make_train_state(problem, method, [0, 1])
-    whole = run_whole(problem, method, start, 60, compiler_options=EQUAL_BITS)
+    whole = run_whole(problem, method, start, 60)
     chunked = start
     for _ in range(3):
-        chunked = run_whole(problem, method, chunked, 20, compiler_options=EQUAL_BITS)
+        chunked = run_whole(problem, method, chunked, 20)
     assert_all_finite(chunked.lanes.agent)
     assert_equal_trees(chunked, whole)
     assert int(whole.step) == 60
@@ -103,7 +102,7 @@ def expert_acts(monkeypatch):
 def explore(problem, method, steps, lanes=4):
     """Return the lanes of a fresh training after `steps` steps without updates."""
     state = make_train_state(problem, method, range(lanes), steps)
-    return advance(problem, method, state, steps, explore=True)
+    return run_whole(problem, method, state, steps, explore=True)
 
 
 @pytest.mark.parametrize(("algo", "published"), [("naive", 26.6), ("oracle", 41.0), ("fbrl", 82.5), ("vaprl", 82.5)])
@@ -207,8 +206,8 @@ def test_a_step_started_on_the_host_and_finished_later_equals_a_whole_step(monke
     problem = make_problem(make("sawyer_door", physics="c"))
     method = tiny_method("naive", demo_share=0.5)
     start = make_train_state(problem, method, [0, 1], steps=60)
-    whole = advance(problem, method, start, 20)
+    whole = run_whole(problem, method, start, 20)
     monkeypatch.setattr(c, "_host_runs_beside_device", lambda: True)
-    halves = advance(problem, method, start, 20)
+    halves = run_whole(problem, method, start, 20)
     assert_equal_trees(halves, whole)
     assert int(whole.step) == 20

@@ -1,5 +1,6 @@
 """Rules as data of the training loop: interventions, goals set by the environment, the absorbing end, and the map."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.protocol import Deployment, Rules
 from earl_jax.training import loop
+from earl_jax.training.loop import run_steps
 from earl_jax.training.state import MAP_BINS, Problem
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
@@ -20,12 +22,13 @@ def lane_rules(horizon, chance, goal_change):
 def test_lanes_of_one_program_follow_their_own_rules(problem):
     method = tiny_method("naive")
     rules = lane_rules([0, 20], [0.1, 0.0], [0, 0])
-    state = advance(problem, method, make_train_state(problem, method, [0, 1], rules=rules), 200, explore=True)
+    start = make_train_state(problem, method, [0, 1], 200, rules)
+    state = advance(problem, method, start, 200, explore=True)
     by_chance, by_horizon = np.asarray(state.lanes.counters.interventions)
     assert by_horizon == 10
     assert 8 <= by_chance <= 34
     method, rules = tiny_method("naive", 1), lane_rules([20], [0.0], [0])
-    alone = advance(problem, method, make_train_state(problem, method, [1], rules=rules), 200, explore=True)
+    alone = advance(problem, method, make_train_state(problem, method, [1], 200, rules), 200, explore=True)
     assert_equal_trees(take_lane(state.lanes.env_state, slice(1, None)), alone.lanes.env_state)
 
 
@@ -38,8 +41,9 @@ def test_goals_that_the_environment_sets_change_by_the_clock_alone(env, problem,
     method, tasks = tiny_method(algo), []
     rules = lane_rules([0, 0], [0.0, 0.0], [100, 100])
     state = make_train_state(problem, method, [0, 1], 400, rules)
+    run = jax.jit(lambda m, state: run_steps(problem, m, state, 25, explore=True))
     for _ in range(16):
-        state = advance(problem, method, state, 25, explore=True)
+        state = run(method, state)
         goal_indices, phase = state.lanes.goal_indices, np.asarray(state.lanes.phase)
         tasks.append(np.asarray(goal_indices.task))
         assert (np.asarray(goal_indices.goal) == goal_indices.task)[phase == TASK].all()
