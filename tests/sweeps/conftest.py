@@ -11,12 +11,12 @@ eval_every = 40
 eval_episodes = 2
 checkpoint_every = 40
 [options]
-hidden_sizes = [[16, 16]]
+hidden_sizes = [[16]]
 batch_size = 16
 random_steps = 20
 eval_horizon = 30
 """
-OPTIONS = "batch_size=16,eval_horizon=30,hidden_sizes=16x16,random_steps=20"
+OPTIONS = "batch_size=16,eval_horizon=30,hidden_sizes=16,random_steps=20"
 NAMES = [f"tabletop_organization/{algo}/{OPTIONS}" for algo in ("naive", "oracle")]
 LENGTHS = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
 

@@ -24,7 +24,7 @@ eval_every = 40
 eval_episodes = 2
 checkpoint_every = 200
 [options]
-hidden_sizes = [[16, 16]]
+hidden_sizes = [[16]]
 batch_size = 16
 random_steps = 20
 reward_scale = [1, 10]
