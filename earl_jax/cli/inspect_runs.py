@@ -25,7 +25,7 @@ def evaluate(
     """Evaluate the newest policies of a run on fresh greedy episodes.
 
     Args:
-        folder: Run folder with a checkpoint.
+        folder: Run folder with policies.npz or a checkpoint.
         episodes: Episodes for the policy of each seed.
         seed: Random seed of the starts and goals.
         starts: Initial states of the episodes: those of the task, or uniform over the workspace.

@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env, State, list_envs, make, with_physics
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import Policy, load_lanes, select_seed
+from earl_jax.training import Policy, load_policies, select_seed
 
 ACTINGS = ("policy", "expert", "demos", "random")
 """The newest policy of a run, the task's scripted expert, the shipped demonstrations replayed, or random actions."""
@@ -73,9 +73,9 @@ def is_run(source: str | Path) -> bool:
 
 def _trained(folder: Path, lane: int) -> tuple[Env, Policy]:
     """Return the environment of a run folder and the newest policy of one lane."""
-    env, method, lanes = load_lanes(RunFolder.open(folder))
+    env, policies = load_policies(RunFolder.open(folder))
     try:
-        return env, Policy.of(env, select_seed(method, lane), select_seed(lanes, lane))
+        return env, select_seed(policies, lane)
     except IndexError as error:
         raise ValueError(f"{folder}: {error}") from error
 

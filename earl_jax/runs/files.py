@@ -14,12 +14,12 @@ class DamagedWarning(UserWarning):
     """A file is damaged, and an older copy is used."""
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write `text` to `path`; a kill or a full disk leaves either the old file or the new one."""
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write `content` to `path`; a kill or a full disk leaves either the old file or the new one."""
     part = path.with_name(path.name + PART)
     try:
-        with part.open("w") as handle:
-            handle.write(text)
+        with part.open("wb") as handle:
+            handle.write(content.encode() if isinstance(content, str) else content)
             handle.flush()
             os.fsync(handle.fileno())
         part.replace(path)

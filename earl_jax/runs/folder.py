@@ -1,4 +1,4 @@
-"""The folder of a run: config.json, metrics.csv, checkpoints."""
+"""The folder of a run: config.json, metrics.csv, policies.npz, checkpoints."""
 
 import contextlib
 import csv
@@ -14,7 +14,7 @@ from earl_jax.runs.files import LOCK, PART, inside, locked, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 
-CONFIG, METRICS, CHECKPOINTS = "config.json", "metrics.csv", "checkpoints"
+CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 LEFTOVERS = (LOCK, CONFIG + PART)
 """Files that a kill during the creation of a folder leaves there."""
 
@@ -32,6 +32,11 @@ class RunFolder:
     def metrics(self) -> Path:
         """The table of metrics, with a row for each seed and evaluation."""
         return self.path / METRICS
+
+    @property
+    def policies(self) -> Path:
+        """The task actors of all seeds at the newest evaluation."""
+        return self.path / POLICIES
 
     @property
     def checkpoints(self) -> Path:
@@ -83,7 +88,7 @@ class RunFolder:
         file = path / CONFIG
         if not file.is_file():
             raise ValueError(f"{path} is not a run folder: it has no {CONFIG}")
-        for name in (CONFIG, METRICS, CHECKPOINTS):
+        for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
             inside(path, name)
         try:
             values = json.loads(file.read_text())

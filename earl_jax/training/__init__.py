@@ -3,7 +3,7 @@
 from earl_jax.training.api import Result, resume, select_seed, split_options, train
 from earl_jax.training.evaluation import evaluate
 from earl_jax.training.lifetime import lifetime
-from earl_jax.training.loading import load_lanes
+from earl_jax.training.loading import load_lanes, load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import Problem
 
@@ -14,6 +14,7 @@ __all__ = [
     "evaluate",
     "lifetime",
     "load_lanes",
+    "load_policies",
     "resume",
     "select_seed",
     "split_options",

@@ -11,7 +11,7 @@ from earl_jax.envs import with_physics
 from earl_jax.metrics.continuing import continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training.loading import load_lanes
+from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState
 
@@ -44,7 +44,7 @@ def evaluate(
     """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, on new episodes.
 
     Args:
-        folder: a run folder with a checkpoint.
+        folder: a run folder with policies.npz or a checkpoint.
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
         physics: an engine to use instead of the run's own.
@@ -52,17 +52,17 @@ def evaluate(
             that.
 
     Raises:
-        ValueError: `folder` is not a run folder, its checkpoint is missing or damaged, or the task has no such starts.
+        ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
     if starts not in STARTS:
         raise ValueError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, not {episodes}")
-    env, method, lanes = load_lanes(RunFolder.open(Path(folder)))
+    env, policies = load_policies(RunFolder.open(Path(folder)))
     env = with_physics(env, physics)
 
-    def evaluate_lane(m, lane):
+    def evaluate_policy(policy):
         start = env.reset_uniform if starts == "uniform" else env.reset
-        return deployed(env, Policy.of(env, m, lane), jax.random.key(seed), env.eval_horizon, episodes, start)
+        return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start)
 
-    return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_lane))(method, lanes).items()}
+    return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}

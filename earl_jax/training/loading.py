@@ -1,17 +1,20 @@
-"""The trained lanes of a run folder."""
+"""The trained lanes and policies of a run folder."""
 
 import functools
 
 import jax
 
 from earl_jax.algos import Method
+from earl_jax.algos.method import TASK
 from earl_jax.envs import Env
-from earl_jax.runs.checkpoint import restore
+from earl_jax.runs import policies
+from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
-from earl_jax.training.state import LaneState, Problem, seed_keys
+from earl_jax.training.policy import Policy
+from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 
 
 def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
@@ -20,12 +23,36 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
-    config = folder.config
-    env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
-    problem = Problem(env, config.protocol(env))
-    capacity = replay_capacity(problem, method, 1)
-    shape = jax.eval_shape(functools.partial(init_train_state, problem, method, seed_keys(config.seeds), capacity))
+    env, method, shape = _shapes(folder)
     state = restore(folder.checkpoints, shape, with_replay=False)
     if state is None:
         raise ValueError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
     return env, method, state.lanes
+
+
+def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
+    """Return the env and the newest task policies of a run folder, one policy with leaves [N].
+
+    They are those of policies.npz or of the newest checkpoint, whichever is newer.
+
+    Raises:
+        ValueError: the folder has neither, or the newer one is damaged.
+    """
+    saved = policies.policies_step(folder.policies)
+    if saved == 0 or saved < newest(folder.checkpoints):
+        env, method, lanes = load_lanes(folder)
+        return env, jax.vmap(functools.partial(Policy.of, env))(method, lanes)
+    env, method, shape = _shapes(folder)
+    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.actor)
+    actor = policies.load_policies(folder.policies, like)
+    return env, Policy(method.sac, actor, env.obs_size, env.action_size)
+
+
+def _shapes(folder: RunFolder) -> tuple[Env, Method, TrainState]:
+    """Return the env, method [N] and the shapes of the train state of a run folder, with a replay of one step."""
+    config = folder.config
+    env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
+    problem = Problem(env, config.protocol(env))
+    capacity = replay_capacity(problem, method, 1)
+    init = functools.partial(init_train_state, problem, method, seed_keys(config.seeds), capacity)
+    return env, method, jax.eval_shape(init)

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import operator
 import time
 from collections.abc import Iterator, Sequence
 
@@ -13,6 +14,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
+from earl_jax.algos.method import TASK
 from earl_jax.algos.mixed import mix_methods
 from earl_jax.envs import Env
 from earl_jax.protocol import Protocol, Rules, Setting
@@ -21,6 +23,7 @@ from earl_jax.runs.config import Row, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, open_logs
+from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
@@ -147,6 +150,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> Trai
             step += plan.problem.protocol.eval_every
             state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
             _record(runs, step, gathered(metrics), bar)
+            _save_policies(runs, state)
             for run, span in zip(runs, _lane_spans(runs), strict=True):
                 if run.folder and run.config.checkpoint_due(step):
                     save(run.folder.checkpoints, state, span)
@@ -170,6 +174,24 @@ def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar:
         for run, span in zip(runs, _lane_spans(runs), strict=True)
     ]
     bar.report(step, list(itertools.chain(*rows)))
+
+
+def _save_policies(runs: Sequence[Run], state: TrainState) -> None:
+    """Write the task actors of each run that has a folder."""
+    if not any(run.folder for run in runs):
+        return
+    actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.actor))
+    step = int(gathered(state.step))
+    for run, span in zip(runs, _lane_spans(runs), strict=True):
+        if run.folder and first_host():
+            save_policies(
+                run.folder.policies,
+                jax.tree.map(operator.itemgetter(span), actors),
+                step=step,
+                seeds=run.config.seeds,
+                obs_size=run.env.obs_size,
+                action_size=run.env.action_size,
+            )
 
 
 def _progress(plan: Plan, runs: Sequence[Run], step: int, show: bool) -> Progress:

@@ -1,0 +1,60 @@
+"""The file policies.npz of a run folder: the task actors of all seeds at the newest evaluation, without a replay.
+
+It holds `step`, `seeds` [N], `obs_size`, `action_size`, and the leaves of the actors [N, ...], named by their paths in
+the tree, such as `actor['params']['hidden_0']['kernel']`.
+"""
+
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from earl_jax.runs.files import write_atomically
+
+
+def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_size: int, action_size: int) -> None:
+    """Write the tree `actors`, leaves [N, ...], and what is needed to use it, to `path`.
+
+    Raises:
+        OSError: the file could not be written; an older one is unchanged.
+    """
+    scalars = {"step": step, "seeds": list(seeds), "obs_size": obs_size, "action_size": action_size}
+    buffer = io.BytesIO()
+    np.savez(buffer, **{name: np.asarray(value) for name, value in scalars.items()}, **_named(actors))
+    write_atomically(path, buffer.getvalue())
+
+
+def policies_step(path: Path) -> int:
+    """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
+    return int(_read(path)["step"]) if path.is_file() else 0
+
+
+def load_policies(path: Path, like: Any) -> Any:
+    """Return the actors at `path` as a tree of NumPy arrays in the structure of `like`, whose leaves have shapes.
+
+    Raises:
+        ValueError: the file is damaged or has arrays of other shapes; the message names it.
+    """
+    arrays, expected = _read(path), _named(like)
+    for name, leaf in expected.items():
+        if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype != leaf.dtype:
+            raise ValueError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
+    return jax.tree.unflatten(jax.tree.structure(like), [arrays[name] for name in expected])
+
+
+def _named(actors: Any) -> dict[str, Any]:
+    return {f"actor{jax.tree_util.keystr(path)}": leaf for path, leaf in jax.tree_util.tree_leaves_with_path(actors)}
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        arrays["step"] = np.asarray(int(arrays["step"]))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
+    return arrays

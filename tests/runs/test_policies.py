@@ -1,0 +1,48 @@
+"""policies.npz: written whole or not at all, and read without trust."""
+
+import jax
+import numpy as np
+import pytest
+
+from earl_jax.runs.policies import load_policies, policies_step, save_policies
+from tests.conftest import assert_equal_trees
+
+ACTORS = {"params": {"hidden_0": {"kernel": np.arange(12, dtype=np.float32).reshape(2, 3, 2)}}}
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "policies.npz"
+    save_policies(path, ACTORS, step=40, seeds=(3, 7), obs_size=3, action_size=1)
+    return path
+
+
+def test_policies_are_read_as_they_were_written(file):
+    assert policies_step(file) == 40
+    assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
+    with np.load(file, allow_pickle=False) as arrays:
+        assert arrays["seeds"].tolist() == [3, 7]
+        assert "actor['params']['hidden_0']['kernel']" in arrays.files
+
+
+def test_a_missing_file_has_no_step(tmp_path):
+    assert policies_step(tmp_path / "policies.npz") == 0
+
+
+@pytest.mark.parametrize("damage", [b"", b"no archive", None])
+def test_a_damaged_file_is_one_error(file, damage):
+    file.write_bytes(file.read_bytes()[:-40] if damage is None else damage)
+    with pytest.raises(ValueError, match=r"policies\.npz is damaged"):
+        policies_step(file)
+
+
+def test_pickled_arrays_are_not_read(file):
+    np.savez(file, step=np.array([object()], dtype=object))
+    with pytest.raises(ValueError, match="is damaged"):
+        policies_step(file)
+
+
+@pytest.mark.parametrize("like", [np.zeros((2, 3, 3), np.float32), np.zeros((2, 3, 2), np.float64)])
+def test_policies_of_another_run_are_refused(file, like):
+    with pytest.raises(ValueError, match=r"does not belong to this run: actor\['params'\]"):
+        load_policies(file, {"params": {"hidden_0": {"kernel": like}}})
