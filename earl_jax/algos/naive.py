@@ -3,21 +3,23 @@
 from typing import ClassVar
 
 import jax
+from flax import struct
 
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 
-BIASED_TD_STEPS = 1000
-
 
 class Naive(Method):
-    """Keep the task goal until it is reached or 1000 steps have passed, then draw the next one without a reset.
+    """Keep the task goal until it is reached or `episode_length` steps have passed, then draw the next one, no reset.
 
     Source: Sharma et al. 2022, section 5.1. The text does not say that success also draws a new goal, but the published
     reward rate of one reward in 30.7 steps on tabletop requires it.
     """
 
+    episode_length: int = struct.field(pytree_node=False, default=1000)
+    """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
+
     name: ClassVar[str] = "naive"
 
     def phase_length(self, env: Env, phase: jax.Array) -> int:
-        return BIASED_TD_STEPS
+        return self.episode_length

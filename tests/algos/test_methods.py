@@ -68,6 +68,10 @@ def test_methods_with_one_controller_draw_any_task_goal(env, algo):
     assert method.phase_length(env, TASK) == (1000 if algo == "naive" else 200)
 
 
+def test_the_episode_length_of_naive_is_an_option(env):
+    assert make_algo("naive", episode_length=400).phase_length(env, TASK) == 400
+
+
 def test_fbrl_returns_to_initial_states_and_keeps_its_task(env):
     method, goals = make_algo("fbrl"), goal_table(env)
     back = next_goals(method, goals, RETURN)
