@@ -21,6 +21,7 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem, seed_keys
+from tests import threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -41,6 +42,7 @@ ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 
 
 def pytest_configure(config):
+    threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
@@ -50,6 +52,13 @@ def pytest_collection_modifyitems(items):
     """Put the longest files first, so that the workers end together."""
     ranks = {TESTS / name: rank for rank, name in enumerate(LONGEST)}
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+@pytest.fixture
+def compiled_hash():
+    """Programs of a test with thousands of steps, which host calls would make slow."""
+    with threefry.compiled():
+        yield
 
 
 @pytest.fixture(scope="session")

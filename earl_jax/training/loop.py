@@ -200,8 +200,11 @@ def _controller(stacked: Any, index: jax.Array) -> Any:
 
 
 def _with_controller(stacked: Any, single: Any, index: jax.Array) -> Any:
+    """Return the `stacked` tree with one controller replaced, by a select: XLA makes a loop or a kernel of each scatter."""
+
     def put(leaf, value):
-        return value[None] if leaf.shape[0] == 1 else leaf.at[index].set(value)
+        chosen = jnp.arange(len(leaf)).reshape(-1, *[1] * value.ndim) == index
+        return value[None] if len(leaf) == 1 else jnp.where(chosen, value[None], leaf)
 
     return jax.tree.map(put, stacked, single)
 

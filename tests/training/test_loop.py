@@ -14,6 +14,7 @@ from earl_jax.protocol import Protocol
 from earl_jax.training import loop
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem
+from tests import threefry
 from tests.conftest import (
     ALGOS,
     advance,
@@ -102,7 +103,8 @@ def expert_acts(monkeypatch):
 def explore(problem, method, steps, lanes=4):
     """Return the lanes of a fresh training after `steps` steps without updates."""
     state = make_train_state(problem, method, range(lanes), steps)
-    return run_whole(problem, method, state, steps, explore=True)
+    with threefry.compiled():
+        return run_whole(problem, method, state, steps, explore=True)
 
 
 @pytest.mark.parametrize(("algo", "published"), [("naive", 26.6), ("oracle", 41.0), ("fbrl", 82.5), ("vaprl", 82.5)])
