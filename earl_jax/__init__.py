@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
     from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
+    from earl_jax.errors import InputError
     from earl_jax.protocol import Continuing, Deployment, Protocol
     from earl_jax.training import Problem, Result, evaluate, lifetime, resume, select_seed, train
 
@@ -18,6 +19,7 @@ _HOME = {
     "Deployment": "protocol",
     "Env": "envs",
     "HelpBudget": "envs",
+    "InputError": "errors",
     "Method": "algos",
     "MujocoEnv": "envs",
     "Problem": "training",
@@ -44,6 +46,7 @@ __all__ = [
     "Deployment",
     "Env",
     "HelpBudget",
+    "InputError",
     "Method",
     "MujocoEnv",
     "Problem",

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from earl_jax.errors import InputError
+
 DIRECTIONS = ("forward", "backward")
 
 
@@ -45,7 +47,7 @@ def _file(kind: str, name: str, suffix: str) -> Path:
         return Path(name)
     if not path.is_file():
         choices = sorted(entry.stem for entry in path.parent.glob(f"*{suffix}"))
-        raise ValueError(f"no {kind} for {name!r}; choose from {', '.join(choices)}")
+        raise InputError(f"no {kind} for {name!r}; choose from {', '.join(choices)}")
     return path
 
 
@@ -66,11 +68,11 @@ def demos(name: str, direction: str) -> Demos:
         ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
     """
     if direction not in DIRECTIONS:
-        raise ValueError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
+        raise InputError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
     path = _file("demos", name, ".npz")
     with np.load(path, allow_pickle=False) as stored:
         if f"{direction}_states" not in stored:
-            raise ValueError(f"{path.name} has no {direction} demonstrations")
+            raise InputError(f"{path.name} has no {direction} demonstrations")
         arrays = [stored[f"{direction}_{field}"] for field in Demos._fields]
     for array in arrays:
         array.setflags(write=False)

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.errors import InputError
+
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}
 
 
@@ -21,15 +23,15 @@ def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
     fields = {field.name: field for field in dataclasses.fields(factory)}
     for option, value in options.items():
         if option not in fields:
-            raise ValueError(f"{owner} has no option {option!r}; choose from {', '.join(fields)}")
+            raise InputError(f"{owner} has no option {option!r}; choose from {', '.join(fields)}")
         default = fields[option].default
         if isinstance(default, tuple):
             if not _is_sizes(value):
-                raise ValueError(f"{owner}: {option} must be whole numbers of at least 1, not {value!r}")
+                raise InputError(f"{owner}: {option} must be whole numbers of at least 1, not {value!r}")
             continue
         kind = type(default) if default is not None else _type_beside_none(fields[option].type)
         if kind in KINDS and not _fits(kind, value) and not (value is None and default is None):
-            raise ValueError(f"{owner}: {option} must be {KINDS[kind]}, not {value!r}")
+            raise InputError(f"{owner}: {option} must be {KINDS[kind]}, not {value!r}")
 
 
 def _type_beside_none(annotation: Any) -> Any:

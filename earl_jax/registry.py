@@ -6,6 +6,7 @@ from importlib import metadata
 from typing import Any
 
 from earl_jax import options as options_lib
+from earl_jax.errors import InputError
 
 
 class Registry:
@@ -37,7 +38,7 @@ class Registry:
             ValueError: the name is taken, `factory` is not a dataclass, or its `name` differs.
         """
         if name in self.names():
-            raise ValueError(f"{self.kind} {name!r} exists already; choose another name")
+            raise InputError(f"{self.kind} {name!r} exists already; choose another name")
         self._table[name] = self._checked(name, factory, "the registered class")
 
     def get(self, name: str) -> type:
@@ -52,13 +53,13 @@ class Registry:
         points = [point for point in candidates if point.name == name]
         owners = ["earl_jax"] * known + [_owner(point) for point in points]
         if len(owners) > 1:
-            raise ValueError(
+            raise InputError(
                 f"{self.kind} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
             )
         if points:
             return self._loaded(points[0])
         if not known:
-            raise ValueError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())}")
+            raise InputError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())}")
         target = self._table[name]
         return metadata.EntryPoint(name, target, self.kind).load() if isinstance(target, str) else target
 
@@ -68,16 +69,16 @@ class Registry:
             factory = point.load()
         except Exception as error:
             cause = f"{type(error).__name__}: {error}"
-            raise ValueError(f"{self.kind} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
+            raise InputError(f"{self.kind} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
         return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
     def _checked(self, name: str, factory: Any, source: str) -> type:
         """Return `factory`, which comes from `source`, if it is a dataclass with the name `name`."""
         if not isinstance(factory, type) or not dataclasses.is_dataclass(factory):
-            raise ValueError(f"{self.kind} {name!r}: {source} must be a dataclass, not {factory!r}")
+            raise InputError(f"{self.kind} {name!r}: {source} must be a dataclass, not {factory!r}")
         own = getattr(factory, "name", None)
         if own != name:
-            raise ValueError(
+            raise InputError(
                 f"{self.kind} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
             )
         return factory

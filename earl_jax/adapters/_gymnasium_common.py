@@ -8,6 +8,7 @@ from gymnasium.spaces import Box
 
 from earl_jax.adapters._session import Session, SessionState, StepResult
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
@@ -26,7 +27,7 @@ def metadata(env: Env, render_mode: str | None) -> dict[str, Any]:
     """
     modes = METADATA["render_modes"]
     if render_mode not in (None, *modes):
-        raise ValueError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
+        raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
     return {"render_modes": modes, "render_fps": round(1 / env.step_seconds)}
 
 

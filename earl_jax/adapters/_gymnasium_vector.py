@@ -12,6 +12,7 @@ from earl_jax.adapters._camera import Camera
 from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset, spaces
 from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 
 
 class ResetFreeVectorEnv(EarlierNames, VectorEnv):
@@ -37,7 +38,7 @@ class ResetFreeVectorEnv(EarlierNames, VectorEnv):
     ):
         """Make `num_envs` lanes with `autoreset_mode`; the other arguments and errors are those of `ResetFreeEnv`."""
         if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, not {num_envs}")
+            raise InputError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
         self.session = Session.of(task, lanes=num_envs, **options)
         self.single_observation_space, self.single_action_space = spaces(self.session.env)
@@ -76,9 +77,9 @@ class ResetFreeVectorEnv(EarlierNames, VectorEnv):
         options = {"reset_mask": np.ones(self.num_envs, bool), **(options or {})}
         mask = np.array(options.pop("reset_mask"))
         if options:
-            raise ValueError(f"reset has no option {', '.join(options)}; it takes reset_mask only")
+            raise InputError(f"reset has no option {', '.join(options)}; it takes reset_mask only")
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise ValueError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
+            raise InputError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
         return mask
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
@@ -152,4 +153,4 @@ def _autoreset_mode(session: Session, mode: AutoresetMode | str | None) -> Autor
         if mode in (None, choice, choice.value):
             return choice
     names = ", ".join(choice.value for choice in choices)
-    raise ValueError(f"autoreset_mode {mode!r} is not one of {names} in mode {session.mode!r}")
+    raise InputError(f"autoreset_mode {mode!r} is not one of {names} in mode {session.mode!r}")

@@ -15,6 +15,7 @@ from flax import struct
 
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.state import tree_where
+from earl_jax.errors import InputError
 from earl_jax.protocol import (
     Attempt,
     Deployment,
@@ -85,9 +86,9 @@ class Session:
 
     def __post_init__(self):
         if self.mode not in MODES:
-            raise ValueError(f"mode {self.mode!r} is not one of {', '.join(MODES)}")
+            raise InputError(f"mode {self.mode!r} is not one of {', '.join(MODES)}")
         if self.attempt_steps < 1:
-            raise ValueError(f"attempt_steps must be at least 1, not {self.attempt_steps}")
+            raise InputError(f"attempt_steps must be at least 1, not {self.attempt_steps}")
 
     @classmethod
     def of(
@@ -264,7 +265,7 @@ class EarlierNames:
 def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     if isinstance(task, Env):
         if options:
-            raise ValueError(
+            raise InputError(
                 f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
             )
         return task
@@ -272,7 +273,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     for option in options:
         if option not in known:
             own = "mode, setting, attempt_steps"
-            raise ValueError(f"env {task!r} has no option {option!r}; choose from {own}, {', '.join(known)}")
+            raise InputError(f"env {task!r} has no option {option!r}; choose from {own}, {', '.join(known)}")
     return make(task, **options)
 
 
@@ -291,5 +292,5 @@ def checked_array(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
     """
     array = np.asarray(values, np.float32)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite and of shape {shape}, not {array.tolist()}")
+        raise InputError(f"{name} must be finite and of shape {shape}, not {array.tolist()}")
     return array

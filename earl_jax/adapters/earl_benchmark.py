@@ -13,6 +13,7 @@ import numpy as np
 
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env, make
+from earl_jax.errors import InputError
 from earl_jax.protocol import Continuing
 
 ORIGINAL_NAMES = {
@@ -63,7 +64,7 @@ class EARLEnvs:
         self._task = make(name, **_task_options(name, reward_type, options))
         self._reset_at_goal = reset_train_env_at_goal
         if self._reset_at_goal and "reset_at_goal" not in _fields(self._task):
-            raise ValueError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
+            raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
         self._train = self.get_train_env(setup_as_lifelong_learning)
         self._eval = None if setup_as_lifelong_learning else self.get_eval_env()
 
@@ -201,7 +202,7 @@ class PersistentEnv:
             ValueError: the `mode` is another one; there is no window.
         """
         if mode != "rgb_array":
-            raise ValueError(f"render mode {mode!r} is not supported; use rgb_array")
+            raise InputError(f"render mode {mode!r} is not supported; use rgb_array")
         return self._env.render()
 
     def close(self) -> None:
@@ -223,7 +224,7 @@ def _task_options(name: str, reward_type: str | None, options: dict[str, Any]) -
     options = dict(options)
     kitchen_task = options.pop("kitchen_task", "all_pairs")
     if kitchen_task != "all_pairs":
-        raise ValueError(f"kitchen_task {kitchen_task!r} is not supported; use all_pairs, the benchmark's")
+        raise InputError(f"kitchen_task {kitchen_task!r} is not supported; use all_pairs, the benchmark's")
     if options.pop("wide_init_distr", False) and name == "tabletop_organization":
         options["wide"] = True
     return options if reward_type is None else {**options, "reward_type": reward_type}

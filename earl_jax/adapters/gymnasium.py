@@ -16,6 +16,7 @@ from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, meta
 from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv
 from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
 from earl_jax.envs import Env, list_envs
+from earl_jax.errors import InputError
 
 
 def env_id(name: str) -> str:
@@ -83,7 +84,7 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
         """Return the first observation [s + g] and info of a lifetime or an episode, or those after an intervention."""
         super().reset(seed=seed)
         if options:
-            raise ValueError(f"reset takes no options, not {', '.join(options)}; set_goal chooses a goal")
+            raise InputError(f"reset takes no options, not {', '.join(options)}; set_goal chooses a goal")
         if seed is None and self._state is not None:
             self._state = jitted(self.session, "reset")(self._state)
         else:

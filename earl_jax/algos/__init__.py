@@ -8,6 +8,7 @@ import numpy as np
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 from earl_jax.options import check
 from earl_jax.registry import Registry
 
@@ -61,7 +62,7 @@ def make_algo(name: str, **options) -> Method:
     own = {field.name for field in dataclasses.fields(_ALGOS.get(name))} - {"sac"}
     unknown = sorted(set(options) - shared - own)
     if unknown:
-        raise ValueError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
+        raise InputError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
     options = {option: _leaf(option, value) for option, value in options.items()}
     learner = {option: value for option, value in options.items() if option in shared}
     check(f"algo {name!r}", SAC, learner)
@@ -87,4 +88,4 @@ def _leaf(option: str, value: Any) -> Any:
     try:
         return np.asarray(value, np.float32)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{option} must be a number for each lane, not {value!r}") from error
+        raise InputError(f"{option} must be a number for each lane, not {value!r}") from error

@@ -10,6 +10,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.algos.learner.replay import GOAL_BITS
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 
 
 class Goals(NamedTuple):
@@ -55,7 +56,7 @@ def goal_table(env: Env) -> Goals:
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
     if len(table) > 1 << GOAL_BITS:
-        raise ValueError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
+        raise InputError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
     return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
 
 

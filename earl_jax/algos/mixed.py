@@ -11,6 +11,7 @@ from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 
 
 class MixedMethod(Method):
@@ -103,7 +104,7 @@ def mix_methods(methods: Sequence[Method]) -> Method:
     """
     if len({program_signature(method) for method in methods}) > 1:
         names = ", ".join(sorted({method.name for method in methods}))
-        raise ValueError(f"these methods can't share a program, their shapes differ: {names}")
+        raise InputError(f"these methods can't share a program, their shapes differ: {names}")
     structures = list(dict.fromkeys(_structure(method) for method in methods))
     indices = [structures.index(_structure(method)) for method in methods]
     if len(structures) == 1:

@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from earl_jax.errors import InputError
+
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Physics = Annotated[
@@ -52,7 +54,7 @@ def parse_options(pairs: tuple[str, ...]) -> dict[str, Any]:
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
-            raise ValueError(f"--set takes name=value, not {pair!r}")
+            raise InputError(f"--set takes name=value, not {pair!r}")
         options[name] = _parse_value(text)
     return options
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from earl_jax.cli.arguments import Physics, Positional
+from earl_jax.errors import InputError
 
 
 def demos(env: Positional[str], out: Path, seed: int = 0, physics: Physics = None) -> None:
@@ -33,7 +34,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
 
     target = out or file.with_name(f"{file.stem}_imported.npz")
     if target.exists():
-        raise ValueError(f"{target} exists; choose another file with --out")
+        raise InputError(f"{target} exists; choose another file with --out")
     files = {"forward": file} if backward is None else {"forward": file, "backward": backward}
     imported = importer.import_demos(files)
     scripted.save(imported, target)

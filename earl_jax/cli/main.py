@@ -8,6 +8,7 @@ from typing import Any
 import tyro
 
 from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train
+from earl_jax.errors import is_input_error
 from earl_jax.runs.files import DamagedWarning
 
 COMMANDS = {
@@ -25,20 +26,27 @@ COMMANDS = {
     "import-demos": demonstrations.import_demos,
     "quickstart": quickstart.quickstart,
 }
+TRACEBACK = "--traceback"
+DESCRIPTION = f"{__doc__}\n\nWith {TRACEBACK}, invalid input prints a traceback instead of one line."
 DEFAULT_FORMAT = warnings.formatwarning
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command.
 
-    Invalid input exits with code 2 and a one-line error that gives the cause or the valid choices. On a GPU, jax may take 95 %
-    of the memory instead of its default 75 %, because the replay buffers need it.
+    Invalid input exits with code 2 and a one-line error that gives the cause or the valid choices, or with its traceback
+    if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback. On a
+    GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
     """
     warnings.formatwarning = _format_warning
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
+    arguments = sys.argv[1:] if arguments is None else arguments
+    given = [argument for argument in arguments if argument != TRACEBACK]
     try:
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=arguments, description=__doc__)
-    except (ValueError, OSError) as error:
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=given, description=DESCRIPTION)
+    except Exception as error:
+        if not is_input_error(error) or TRACEBACK in arguments:
+            raise
         print(f"earl-jax: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 

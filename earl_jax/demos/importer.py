@@ -8,6 +8,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from earl_jax.assets import DIRECTIONS, Demos
+from earl_jax.errors import InputError
 
 NUMPY_MODULES = (
     "numpy",
@@ -98,7 +99,7 @@ def unpickle(handle: BinaryIO) -> Any:
     try:
         return ArrayUnpickler(handle).load()
     except Exception as error:  # a damaged pickle can raise any exception
-        raise ValueError(f"not a pickle of numpy arrays: {error}") from error
+        raise InputError(f"not a pickle of numpy arrays: {error}") from error
 
 
 def read(path: Path) -> Recording:
@@ -114,25 +115,25 @@ def read(path: Path) -> Recording:
         with path.open("rb") as handle:
             return _checked(unpickle(handle))
     except (ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def _checked(arrays: Any) -> Recording:
     if not isinstance(arrays, dict) or not set(Recording._fields) <= set(arrays):
-        raise ValueError(f"a recording has the arrays {', '.join(Recording._fields)}")
+        raise InputError(f"a recording has the arrays {', '.join(Recording._fields)}")
     parts = [np.asarray(arrays[name]) for name in Recording._fields]
     if any(part.dtype.kind not in "fiub" for part in parts):
-        raise ValueError("its arrays are not all numbers")
+        raise InputError("its arrays are not all numbers")
     rows = len(parts[0]) if parts[0].ndim else 0
     shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
     flat = all(part.size == rows for part in (parts[2], parts[4]))
     matrices = all(part.ndim == 2 and len(part) == rows for part in (parts[0], parts[1], parts[3]))
     if not rows or not flat or not matrices or parts[0].shape != parts[3].shape or parts[0].shape[1] % 2:
-        raise ValueError(f"its arrays don't fit together: {shapes}")
+        raise InputError(f"its arrays don't fit together: {shapes}")
     with np.errstate(over="ignore"):  # too large values become infinite, which the next check finds
         parts = [*(part.astype(np.float32) for part in parts[:4]), parts[4].astype(bool)]
     if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
-        raise ValueError("it has values that are not finite, or stops in the middle of an episode")
+        raise InputError("it has values that are not finite, or stops in the middle of an episode")
     observations, actions, rewards, next_observations, terminals = parts
     return Recording(
         observations=observations,
@@ -151,5 +152,5 @@ def import_demos(files: dict[str, Path]) -> dict[str, Demos]:
     """
     unknown = set(files) - set(DIRECTIONS)
     if unknown:
-        raise ValueError(f"unknown direction {', '.join(sorted(unknown))}; choose from {', '.join(DIRECTIONS)}")
+        raise InputError(f"unknown direction {', '.join(sorted(unknown))}; choose from {', '.join(DIRECTIONS)}")
     return {direction: read(path).demos() for direction, path in files.items()}

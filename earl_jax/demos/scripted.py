@@ -15,6 +15,7 @@ import numpy as np
 from earl_jax import envs
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs import Env, State
+from earl_jax.errors import InputError
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""
@@ -52,7 +53,7 @@ def scripted_tasks() -> list[str]:
 def _require_script(env: Env) -> float:
     """Return the noise of the task's demonstration script. Errors as `record`."""
     if env.demo_noise is None:
-        raise ValueError(f"{env.name} has no demonstration script; choose from {', '.join(scripted_tasks())}")
+        raise InputError(f"{env.name} has no demonstration script; choose from {', '.join(scripted_tasks())}")
     return env.demo_noise
 
 

@@ -7,6 +7,7 @@ from earl_jax.envs.base import Env
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import State
 from earl_jax.envs.wrappers.help_budget import HelpBudget
+from earl_jax.errors import InputError
 from earl_jax.registry import Registry
 
 __all__ = [
@@ -91,7 +92,7 @@ def with_physics(env: Env, engine: str | None) -> Env:
     if isinstance(env, HelpBudget):
         return dataclasses.replace(env, task=with_physics(env.task, engine))
     if "physics" not in {field.name for field in dataclasses.fields(env)}:
-        raise ValueError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
+        raise InputError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
     return dataclasses.replace(env, **{"physics": engine})
 
 

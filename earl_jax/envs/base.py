@@ -12,6 +12,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.state import DemoStart, NextState, State, check_action
+from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 
 REWARD_TYPES = ("sparse", "dense")
@@ -55,12 +56,12 @@ class Env(abc.ABC):
         self._require_choice("reward_type", REWARD_TYPES)
         for field in ("train_horizon", "eval_horizon"):
             if getattr(self, field) < 1:
-                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
 
     def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
         """Raise a ValueError if the option `field` is not one of `choices`."""
         if getattr(self, field) not in choices:
-            raise ValueError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
+            raise InputError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
 
     @property
     @abc.abstractmethod
@@ -106,7 +107,7 @@ class Env(abc.ABC):
         Raises:
             ValueError: this task can only start from `reset`.
         """
-        raise ValueError(f"{self.name} cannot replay demonstrations: it can only start from reset")
+        raise InputError(f"{self.name} cannot replay demonstrations: it can only start from reset")
 
     def for_lanes(self, lanes: int) -> "Env":
         """Return this task with the physics engine `auto` replaced by the fastest one for a batch of `lanes`."""
@@ -181,7 +182,7 @@ class Env(abc.ABC):
         Raises:
             ValueError: this task has no map.
         """
-        raise ValueError(f"{self.name} has no map of visited positions")
+        raise InputError(f"{self.name} has no map of visited positions")
 
     def reset_uniform(self, key: jax.Array) -> State:
         """Return a state drawn uniformly over the workspace, with a task goal (figure 5 of the paper).
@@ -189,7 +190,7 @@ class Env(abc.ABC):
         Raises:
             ValueError: this task has no such distribution.
         """
-        raise ValueError(f"{self.name} has no uniform distribution of starts")
+        raise InputError(f"{self.name} has no uniform distribution of starts")
 
     @property
     def has_demos(self) -> bool:
@@ -215,7 +216,7 @@ class Env(abc.ABC):
         Raises:
             ValueError: this task has no scripted controller.
         """
-        raise ValueError(f"{self.name} has no scripted expert")
+        raise InputError(f"{self.name} has no scripted expert")
 
     def demo_action(self, obs: np.ndarray) -> np.ndarray:
         """Return the action [a] of the demonstration script at `obs [s + g]`, before noise: the expert's by default."""
@@ -228,7 +229,7 @@ class Env(abc.ABC):
             ValueError: this task has no demonstration script.
         """
         del seed
-        raise ValueError(f"{self.name} has no demonstration script")
+        raise InputError(f"{self.name} has no demonstration script")
 
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].

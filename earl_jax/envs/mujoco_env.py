@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env, NextState, State
+from earl_jax.errors import InputError
 from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Simulator, fastest_engine, resolve_engine
 
 
@@ -32,7 +33,7 @@ class MujocoEnv(Env):
     def __post_init__(self):
         super().__post_init__()
         if self.substeps < 1:
-            raise ValueError(f"substeps must be at least 1, not {self.substeps}")
+            raise InputError(f"substeps must be at least 1, not {self.substeps}")
         if self.physics != "auto":
             resolve_engine(self.physics)
 

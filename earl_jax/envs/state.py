@@ -8,6 +8,8 @@ import numpy as np
 from flax import struct
 from jax.core import Tracer
 
+from earl_jax.errors import InputError
+
 NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
 """The result of a control step: the physics data, the state vector [s], and the changed fields of `info`."""
 
@@ -47,6 +49,6 @@ def check_action(action: jax.Array, size: int) -> None:
     """Raise a ValueError if `action` does not have the shape [size], or is known not to be finite."""
     shape = jnp.shape(action)
     if shape != (size,):
-        raise ValueError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
+        raise InputError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
     if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
-        raise ValueError(f"action is not finite: {np.asarray(action).tolist()}")
+        raise InputError(f"action is not finite: {np.asarray(action).tolist()}")

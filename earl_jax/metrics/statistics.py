@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from earl_jax.errors import InputError
+
 RESAMPLES = 2000
 
 
@@ -62,7 +64,7 @@ def summarise(scores: np.ndarray) -> Summary:
     """
     scores = np.asarray(scores, float)
     if scores.ndim != 1 or not len(scores) or not np.isfinite(scores).all():
-        raise ValueError(f"expected finite scores of at least one seed, got {scores}")
+        raise InputError(f"expected finite scores of at least one seed, got {scores}")
     low, high = bootstrap(scores)
     return Summary(float(scores.mean()), float(stderr(scores)), float(iqm(scores)), low, high, len(scores))
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, difference, mean_of
 from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
@@ -69,13 +70,13 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
     for curves in runs:
         config = curves.config
         if config.algo != "naive":
-            raise ValueError(f"figure 2 is made of runs of naive, not of {config.algo}")
+            raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
         scores = curves.metrics["deployed/return"][:, -WINDOW:].mean(axis=1)
         updates = np.resize(np.asarray(config.build_method().sac.timeout_bootstrap, bool), len(scores))
         for update in np.unique(updates).tolist():
             key = (config.env, update, config.build_env().train_horizon)
             if key in points:
-                raise ValueError(
+                raise InputError(
                     f"runs on {config.env} with H_T {key[2]:,}, {UPDATES[update]}, differ in other options"
                 )
             points[key] = Point(*key, scores=scores[updates == update], steps=int(curves.steps[-1]))

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import difference, stderr
 from earl_jax.metrics.visitation import MEASURES, measure
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
@@ -78,7 +79,7 @@ def write_figure4(maps: Sequence[VisitMap], out: Path) -> list[Path]:
 def _checked(maps: Sequence[VisitMap]) -> list[VisitMap]:
     """Return `maps` in the paper's order. Errors as `write_figure4`."""
     if not maps:
-        raise ValueError("figure 4 needs at least one map of visits")
+        raise InputError("figure 4 needs at least one map of visits")
     maps = [
         visit_map._replace(visits=np.asarray(visit_map.visits), map_bounds=np.asarray(visit_map.map_bounds, float))
         for visit_map in maps
@@ -87,10 +88,10 @@ def _checked(maps: Sequence[VisitMap]) -> list[VisitMap]:
         shape = visit_map.visits.shape
         if len(shape) != 3 or shape[1] != shape[2] or not all(shape) or visit_map.map_bounds.shape != (2, 2):
             name = ", ".join(visit_map.name)
-            raise ValueError(f"visits of {name}: expected [N, B, B] over [2, 2], got {shape}")
+            raise InputError(f"visits of {name}: expected [N, B, B] over [2, 2], got {shape}")
     names = [visit_map.name for visit_map in maps]
     if len(set(names)) < len(names):
-        raise ValueError(f"each task and method has one map, got {names}")
+        raise InputError(f"each task and method has one map, got {names}")
     envs, algos = task_order(env for env, _ in names), method_order(algo for _, algo in names)
     return sorted(maps, key=lambda visit_map: (envs.index(visit_map.env), algos.index(visit_map.algo)))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.errors import InputError
 from earl_jax.metrics.robustness import relative_drop
 from earl_jax.metrics.statistics import Estimate, mean_of
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
@@ -52,10 +53,10 @@ def figure_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         ValueError: there are no rows, or one lacks a column.
     """
     if not rows:
-        raise ValueError("figure 5 needs at least one row")
+        raise InputError("figure 5 needs at least one row")
     for row in rows:
         if any(name not in row for name in COLUMNS):
-            raise ValueError(f"a row of figure 5 has {', '.join(COLUMNS)}, not {', '.join(row)}")
+            raise InputError(f"a row of figure 5 has {', '.join(COLUMNS)}, not {', '.join(row)}")
     return [_row(rows, algo) for algo in method_order(row["algo"] for row in rows)]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import PAPER_TASKS
+from earl_jax.errors import InputError
 from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
@@ -179,7 +180,7 @@ def reproduce(
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     for task in tasks:
         if task not in result.tasks:
-            raise ValueError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
+            raise InputError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
     out = out or Path("runs") / f"reproduce-{scale}"
     blocks = [result.block(task) for task in tasks or result.tasks[: chosen.tasks]]
     out.mkdir(parents=True, exist_ok=True)
@@ -189,13 +190,13 @@ def reproduce(
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:
-        raise ValueError(f"no run of {name} has reached an evaluation; the lines above give the causes")
+        raise InputError(f"no run of {name} has reached an evaluation; the lines above give the causes")
     return result.report(folders, out / name)
 
 
 def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
     if name not in table:
-        raise ValueError(f"unknown {kind} {name!r}; choose from {', '.join(table)}")
+        raise InputError(f"unknown {kind} {name!r}; choose from {', '.join(table)}")
     return table[name]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
@@ -28,7 +29,7 @@ def write_table(number: int, folders: Sequence[Path], out: Path) -> list[Path]:
         ValueError: the table is unknown, a folder is no run or has no evaluation, or matplotlib is not installed.
     """
     if number not in HEADINGS:
-        raise ValueError(f"there is no table {number}; choose from {', '.join(map(str, HEADINGS))}")
+        raise InputError(f"there is no table {number}; choose from {', '.join(map(str, HEADINGS))}")
     rows = paper_rows(number, read_methods(folders))
     figure = _draw(number, rows)
     out.mkdir(parents=True, exist_ok=True)

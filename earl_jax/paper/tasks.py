@@ -4,6 +4,7 @@ Source: Sharma et al. 2022, tables 1 and 2, figures 2, 4 and 5.
 """
 
 from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.errors import InputError
 from earl_jax.report.published import published_steps
 
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
@@ -31,7 +32,7 @@ def training_steps(env: str) -> int:
     """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""
     steps = published_steps(env)
     if steps is None:
-        raise ValueError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
+        raise InputError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
     return steps[0]
 
 

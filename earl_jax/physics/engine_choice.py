@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import jax
 
+from earl_jax.errors import InputError
+
 ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
 """The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
@@ -41,10 +43,10 @@ def resolve_engine(engine: str) -> str:
     if engine == "auto":
         return DEFAULT_ENGINES.get(jax.default_backend(), "mjx")
     if engine not in ENGINES:
-        raise ValueError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
+        raise InputError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
     module, package_extra = REQUIREMENTS[engine]
     if importlib.util.find_spec(module.partition(".")[0]) is None:
-        raise ValueError(
+        raise InputError(
             f"physics engine {engine!r} is not installed; install it with: pip install 'earl-jax{package_extra}'"
         )
     return engine

@@ -12,6 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env, State
 from earl_jax.envs.state import tree_where
+from earl_jax.errors import InputError
 
 
 class Rules(NamedTuple):
@@ -125,12 +126,12 @@ class Protocol:
     def __post_init__(self):
         for field in ("eval_horizon", "eval_every", "eval_episodes"):
             if getattr(self, field) < 1:
-                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
         for field in ("train_horizon", "goal_change"):
             if getattr(self, field) < 0:
-                raise ValueError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
+                raise InputError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
         if not 0 <= self.intervention_chance < 1:
-            raise ValueError(f"intervention_chance must lie in [0, 1), not {self.intervention_chance}")
+            raise InputError(f"intervention_chance must lie in [0, 1), not {self.intervention_chance}")
 
     @property
     def rules(self) -> Rules:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
+from earl_jax.errors import InputError
 from earl_jax.options import check
 from earl_jax.protocol.rules import Protocol
 
@@ -106,7 +107,7 @@ def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
         ValueError: the name or an option is unknown, or an option has a wrong type; the message lists the choices.
     """
     if not isinstance(name, str) or name not in SETTINGS:
-        raise ValueError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
+        raise InputError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
     check(f"setting {name!r}", SETTINGS[name], options)
     return SETTINGS[name](**options)
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs import Env, State, list_envs, make, with_physics
+from earl_jax.errors import InputError
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy, load_policies, select_seed
 
@@ -54,15 +55,15 @@ class Actor(NamedTuple):
 def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Actor:
     """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`."""
     if acting is not None and acting not in ACTINGS:
-        raise ValueError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
+        raise InputError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
     from_run = is_run(source)
     if not from_run and str(source) not in list_envs():
-        raise ValueError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
+        raise InputError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
     env, policy = _trained(Path(source), seed) if from_run else (make(str(source)), None)
     actors = _actors(env if env.engine == "kinematic" else with_physics(env, "c"), policy, seed)
     chosen = acting or next(iter(actors))
     if chosen not in actors:
-        raise ValueError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
+        raise InputError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
     return actors[chosen]
 
 
@@ -77,7 +78,7 @@ def _trained(folder: Path, lane: int) -> tuple[Env, Policy]:
     try:
         return env, select_seed(policies, lane)
     except IndexError as error:
-        raise ValueError(f"{folder}: {error}") from error
+        raise InputError(f"{folder}: {error}") from error
 
 
 def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import track
 
 from earl_jax.envs import PAPER_TASKS
+from earl_jax.errors import InputError
 from earl_jax.rendering.actors import Actor, actor_of, is_run
 from earl_jax.rendering.output import library
 from earl_jax.rendering.scenes import Scene
@@ -68,7 +69,7 @@ def _output_path(source: str | Path, out: str | Path | None) -> Path:
     suffixes = [".png"] if str(source) == ALL else list(SIZES)
     path = Path(out or (Path(source) / "video.mp4" if is_run(source) else f"{source}{suffixes[0]}"))
     if path.suffix not in suffixes:
-        raise ValueError(f"{path} has the suffix {path.suffix!r}; for {source} choose from {', '.join(suffixes)}")
+        raise InputError(f"{path} has the suffix {path.suffix!r}; for {source} choose from {', '.join(suffixes)}")
     return path
 
 
@@ -76,10 +77,10 @@ def _check_numbers(path: Path, size: tuple[int, int], **positive: float | None) 
     """Raise a ValueError if one of `positive` is not above 0, or a video's height or width is odd."""
     for name, value in positive.items():
         if value is not None and value <= 0:
-            raise ValueError(f"{name} must be above 0, not {value}")
+            raise InputError(f"{name} must be above 0, not {value}")
     height, width = size
     if path.suffix == ".mp4" and (height % 2 or width % 2):
-        raise ValueError(f"a video needs an even height and width, not {height} and {width}")
+        raise InputError(f"a video needs an even height and width, not {height} and {width}")
 
 
 def _render_film(

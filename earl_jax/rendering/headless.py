@@ -8,6 +8,8 @@ import subprocess
 import sys
 from typing import Any
 
+from earl_jax.errors import InputError
+
 BACKENDS = ("egl", "osmesa")
 """Values of `MUJOCO_GL` that need no display: a GPU's driver or Mesa through EGL, and Mesa's software renderer."""
 PROBE = "import mujoco; mujoco.GLContext(8, 8).make_current()"
@@ -45,4 +47,4 @@ def headless_backend() -> str:
         environment = {**os.environ, "MUJOCO_GL": backend}
         if not subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True).returncode:
             return backend
-    raise ValueError(NO_GRAPHICS)
+    raise InputError(NO_GRAPHICS)

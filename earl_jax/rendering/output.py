@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from earl_jax.errors import InputError
+
 
 def library(name: str) -> Any:
     """Return the module `name` of an optional library.
@@ -16,7 +18,7 @@ def library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ValueError(f"pictures need {name.partition('.')[0]}: pip install 'earl-jax[render]'") from error
+        raise InputError(f"pictures need {name.partition('.')[0]}: pip install 'earl-jax[render]'") from error
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.errors import InputError
 
 HIDDEN_GROUP = 3
 """The group of geoms that are never drawn."""
@@ -76,7 +77,7 @@ def merge(model: ET.Element, overlay: ET.Element) -> ET.Element:
         if section.tag not in ("worldbody", "body"):
             model.append(section)
         elif section.get("name") not in bodies:
-            raise ValueError(f"the overlay has the body {section.get('name')!r}, but the model has none of that name")
+            raise InputError(f"the overlay has the body {section.get('name')!r}, but the model has none of that name")
         else:
             for geom in section.iter("geom"):
                 geom.set("class", geom.get("class", DEFAULT_CLASS))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import Env, State
+from earl_jax.errors import InputError
 from earl_jax.rendering.headless import NO_GRAPHICS, drawing_mujoco
 from earl_jax.rendering.overlays import with_overlay
 
@@ -37,7 +38,7 @@ class Scene:
         try:
             self.model = with_overlay(env.model)
         except ValueError as error:
-            raise ValueError(f"{env.name} cannot be drawn: {error}") from error
+            raise InputError(f"{env.name} cannot be drawn: {error}") from error
         self.data = mujoco.MjData(self.model)
         self.goal_data = mujoco.MjData(self.model)
         self.camera = _camera(self.model, camera)
@@ -100,7 +101,7 @@ def _camera(model: Any, name: str | None) -> str | int:
     if name is None:
         return "default" if "default" in names else -1
     if name not in names:
-        raise ValueError(f"no camera {name!r}; choose from {', '.join(names)}")
+        raise InputError(f"no camera {name!r}; choose from {', '.join(names)}")
     return name
 
 
@@ -115,9 +116,9 @@ def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
 def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
     height, width = size
     if min(size) < 1:
-        raise ValueError(f"size must be at least (1, 1), not {tuple(size)}")
+        raise InputError(f"size must be at least (1, 1), not {tuple(size)}")
     model.vis.global_.offheight, model.vis.global_.offwidth = size
     try:
         return mujoco.Renderer(model, height, width)
     except (ImportError, RuntimeError, AttributeError, mujoco.FatalError) as error:
-        raise ValueError(f"{NO_GRAPHICS} ({os.environ.get('MUJOCO_GL', 'unset')}: {error})") from error
+        raise InputError(f"{NO_GRAPHICS} ({os.environ.get('MUJOCO_GL', 'unset')}: {error})") from error

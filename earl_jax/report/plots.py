@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves, labels, read_all
 from earl_jax.report.style import new_figure, save
@@ -22,7 +23,7 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
         ValueError: a folder is no run, `out` has an unknown suffix, or matplotlib is not installed.
     """
     if out.suffix not in SUFFIXES:
-        raise ValueError(f"{out}: pictures are written as {', '.join(SUFFIXES)}")
+        raise InputError(f"{out}: pictures are written as {', '.join(SUFFIXES)}")
     runs = read_all(folders)
     figure, axes = new_figure(1, 2, (10, 4.2))
     for panel, axis in zip(PANELS, axes[0], strict=True):

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.envs import make
+from earl_jax.errors import InputError
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
@@ -61,7 +62,7 @@ def read(path: Path) -> Curves:
     rows_per_step = len(folder.config.seeds)
     rows = rows[: len(rows) // rows_per_step * rows_per_step]
     if not rows:
-        raise ValueError(f"{path} has no evaluation yet")
+        raise InputError(f"{path} has no evaluation yet")
     return Curves(folder.config, *folder.config.curves(rows))
 
 
@@ -72,7 +73,7 @@ def read_all(folders: Sequence[Path]) -> list[Curves]:
         ValueError: no folder is given, one of them cannot be read, or runs to pool have no step in common.
     """
     if not folders:
-        raise ValueError("name at least one run folder")
+        raise InputError("name at least one run folder")
     groups: dict[str, list[Curves]] = {}
     for path in folders:
         curves = read(path)
@@ -90,7 +91,7 @@ def _pooled(group: list[Curves]) -> Curves:
     for other in group[1:]:
         steps = np.intersect1d(steps, other.steps)
     if not len(steps):
-        raise ValueError(f"runs of {group[0].config.algo} have no evaluation step in common")
+        raise InputError(f"runs of {group[0].config.algo} have no evaluation step in common")
     masks = [np.isin(part.steps, steps) for part in group]
     metrics = {
         name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])

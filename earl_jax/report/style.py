@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.errors import InputError
 
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
@@ -21,7 +22,7 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **options: An
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ValueError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
+        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import summarise
 from earl_jax.report.published import LEVELS, published_score
 from earl_jax.report.runs import Curves, labels, options_text, read_all
@@ -28,7 +29,7 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
         ValueError: `last` is below 1, or a folder cannot be read.
     """
     if last < 1:
-        raise ValueError(f"last must be at least 1, not {last}")
+        raise InputError(f"last must be at least 1, not {last}")
     runs = read_all(folders)
     return [row_of(curves, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
 
@@ -126,4 +127,4 @@ def write(rows: list[dict[str, Any]], path: Path) -> None:
             writer.writeheader()
             writer.writerows(rows)
     else:
-        raise ValueError(f"{path}: tables are written as .md or .csv")
+        raise InputError(f"{path}: tables are written as .md or .csv")

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.runs.files import DamagedWarning, inside
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.snapshot import filled, plain, spread, typed
@@ -31,7 +32,7 @@ SPARE = 1 << 20
 """Bytes of a checkpoint in addition to its arrays, with room for subsequent rows of metrics."""
 
 
-class DamagedError(ValueError):
+class DamagedError(InputError):
     """A checkpoint does not match its checksums."""
 
 
@@ -102,7 +103,7 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
     """
     steps = {newest(folder) for folder in folders}
     if len(steps) > 1:
-        raise ValueError(f"checkpoints of steps {sorted(steps)} can't continue in one program")
+        raise InputError(f"checkpoints of steps {sorted(steps)} can't continue in one program")
     if steps == {0}:
         return None
     causes = []
@@ -116,7 +117,7 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
         if causes:
             warnings.warn(f"{'; '.join(causes)}; continuing from {paths[0].name}", DamagedWarning, stacklevel=2)
         return state
-    raise ValueError(f"{'; '.join(causes)}; no older checkpoint is intact")
+    raise InputError(f"{'; '.join(causes)}; no older checkpoint is intact")
 
 
 def _common_checkpoints(folders: Sequence[Path]) -> list[list[Path]]:
@@ -142,7 +143,7 @@ def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> A
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
     expected = plain(shapes)
     if manifest["lanes"] != _described(expected):
-        raise ValueError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
+        raise InputError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
     return typed(_read(path / "lanes", expected), shapes)
 
 
@@ -180,7 +181,7 @@ def verified(path: Path) -> dict[str, Any]:
     try:
         manifest = json.loads((path / MANIFEST).read_text())
         if manifest.pop("checksum") != _sum_of(manifest):
-            raise ValueError("it does not match its checksum")
+            raise InputError("it does not match its checksum")
         files = dict(manifest["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error

@@ -9,6 +9,7 @@ import numpy as np
 
 from earl_jax.algos import Method, algo_class, make_algo
 from earl_jax.envs import Env, env_class, make
+from earl_jax.errors import InputError
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
@@ -42,26 +43,26 @@ class RunConfig:
         kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
         for field, kind in kinds.items():
             if not isinstance(getattr(self, field), kind):
-                raise ValueError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
+                raise InputError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
         if "name" not in self.setting:
-            raise ValueError(f"setting has no name: {self.setting}")
+            raise InputError(f"setting has no name: {self.setting}")
         self._check_seeds_and_lengths()
 
     def _check_seeds_and_lengths(self) -> None:
         whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
         if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
-            raise ValueError(
+            raise InputError(
                 f"steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, not {whole}"
             )
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
+            raise InputError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
-            raise ValueError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
+            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
         for field in ("steps", "eval_every", "eval_episodes", "checkpoint_every"):
             if getattr(self, field) < 1:
-                raise ValueError(f"{field} must be at least 1, not {getattr(self, field)}")
+                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
         if self.steps % self.eval_every:
-            raise ValueError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
+            raise InputError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
 
     @classmethod
     def from_objects(
@@ -196,7 +197,7 @@ def _require_registered(kind: str, name: str, class_name: str, class_of: Callabl
     if _is_registered(name, class_name, class_of):
         return
     cls = class_name.rpartition(":")[2].rpartition(".")[2]
-    raise ValueError(
+    raise InputError(
         f"this run was trained with {kind} {name!r} as an object of {class_name}, which is not registered here; "
         f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
         f"earl_jax.resume(folder, {kind}=...)"

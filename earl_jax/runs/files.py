@@ -7,6 +7,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from earl_jax.errors import InputError
+
 LOCK, PART = ".lock", ".part"
 
 
@@ -41,7 +43,7 @@ def locked(folder: Path) -> Iterator[None]:
         with contextlib.suppress(NotImplementedError):  # a file system without locks
             lock.acquire()
     except Timeout:
-        raise ValueError(f"{folder} is in use by another process") from None
+        raise InputError(f"{folder} is in use by another process") from None
     except OSError as error:
         raise OSError(f"{folder} can't be written to: {error.strerror or error}") from error
     try:
@@ -58,5 +60,5 @@ def inside(folder: Path, name: str) -> Path:
     """
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"{path} points outside {folder}")
+        raise InputError(f"{path} points outside {folder}")
     return path

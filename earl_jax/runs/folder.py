@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from earl_jax.errors import InputError
 from earl_jax.runs.config import Row, RunConfig
 from earl_jax.runs.files import LOCK, PART, inside, locked, write_atomically
 from earl_jax.runs.hosts import first_host
@@ -62,17 +63,17 @@ class RunFolder:
                 represent.
         """
         if (path / CONFIG).is_file():
-            raise ValueError(
+            raise InputError(
                 f"{path} holds another run; choose another folder, or continue it with: earl-jax resume {path}"
             )
         if path.exists() and (not path.is_dir() or any(entry.name not in LEFTOVERS for entry in path.iterdir())):
-            raise ValueError(f"{path} exists and is not an empty folder; choose another folder")
+            raise InputError(f"{path} exists and is not an empty folder; choose another folder")
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
         with folder.claimed():
             if folder.config_file.is_file():
-                raise ValueError(
+                raise InputError(
                     f"{path} holds another run, which another process has just started; choose another folder"
                 )
             write_atomically(folder.config_file, text)
@@ -87,7 +88,7 @@ class RunFolder:
         """
         file = path / CONFIG
         if not file.is_file():
-            raise ValueError(f"{path} is not a run folder: it has no {CONFIG}")
+            raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
             inside(path, name)
         try:
@@ -96,8 +97,8 @@ class RunFolder:
             config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
             return cls(path, config, tuple(map(str, values.get("logs", ()))))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            cause = str(error) if type(error) is ValueError else repr(error)
-            raise ValueError(f"{file} is damaged: {cause}") from error
+            cause = str(error) if isinstance(error, InputError) else repr(error)
+            raise InputError(f"{file} is damaged: {cause}") from error
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
@@ -118,7 +119,7 @@ class RunFolder:
         """
         reached = max((int(row["step"]) for row in self.rows()), default=0)
         if steps < reached:
-            raise ValueError(f"{self.path} has {reached} steps already, more than {steps}")
+            raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
         config = dataclasses.replace(self.config, steps=steps)
         if first_host():
             with self.claimed():
@@ -157,7 +158,7 @@ class RunFolder:
             try:
                 rows.append(_row(texts))
             except (ValueError, AttributeError):
-                raise ValueError(f"{self.metrics} is damaged: line {number} is not a row of numbers") from None
+                raise InputError(f"{self.metrics} is damaged: line {number} is not a row of numbers") from None
         return rows
 
     def rows_until(self, step: int) -> list[Row]:
@@ -176,7 +177,7 @@ def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
     try:
         return json.dumps({**dataclasses.asdict(config), **more}, indent=2) + "\n"
     except TypeError as error:
-        raise ValueError(
+        raise InputError(
             f"the options of {config.env} or {config.algo} can't be written to {CONFIG} ({error}); "
             "train without a folder, or pass them as numbers, text and lists"
         ) from error
@@ -185,7 +186,7 @@ def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
 def _row(texts: dict[str, str]) -> Row:
     row = {name: _number(text) for name, text in texts.items()}
     if not {"step", "seed"} <= set(row):
-        raise ValueError("no step or no seed")
+        raise InputError("no step or no seed")
     return row
 
 

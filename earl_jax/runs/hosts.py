@@ -6,6 +6,8 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
+from earl_jax.errors import InputError
+
 
 def gathered(tree: Any) -> Any:
     """Return the arrays of `tree` as NumPy arrays, including those on other hosts; every host must call this."""
@@ -33,7 +35,7 @@ def join_hosts(hosts: str | None) -> None:
         return
     parts = hosts.split(",")
     if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
-        raise ValueError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
+        raise InputError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
     if hosts == "auto":
         return jax.distributed.initialize()
     jax.distributed.initialize(parts[0], int(parts[1]), int(parts[2]))

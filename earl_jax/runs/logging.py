@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.runs.folder import RunFolder
 
 
@@ -58,7 +59,7 @@ class TensorBoardLog:
         try:
             from tensorboardX import SummaryWriter
         except ImportError as error:
-            raise ValueError("the log tensorboard needs tensorboardX: pip install 'earl-jax[tensorboard]'") from error
+            raise InputError("the log tensorboard needs tensorboardX: pip install 'earl-jax[tensorboard]'") from error
         self._seeds = folder.config.seeds
         purge_step = since + 1 if since else None
         suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
@@ -83,7 +84,7 @@ class WandbLog:
         try:
             wandb: Any = importlib.import_module("wandb")
         except ImportError as error:
-            raise ValueError("the log wandb needs wandb: pip install 'earl-jax[wandb]'") from error
+            raise InputError("the log wandb needs wandb: pip install 'earl-jax[wandb]'") from error
         config = folder.config
         try:
             self._run = wandb.init(
@@ -91,7 +92,7 @@ class WandbLog:
                 config=dataclasses.asdict(config), dir=str(folder.path), resume="allow", reinit="create_new",
             )  # fmt: skip
         except wandb.Error as error:
-            raise ValueError(f"wandb: {error}; WANDB_MODE=offline needs no account") from error
+            raise InputError(f"wandb: {error}; WANDB_MODE=offline needs no account") from error
         self._seeds = config.seeds
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
@@ -110,9 +111,9 @@ def check_logs(logs: Sequence[Any]) -> None:
     """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`."""
     for log in logs:
         if isinstance(log, str) and log not in LOGS:
-            raise ValueError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
+            raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
         if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
-            raise ValueError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
+            raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:

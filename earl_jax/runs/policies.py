@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.runs.files import write_atomically
 
 
@@ -42,7 +43,7 @@ def load_policies(path: Path, like: Any) -> Any:
     arrays, expected = _read(path), _named(like)
     for name, leaf in expected.items():
         if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype != leaf.dtype:
-            raise ValueError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
+            raise InputError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
     return jax.tree.unflatten(jax.tree.structure(like), [arrays[name] for name in expected])
 
 
@@ -56,5 +57,5 @@ def _read(path: Path) -> dict[str, np.ndarray]:
             arrays = {name: file[name] for name in file.files}
         arrays["step"] = np.asarray(int(arrays["step"]))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
+        raise InputError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
     return arrays

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from earl_jax.errors import InputError
+
 COUNTS = {"steps": 100_000, "eval_every": 10_000, "eval_episodes": 10, "checkpoint_every": 100_000}
 KEYS = ("envs", "algos", "seeds", *COUNTS, "options")
 LONGEST = 150
@@ -44,11 +46,11 @@ def read(path: Path) -> list[RunSpec]:
     try:
         table = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"grid {path} can't be read: {error}") from error
+        raise InputError(f"grid {path} can't be read: {error}") from error
     try:
         specs = {spec.name: spec for block in _blocks(table) for spec in _specs(block)}
     except ValueError as error:
-        raise ValueError(f"grid {path}: {error}") from error
+        raise InputError(f"grid {path}: {error}") from error
     return list(specs.values())
 
 
@@ -57,7 +59,7 @@ def _blocks(table: dict[str, Any]) -> list[dict[str, Any]]:
     common = {key: value for key, value in table.items() if key != "runs"}
     runs = table.get("runs", [])
     if not isinstance(runs, list) or not all(isinstance(run, dict) for run in runs):
-        raise ValueError("runs must be tables: [[runs]]")
+        raise InputError("runs must be tables: [[runs]]")
     top = [common] if {"envs", "algos"} <= set(common) or not runs else []
     return top + [{**common, **run, "options": {**_options(common), **_options(run)}} for run in runs]
 
@@ -66,7 +68,7 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     """Yield the run of every combination in one block of a grid."""
     for key in block:
         if key not in KEYS:
-            raise ValueError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
+            raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
     counts = {key: _count(key, block.get(key, default)) for key, default in COUNTS.items()}
     seeds = _seeds(block.get("seeds", 5))
     alternatives = _alternatives(_options(block))
@@ -80,7 +82,7 @@ def _names(block: dict[str, Any], key: str) -> list[str]:
     names = block.get(key, [])
     names = [names] if isinstance(names, str) else names
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(f'{key} must contain at least one name, as in {key} = ["..."]')
+        raise InputError(f'{key} must contain at least one name, as in {key} = ["..."]')
     return names
 
 
@@ -90,7 +92,7 @@ def _is_integer(value: Any) -> bool:
 
 def _count(key: str, value: Any) -> int:
     if not _is_integer(value) or value < 1:
-        raise ValueError(f"{key} must be a whole number of at least 1, not {value!r}")
+        raise InputError(f"{key} must be a whole number of at least 1, not {value!r}")
     return value
 
 
@@ -103,7 +105,7 @@ def _seeds(value: Any) -> tuple[int, ...]:
 def _options(block: dict[str, Any]) -> dict[str, Any]:
     options = block.get("options", {})
     if not isinstance(options, dict):
-        raise ValueError("options must be a table: [options]")
+        raise InputError("options must be a table: [options]")
     return options
 
 
@@ -113,11 +115,11 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     for name, values in alternatives.items():
         texts = [json.dumps(value, default=str) for value in values]
         if not texts or len(set(texts)) < len(texts):
-            raise ValueError(
+            raise InputError(
                 f"option {name} = {options[name]} must list at least one value, each once; a list holds alternatives"
             )
         if name == "hidden_sizes" and not all(isinstance(value, list) for value in values):
-            raise ValueError(
+            raise InputError(
                 f"option hidden_sizes = {options[name]} is a single alternative with one size per layer; "
                 "write it as [[256, 256]]"
             )

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.errors import InputError
+
 WORKER = [sys.executable, "-m", "earl_jax.sweeps.worker"]
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
@@ -46,9 +48,9 @@ def sweep(
     """
     parameters = _sbatch_parameters(slurm)
     if launcher not in LAUNCHERS:
-        raise ValueError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
+        raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if parameters and launcher != "slurm":
-        raise ValueError("--slurm options go with --launcher slurm")
+        raise InputError("--slurm options go with --launcher slurm")
     executor = _slurm_executor(out, parameters) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     unfinished = {name for group in plan["groups"] for name in group["runs"]}
@@ -68,13 +70,13 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
         ValueError: as `sweep`.
     """
     if max_lanes is not None and max_lanes < 1:
-        raise ValueError(f"max_lanes must be at least 1, not {max_lanes}")
+        raise InputError(f"max_lanes must be at least 1, not {max_lanes}")
     limit = [] if max_lanes is None else ["--max-lanes", str(max_lanes)]
     command = [*WORKER, "plan", str(grid), "--out", str(out.resolve()), *limit]
     planner = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
     if planner.returncode:
         message = planner.stderr.strip() or f"the planner ended with code {planner.returncode}"
-        raise ValueError(message.splitlines()[-1])
+        raise InputError(message.splitlines()[-1])
     return json.loads(planner.stdout.splitlines()[-1])
 
 
@@ -194,18 +196,18 @@ def _slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
     try:
         import submitit
     except ImportError:
-        raise ValueError("--launcher slurm needs submitit: pip install 'earl-jax[slurm]'") from None
+        raise InputError("--launcher slurm needs submitit: pip install 'earl-jax[slurm]'") from None
     if "time" not in parameters:
-        raise ValueError(
+        raise InputError(
             "--launcher slurm needs a time limit in minutes: --slurm time=600 partition=... gpus_per_node=1"
         )
     try:
         executor = submitit.SlurmExecutor(out.resolve() / LOGS, max_num_timeout=RETRIES)
         executor.update_parameters(**{"job_name": "earl-jax", **parameters})
     except RuntimeError as error:
-        raise ValueError(f"{error}; use --launcher slurm on a machine that has sbatch") from None
+        raise InputError(f"{error}; use --launcher slurm on a machine that has sbatch") from None
     except ValueError as error:
-        raise ValueError(" ".join(str(error).split())) from None
+        raise InputError(" ".join(str(error).split())) from None
     return executor
 
 
@@ -215,6 +217,6 @@ def _sbatch_parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
-            raise ValueError(f"--slurm takes name=value, not {pair!r}")
+            raise InputError(f"--slurm takes name=value, not {pair!r}")
         parameters[name] = int(text) if text.lstrip("-").isdigit() else text
     return parameters

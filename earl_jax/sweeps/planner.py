@@ -8,6 +8,7 @@ from typing import Any
 
 from earl_jax.algos import method_for
 from earl_jax.algos.mixed import program_signature
+from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import CHECKPOINTS, CONFIG, RunFolder
@@ -60,7 +61,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
         if entry.finished:
             continue
         if max_lanes is not None and entry.lanes > max_lanes:
-            raise ValueError(
+            raise InputError(
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
@@ -112,8 +113,8 @@ def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
         demo_rows(Problem(env, run.protocol), run.method)
         if (path / CONFIG).is_file():
             open_folder(path, config)
-    except ValueError as error:
-        raise ValueError(f"{spec.name}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{spec.name}: {error}") from error
     return PlannedRun(name=spec.name, run=run, step=newest(path / CHECKPOINTS))
 
 
@@ -128,7 +129,7 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     differing = [name for name in wanted if existing[name] != wanted[name]]
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
-        raise ValueError(
+        raise InputError(
             f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
         )
     return dataclasses.replace(folder, config=config)

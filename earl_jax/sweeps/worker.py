@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+from earl_jax.errors import InputError, is_input_error
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import inside
@@ -69,9 +70,9 @@ def work(
                 run = Run.resolve(config)
                 run.folder = stack.enter_context(claimed(inside(out, name), run, logs))
                 planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
-            except (ValueError, OSError) as error:
+            except Exception as error:  # the other runs may still succeed
                 succeeded = False
-                emit(name, "failed", why=str(error))
+                emit(name, "failed", why=_cause(error))
         for entry in planned:
             if entry.finished:
                 emit(entry.name, "done")
@@ -88,14 +89,22 @@ def _train_group(group: list[PlannedRun], emit: Emit, progress: bool, devices: i
         runs = [entry.run for entry in group]
         run_program(plan_runs(runs, devices), runs, progress)
     except Exception as error:  # the next group may still succeed
-        if not isinstance(error, ValueError | OSError):
-            traceback.print_exc()
+        cause = _cause(error)
         for entry in group:
-            emit(entry.name, "failed", why=f"{type(error).__name__}: {error}".splitlines()[0])
+            emit(entry.name, "failed", why=cause)
         return False
     for entry in group:
         emit(entry.name, "done")
     return True
+
+
+def _cause(error: Exception) -> str:
+    """Return `error` as one line, after printing its traceback if it is more than invalid input."""
+    if isinstance(error, InputError):
+        return str(error)
+    if not is_input_error(error):
+        traceback.print_exception(error)
+    return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
 def _serve(stdin: IO[str]) -> int:
@@ -134,7 +143,9 @@ def main(arguments: list[str] | None = None) -> int:
         if options.command == "work":
             return _serve(sys.stdin)
         print(json.dumps(plan(options.grid, options.out, options.max_lanes)))
-    except (ValueError, OSError) as error:
+    except Exception as error:
+        if not is_input_error(error):
+            raise
         print(error, file=sys.stderr)
         return 2
     return 0

@@ -11,6 +11,7 @@ import numpy as np
 
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make
+from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
 from earl_jax.runs.config import RunConfig, deployed_metric
@@ -188,7 +189,7 @@ def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log]) 
     names = tuple(log for log in logs if isinstance(log, str))
     if out is None:
         if names:
-            raise ValueError(f"the log {names[0]} writes into a run folder: pass one with out=")
+            raise InputError(f"the log {names[0]} writes into a run folder: pass one with out=")
         return None
     path = Path(out)
     if not first_host():
@@ -209,7 +210,7 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     for other, setting in SETTINGS.items():
         strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
         if strays:
-            raise ValueError(f"{strays.pop()} is an option of the setting {other!r}, but the setting is {name!r}")
+            raise InputError(f"{strays.pop()} is an option of the setting {other!r}, but the setting is {name!r}")
     fields = {field.name for field in dataclasses.fields(make(env))}
     task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
     setting = setting_of(name, **setting_options)
@@ -218,7 +219,7 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
 
 def _without_options(method: Method, options: dict[str, Any]) -> Method:
     if options:
-        raise ValueError(
+        raise InputError(
             f"options {', '.join(options)} go with an algo's name; this algo is an object: use .replace(...)"
         )
     return method

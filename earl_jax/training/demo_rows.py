@@ -9,6 +9,7 @@ from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import Method
+from earl_jax.errors import InputError
 from earl_jax.training.state import Problem
 
 
@@ -40,10 +41,10 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
     """
     if not problem.env.has_demos:
         if method.needs_demos:
-            raise ValueError(f"{method.name} needs demonstrations, and {problem.env.name} has none")
+            raise InputError(f"{method.name} needs demonstrations, and {problem.env.name} has none")
         return None
     if method.needs_demos and problem.env.state_size != problem.env.goal_size:
-        raise ValueError(
+        raise InputError(
             f"{method.name} needs demonstrated states that can be goals, but a state of {problem.env.name} has "
             f"{problem.env.state_size} numbers and a goal has {problem.env.goal_size}"
         )
@@ -64,7 +65,7 @@ def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
     known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
     distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
     if distance.min(axis=1).max() > 1e-6:
-        raise ValueError(
+        raise InputError(
             f"a demonstration of {problem.env.name} has a goal that is neither a task goal nor an initial state"
         )
     return distance.argmin(axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from earl_jax.algos.learner.replay import Replay
+from earl_jax.errors import InputError
 from earl_jax.training.state import TrainState
 
 LANES, REPLICATED = PartitionSpec("lanes"), PartitionSpec()
@@ -42,10 +43,10 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     available = jax.devices()
     count = devices or (len(available) if jax.process_count() > 1 else 1)
     if not 1 <= count <= len(available):
-        raise ValueError(f"{count} devices requested, but {len(available)} available ({available[0].device_kind})")
+        raise InputError(f"{count} devices requested, but {len(available)} available ({available[0].device_kind})")
     if lanes % count:
         lane_choices = sorted({max(count, lanes // count * count), (lanes // count + 1) * count})
-        raise ValueError(
+        raise InputError(
             f"{lanes} lanes don't divide over {count} devices: take {' or '.join(map(str, lane_choices))} lanes, "
             f"or one of {', '.join(str(number) for number in range(1, count) if lanes % number == 0)} devices"
         )

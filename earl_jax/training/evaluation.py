@@ -8,6 +8,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import with_physics
+from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.runs.folder import RunFolder
@@ -55,9 +56,9 @@ def evaluate(
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
     if starts not in STARTS:
-        raise ValueError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
+        raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
     if episodes < 1:
-        raise ValueError(f"episodes must be at least 1, not {episodes}")
+        raise InputError(f"episodes must be at least 1, not {episodes}")
     env, policies = load_policies(RunFolder.open(Path(folder)))
     env = with_physics(env, physics)
 

@@ -7,6 +7,7 @@ import jax
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
@@ -26,7 +27,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     env, method, shape = _shapes(folder)
     state = restore(folder.checkpoints, shape, with_replay=False)
     if state is None:
-        raise ValueError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
+        raise InputError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
     return env, method, state.lanes
 
 

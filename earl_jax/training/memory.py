@@ -10,6 +10,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.errors import InputError
 from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.init import init_train_state
 from earl_jax.training.state import Problem, TrainState
@@ -105,7 +106,7 @@ def require(needed: Need, mesh: Mesh | None = None) -> None:
         if count == 1
         else f"{count} devices have {free / GIGABYTE:.3g} GB each"
     )
-    raise ValueError(
+    raise InputError(
         f"{needed}, but {available} free: {free // needed.lane * count} lanes would fit. Use fewer seeds or steps, "
         f"more devices, or on a GPU a larger {FRACTION}, such as 0.95"
     )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
+from earl_jax.errors import InputError
 from earl_jax.training import memory
 from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.devices import lane_mesh
@@ -56,7 +57,7 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     """
     every = problem.protocol.eval_every
     if steps < 1 or steps % every:
-        raise ValueError(f"steps {steps} is not a multiple of eval_every {every}")
+        raise InputError(f"steps {steps} is not a multiple of eval_every {every}")
     mesh, need = lane_mesh(devices, lanes), memory.need(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(
@@ -81,7 +82,7 @@ def per_lane(method: Method, lanes: int) -> Method:
     def broadcast(leaf):
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
-            raise ValueError(f"a hyper-parameter has shape {shape}; pass one value, or one for each of {lanes} lanes")
+            raise InputError(f"a hyper-parameter has shape {shape}; pass one value, or one for each of {lanes} lanes")
         dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 

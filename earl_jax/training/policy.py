@@ -9,6 +9,7 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 from earl_jax.training.state import LaneState
 
 
@@ -33,5 +34,5 @@ class Policy(struct.PyTreeNode, eq=False):
             ValueError: `obs` has another size.
         """
         if obs.shape[-1] != self.obs_size:
-            raise ValueError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
+            raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
         return sac.greedy(self.sac, self.actor, obs, self.action_size)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import linen
 
 from earl_jax.algos.learner import bf16
+from earl_jax.errors import InputError
 
 # Brax imports MJX, which prints a line for each missing optional engine to stdout, where a caller may write JSON.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -45,7 +46,7 @@ def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -
 def check_precision(precision: str) -> None:
     """Raise a ValueError if `precision` is not one of `PRECISIONS`."""
     if precision not in PRECISIONS:
-        raise ValueError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")
+        raise InputError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")
 
 
 def apply(network: networks.MLP, params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:

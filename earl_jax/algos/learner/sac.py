@@ -14,6 +14,7 @@ from flax import struct
 
 from earl_jax.algos.learner import networks
 from earl_jax.algos.learner.networks import TanhNormal, mlp
+from earl_jax.errors import InputError
 
 SOFT_CRITICS = 2
 DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
@@ -57,7 +58,7 @@ class SAC(struct.PyTreeNode):
     def __post_init__(self):
         networks.check_precision(self.precision)
         if self.batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, not {self.batch_size}")
+            raise InputError(f"batch_size must be at least 1, not {self.batch_size}")
 
 
 class Batch(NamedTuple):

@@ -11,6 +11,7 @@ from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
 from earl_jax.envs.state import State
+from earl_jax.errors import InputError
 from earl_jax.physics import EngineCost
 
 HEAD = np.array([-0.1, 0.0, 0.0], np.float32)
@@ -91,7 +92,7 @@ class SawyerPeg(Sawyer):
     def __post_init__(self):
         super().__post_init__()
         if self.listed + self.wide + self.reset_at_goal > 1:
-            raise ValueError("listed, wide and reset_at_goal are different starts: choose one of them")
+            raise InputError("listed, wide and reset_at_goal are different starts: choose one of them")
 
     @property
     def goal_states(self) -> np.ndarray:
@@ -199,7 +200,7 @@ class SawyerPeg(Sawyer):
             ValueError: variant 'paper', whose observation omits the gripper.
         """
         if self.variant != "released":
-            raise ValueError("the scripted expert of sawyer_peg observes the gripper, which variant 'paper' omits")
+            raise InputError("the scripted expert of sawyer_peg observes the gripper, which variant 'paper' omits")
         return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import NextState, State, tree_where
+from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -49,20 +50,20 @@ class HelpBudget(Env):
 
     def __post_init__(self):
         if not isinstance(self.task, Env) or isinstance(self.task, HelpBudget):
-            raise ValueError(f"task must be an env without a budget of its own, not {self.task!r}")
+            raise InputError(f"task must be an env without a budget of its own, not {self.task!r}")
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()
         if not (self.budget > 0 and math.isfinite(self.budget)):
-            raise ValueError(f"budget must be above 0 and finite, not {self.budget}")
+            raise InputError(f"budget must be above 0 and finite, not {self.budget}")
         for field in ("help_cost", "enforced_cost"):
             if not (getattr(self, field) >= 0 and math.isfinite(getattr(self, field))):
-                raise ValueError(f"{field} must be at least 0 and finite, not {getattr(self, field)}")
+                raise InputError(f"{field} must be at least 0 and finite, not {getattr(self, field)}")
         if not -1 <= self.help_above < 1:
-            raise ValueError(f"help_above must lie in [-1, 1), not {self.help_above}")
+            raise InputError(f"help_above must lie in [-1, 1), not {self.help_above}")
         if not math.isfinite(self.absorbed_reward) or (self.task.sparse and self.absorbed_reward):
             kind = "0 with a sparse reward, which is a success bit" if self.task.sparse else "finite"
-            raise ValueError(f"absorbed_reward must be {kind}, not {self.absorbed_reward}")
+            raise InputError(f"absorbed_reward must be {kind}, not {self.absorbed_reward}")
 
     @property
     def name(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.runs import Line, Run
 from earl_jax.runs.files import DamagedWarning
@@ -130,16 +131,16 @@ class VideoEmbedder:
             ValueError: the file is a link, too large, of another kind, or would exceed the total size of a page.
         """
         if file.is_symlink() or not file.is_file():
-            raise ValueError("it is not a regular file")
+            raise InputError("it is not a regular file")
         size = file.stat().st_size
         if size > LARGEST:
             megabytes, most = f"{size / MEGABYTE:.0f}", LARGEST // MEGABYTE
-            raise ValueError(f"it has {megabytes} MB, and a page takes videos of at most {most} MB")
+            raise InputError(f"it has {megabytes} MB, and a page takes videos of at most {most} MB")
         if self.size + size > TOTAL:
-            raise ValueError(f"the videos of a page have at most {TOTAL // MEGABYTE} MB together")
+            raise InputError(f"the videos of a page have at most {TOTAL // MEGABYTE} MB together")
         kind, start, signature = KINDS[file.suffix.lower()]
         data = file.read_bytes()
         if data[start : start + len(signature)] != signature:
-            raise ValueError(f"it is not {kind}, although its name says so")
+            raise InputError(f"it is not {kind}, although its name says so")
         self.size += size
         return {"kind": kind, "uri": f"data:{kind};base64,{base64.b64encode(data).decode()}"}

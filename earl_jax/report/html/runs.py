@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.report.html.line_style import lightened, line_styles, shaded
 from earl_jax.report.runs import Curves, MethodRuns, by_method, pooling_key, read_all
 from earl_jax.report.style import colours
@@ -69,14 +70,14 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
         ValueError: a folder does not exist, or holds no run.
     """
     if not folders:
-        raise ValueError("name at least one run folder, or a folder of them")
+        raise InputError("name at least one run folder, or a folder of them")
     paths: dict[Path, Path] = {}
     for folder in folders:
         if not folder.is_dir():
-            raise ValueError(f"{folder} is not a folder")
+            raise InputError(f"{folder} is not a folder")
         below = list(_runs_below(folder))
         if not below:
-            raise ValueError(f"{folder} is not a run folder and holds none: no config.json in it or below")
+            raise InputError(f"{folder} is not a run folder and holds none: no config.json in it or below")
         for path in below:
             paths.setdefault(path.resolve(), path)
     return list(paths.values())
@@ -135,7 +136,7 @@ def _checked(runs: Sequence[Run]) -> Curves:
     curves = read_all([run.path for run in runs])[0]
     row_of(curves, 1, "")
     if not np.isfinite(curves.metrics["interventions"]).all():
-        raise ValueError("interventions are not finite")
+        raise InputError("interventions are not finite")
     return curves
 
 

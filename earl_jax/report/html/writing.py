@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
 from earl_jax.report.html.origin import report_command
 from earl_jax.report.html.runs import find_runs, gather
@@ -26,12 +27,12 @@ def write_page(folders: Sequence[Path], out: Path) -> Path:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
     """
     if out.suffix != ".html" or out.is_dir():
-        raise ValueError(f"{out}: a report is written as an .html file")
+        raise InputError(f"{out}: a report is written as an .html file")
     environment, plotly = _environment(), _plotly()
     lines, left_out = gather(find_runs(folders))
     if not lines:
         causes = "\n".join(f"  {folder.path}: {folder.cause}" for folder in left_out)
-        raise ValueError(f"none of the runs can be shown:\n{causes}")
+        raise InputError(f"none of the runs can be shown:\n{causes}")
     content = page_content(lines)
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     page = environment.get_template("report.html").render(
@@ -54,7 +55,7 @@ def _environment() -> Any:
     try:
         import jinja2
     except ImportError as error:
-        raise ValueError("reports need jinja2: pip install 'earl-jax[report]'") from error
+        raise InputError("reports need jinja2: pip install 'earl-jax[report]'") from error
     loader = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -76,7 +77,7 @@ def _plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise ValueError("reports need plotly: pip install 'earl-jax[report]'") from error
+        raise InputError("reports need plotly: pip install 'earl-jax[report]'") from error
     return get_plotlyjs()
 
 

@@ -1,0 +1,31 @@
+"""The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
+
+import itertools
+import sysconfig
+import traceback
+from pathlib import Path
+
+PACKAGE = Path(__file__).parent
+LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")]
+
+
+class InputError(ValueError):
+    """Invalid input: a command prints its message as one line. Other errors keep their traceback."""
+
+
+def is_input_error(error: BaseException) -> bool:
+    """Return whether the message of `error` says all: invalid input, or a file that cannot be read or written.
+
+    An OSError that passes through code from outside this package and the installed ones comes from the code of a task
+    or a method, and is not one.
+    """
+    return isinstance(error, InputError) or (isinstance(error, OSError) and not _passes_foreign_code(error))
+
+
+def _passes_foreign_code(error: BaseException) -> bool:
+    paths = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
+    below_package = itertools.dropwhile(lambda path: not path.is_relative_to(PACKAGE), paths)
+    known = [PACKAGE, *LIBRARIES]
+    return any(
+        path.is_file() and not any(path.resolve().is_relative_to(root) for root in known) for path in below_package
+    )
