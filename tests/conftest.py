@@ -1,5 +1,6 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -42,6 +43,8 @@ ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 
 
 def pytest_configure(config):
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))

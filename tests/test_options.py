@@ -6,7 +6,10 @@ import re
 import numpy as np
 import pytest
 
-from earl_jax.options import check
+from earl_jax import InputError, make, make_algo, train
+from earl_jax.cli.arguments import parse_options
+from earl_jax.options import Interval, check
+from earl_jax.protocol import setting_of
 
 
 @dataclasses.dataclass
@@ -49,3 +52,51 @@ def test_values_of_the_right_type_are_accepted(options):
 def test_unknown_options_and_wrong_types_are_refused(options, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         check("example", Example, options)
+
+
+@pytest.mark.parametrize(
+    ("interval", "inside", "outside"),
+    [
+        ("[0, 1)", [0, 0.999, np.array([0.0, 0.5])], [1, -1e-9, np.array([0.5, 1.0]), float("nan")],),
+        ("(0, 1]", [1, 1e-30], [0, 1e308]),
+        ("[1, 2147483647]", [1, 2**31 - 1], [0, 2**31, 10**400]),
+    ],
+)  # fmt: skip
+def test_an_interval_contains_its_numbers_only(interval, inside, outside):
+    assert all(Interval(interval).contains(value) for value in inside)
+    assert not any(Interval(interval).contains(value) for value in outside)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: make_algo("fbrl", learning_rate=1e308), "algo 'fbrl': learning_rate must lie in (0, 1], not 1e+308"),
+        (lambda: make_algo("fbrl", learning_rate=[3e-4, 0.0]), "learning_rate must lie in (0, 1]"),
+        (lambda: make_algo("fbrl", initial_temperature=-1.0), "initial_temperature must lie in (0, 1000000]"),
+        (lambda: make_algo("naive", discount=1.0), "discount must lie in [0, 1), not 1.0"),
+        (lambda: make_algo("naive", demo_share=1.5), "demo_share must lie in [0, 1], not 1.5"),
+        (lambda: make_algo("naive", batch_size=0), "batch_size must lie in [1, 1048576], not 0"),
+        (lambda: make_algo("naive", hidden_sizes=[16, 10**9]), "hidden_sizes must lie in [1, 65536]"),
+        (lambda: make_algo("naive", random_steps=2**31), "random_steps must lie in [0, 2147483647]"),
+        (lambda: make_algo("naive", episode_length=0), "episode_length must lie in [1, 2147483647], not 0"),
+        (lambda: make_algo("vaprl", relabel_share=-0.1), "relabel_share must lie in [0, 1]"),
+        (lambda: make_algo("r3l", rnd_decay=1), "rnd_decay must lie in [0, 1)"),
+        (lambda: make("tabletop_organization", train_horizon=3_000_000_000), "train_horizon must lie in [1, 2147483647]"),
+        (lambda: make("sawyer_door", substeps=10**9), "substeps must lie in [1, 1000]"),
+        (lambda: setting_of("deployment", intervention_chance=1.0), "intervention_chance must lie in [0, 1)"),
+        (lambda: setting_of("continuing", goal_change=0), "goal_change must lie in [1, 2147483647]"),
+        (lambda: parse_options(("steps=" + 5000 * "9",)), "(5000 characters) is no value"),
+        (lambda: parse_options(("steps=" + 5000 * "[",)), "(5000 characters) is no value"),
+    ],
+)  # fmt: skip
+def test_values_outside_their_interval_are_refused_with_the_interval(build, message):
+    with pytest.raises(InputError) as raised:
+        build()
+    assert message in str(raised.value)
+    assert len(str(raised.value)) < 300
+
+
+def test_objects_are_checked_where_they_are_trained():
+    method = make_algo("naive")
+    with pytest.raises(InputError, match=r"naive: discount must lie in \[0, 1\), not 1\.0"):
+        train("tabletop_organization", method.replace(sac=method.sac.replace(discount=1.0)), steps=10)

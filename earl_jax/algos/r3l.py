@@ -12,6 +12,7 @@ from earl_jax.algos.learner.networks import apply, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import RETURN, TASK, Method
 from earl_jax.envs import Env
+from earl_jax.options import within
 
 EMBEDDING = 512
 _NETWORK = mlp((256, 256), EMBEDDING)
@@ -40,9 +41,9 @@ class R3L(Method):
     receives no demonstrations.
     """
 
-    rnd_decay: float = 0.99
+    rnd_decay: float = struct.field(default=0.99, metadata=within("[0, 1)"))
     """Decay of the running scale, "RND gamma" in the paper's table."""
-    rnd_clip: float = 1000.0
+    rnd_clip: float = struct.field(default=1000.0, metadata=within("(0, 1000000000]"))
     """Upper bound of the intrinsic reward (released code)."""
 
     name: ClassVar[str] = "r3l"

@@ -13,6 +13,7 @@ from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import Agent
 from earl_jax.algos.method import RETURN, Method
 from earl_jax.envs import Env
+from earl_jax.options import COUNT, within
 
 DEMO_SHARE = 0.2
 """1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1
@@ -34,15 +35,15 @@ class VaPRL(Method):
     every 200 steps instead of at every phase. Goals are relabelled when sampled instead of stored in copies.
     """
 
-    epsilon: float = 0.1
+    epsilon: float = struct.field(default=0.1, metadata=within("[-1000000, 1000000]"))
     """Least value of a subgoal, a discounted success probability; not given in the papers, 0.01 to 0.3 are
     reasonable."""
-    relabel_share: float = 0.8
+    relabel_share: float = struct.field(default=0.8, metadata=within("[0, 1]"))
     """Share of sampled transitions that are relabelled: N of N + 1 with N = 4 (VaPRL paper)."""
-    value_samples: int = struct.field(pytree_node=False, default=4)
+    value_samples: int = struct.field(pytree_node=False, default=4, metadata=within("[1, 1024]"))
     """Number of actions over which a value is averaged (released code: 10)."""
 
-    refresh_every: int = struct.field(pytree_node=False, default=200)
+    refresh_every: int = struct.field(pytree_node=False, default=200, metadata=COUNT)
     """Steps between refreshes of the value table."""
 
     name: ClassVar[str] = "vaprl"

@@ -65,3 +65,5 @@ def _parse_value(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         return text
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, or thousands of brackets
+        raise InputError(f"--set: {text[:20]}... ({len(text)} characters) is no value: {error}") from None

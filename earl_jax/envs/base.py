@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
+from earl_jax import assets, options
 from earl_jax.envs.state import DemoStart, NextState, State, check_action
 from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
@@ -55,8 +55,7 @@ class Env(abc.ABC):
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
         for field in ("train_horizon", "eval_horizon"):
-            if getattr(self, field) < 1:
-                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
+            options.require(field, getattr(self, field), options.COUNT["interval"])
 
     def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
         """Raise a ValueError if the option `field` is not one of `choices`."""

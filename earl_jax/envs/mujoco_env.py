@@ -9,9 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import options
 from earl_jax.envs.base import Env, NextState, State
-from earl_jax.errors import InputError
 from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Simulator, fastest_engine, resolve_engine
+
+SUBSTEPS = options.Interval("[1, 1000]")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,8 +34,7 @@ class MujocoEnv(Env):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.substeps < 1:
-            raise InputError(f"substeps must be at least 1, not {self.substeps}")
+        options.require("substeps", self.substeps, SUBSTEPS)
         if self.physics != "auto":
             resolve_engine(self.physics)
 

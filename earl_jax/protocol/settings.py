@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
 from earl_jax.errors import InputError
-from earl_jax.options import check
+from earl_jax.options import COUNT, check, within
 from earl_jax.protocol.rules import Protocol
 
 HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
@@ -20,18 +20,18 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 class Setting:
     """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
 
-    intervention_chance: float = 0.0
+    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1)"))
     """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps."""
-    budget: float | None = None
+    budget: float | None = dataclasses.field(default=None, metadata=within("(0, 1000000000]"))
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
-    help_cost: float = 1.0
+    help_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
     """c(s, a_h): cost of a request for help, with a budget."""
-    enforced_cost: float = 1.0
+    enforced_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
     """Cost of an intervention that the environment enforces in an irreversible state, with a budget."""
-    help_above: float = 0.98
+    help_above: float = dataclasses.field(default=0.98, metadata=within("[-1, 1)"))
     """Threshold on the last action component above which the agent requests help, with a budget."""
-    absorbed_reward: float = 0.0
+    absorbed_reward: float = dataclasses.field(default=0.0, metadata=within("[-1000000000, 1000000000]"))
     """Reward of every step after the budget is spent."""
 
     name: ClassVar[str]
@@ -73,7 +73,7 @@ class Continuing(Setting):
     a new goal. So `earl-jax reproduce table2` reads C(A) from deployment runs.
     """
 
-    goal_change: int | None = None
+    goal_change: int | None = dataclasses.field(default=None, metadata=COUNT)
     """Steps between goal changes; None for the task's own."""
 
     name: ClassVar[str] = "continuing"

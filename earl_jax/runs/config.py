@@ -10,10 +10,14 @@ import numpy as np
 from earl_jax.algos import Method, algo_class, make_algo
 from earl_jax.envs import Env, env_class, make
 from earl_jax.errors import InputError
+from earl_jax.options import COUNT, Interval, check_intervals, require
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
 """One row of metrics.csv: the metrics of one seed at one evaluation."""
+MAX_SEEDS = 65_536
+EPISODES = Interval("[1, 100000]")
+"""The valid numbers of episodes of an evaluation."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +54,7 @@ class RunConfig:
 
     def _check_seeds_and_lengths(self) -> None:
         whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
+        _require_few_seeds(self.seeds)
         if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
             raise InputError(
                 f"steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, not {whole}"
@@ -58,9 +63,9 @@ class RunConfig:
             raise InputError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
             raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
-        for field in ("steps", "eval_every", "eval_episodes", "checkpoint_every"):
-            if getattr(self, field) < 1:
-                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
+        for field in ("steps", "eval_every", "checkpoint_every"):
+            require(field, getattr(self, field), COUNT["interval"])
+        require("eval_episodes", self.eval_episodes, EPISODES)
         if self.steps % self.eval_every:
             raise InputError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
 
@@ -77,8 +82,20 @@ class RunConfig:
         eval_episodes: int,
         checkpoint_every: int,
     ) -> "RunConfig":
-        """Return the config of built objects; `eval_every` is at most `steps`."""
+        """Return the config of built objects; `eval_every` is at most `steps`.
+
+        Raises:
+            InputError: an option is outside its interval, or a length or the number of seeds is invalid.
+        """
+        _require_few_seeds(seeds)
         task, setting = split_setting(env, setting)
+        for owner, options in (
+            (task.name, task),
+            (method.name, method),
+            (method.name, method.sac),
+            (setting.name, setting),
+        ):
+            check_intervals(owner, options)
         return cls(
             env=task.name,
             env_options=_changed_options(task),
@@ -151,6 +168,11 @@ class RunConfig:
             name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds])
             for name in names
         }
+
+
+def _require_few_seeds(seeds: Sequence[int]) -> None:
+    if len(seeds) > MAX_SEEDS:
+        raise InputError(f"a run has at most {MAX_SEEDS} seeds, not {len(seeds)}; divide them over several runs")
 
 
 def deployed_metric(env: Env) -> str:

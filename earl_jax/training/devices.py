@@ -41,7 +41,8 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
             fit.
     """
     available = jax.devices()
-    count = devices or (len(available) if jax.process_count() > 1 else 1)
+    default = len(available) if jax.process_count() > 1 else 1
+    count = default if devices is None else devices
     if not 1 <= count <= len(available):
         raise InputError(f"{count} devices requested, but {len(available)} available ({available[0].device_kind})")
     if lanes % count:

@@ -11,6 +11,8 @@ from earl_jax.envs import with_physics
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import continuing
 from earl_jax.metrics.deployed import deployed
+from earl_jax.options import require
+from earl_jax.runs.config import EPISODES
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
@@ -57,8 +59,7 @@ def evaluate(
     """
     if starts not in STARTS:
         raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
-    if episodes < 1:
-        raise InputError(f"episodes must be at least 1, not {episodes}")
+    require("episodes", episodes, EPISODES)
     env, policies = load_policies(RunFolder.open(Path(folder)))
     env = with_physics(env, physics)
 

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from earl_jax.adapters.gymnasium import LifeEnv, LifeVectorEnv, ResetFreeEnv, ResetFreeVectorEnv, env_id, register_envs
-from earl_jax.algos.naive import BIASED_TD_STEPS
+from earl_jax.algos.naive import Naive
 from earl_jax.envs import list_envs, make, register_env
 from earl_jax.envs.tabletop import COASTERS, TabletopOrganization
 from earl_jax.protocol import Continuing, Deployment
@@ -134,7 +134,7 @@ def test_a_reached_goal_is_followed_by_another():
 
 
 def test_a_goal_that_is_not_reached_times_out():
-    assert ResetFreeEnv(TABLETOP).session.attempt_steps == BIASED_TD_STEPS
+    assert ResetFreeEnv(TABLETOP).session.attempt_steps == Naive().episode_length
     env = ResetFreeEnv(TABLETOP, **LIFETIME)
     goals = [env.reset(seed=0)[0][6:], *(env.step(STAY)[0][6:] for _ in range(140))]
     changes = 1 + np.flatnonzero((np.diff(goals, axis=0) != 0).any(axis=1))

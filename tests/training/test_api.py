@@ -61,8 +61,8 @@ def test_a_list_gives_each_lane_its_own_hyper_parameter():
         ({"seeds": 0}, "at least one and distinct"),
         ({"seeds": [1, 1]}, "at least one and distinct"),
         ({"seeds": [-1]}, "0 to 2"),
-        ({"steps": 0}, "steps must be at least 1"),
-        ({"eval_episodes": 0}, "eval_episodes must be at least 1"),
+        ({"steps": 0}, r"steps must lie in \[1, 2147483647\], not 0"),
+        ({"eval_episodes": 0}, r"eval_episodes must lie in \[1, 100000\], not 0"),
         ({"gamma": 0.9}, "no option 'gamma'"),
     ],
 )

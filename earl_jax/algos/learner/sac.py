@@ -14,7 +14,7 @@ from flax import struct
 
 from earl_jax.algos.learner import networks
 from earl_jax.algos.learner.networks import TanhNormal, mlp
-from earl_jax.errors import InputError
+from earl_jax.options import LARGEST_INT, within
 
 SOFT_CRITICS = 2
 DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
@@ -23,32 +23,32 @@ DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
 class SAC(struct.PyTreeNode):
     """Hyper-parameters of the learner; floats are leaves, so lanes of one program can have different values."""
 
-    learning_rate: float = 3e-4
+    learning_rate: float = struct.field(default=3e-4, metadata=within("(0, 1]"))
     """Adam's step size for actor, critics and temperature (paper)."""
-    discount: float = 0.99
+    discount: float = struct.field(default=0.99, metadata=within("[0, 1)"))
     """gamma (paper)."""
-    target_rate: float = 0.005
+    target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
     """tau of the target critics, which are updated every step (paper)."""
-    reward_scale: float = 10.0
+    reward_scale: float = struct.field(default=10.0, metadata=within("(0, 1000000]"))
     """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
     10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
-    initial_temperature: float = 1.0
+    initial_temperature: float = struct.field(default=1.0, metadata=within("(0, 1000000]"))
     """alpha at step 0 (released code; not given in the paper)."""
-    entropy_per_action: float = -0.5
+    entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]"))
     """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
     timeout_bootstrap: bool = False
     """Whether to bootstrap through the end of a phase that timed out; not in EARL, where every phase end is
     terminal."""
-    demo_share: float = 0.0
+    demo_share: float = struct.field(default=0.0, metadata=within("[0, 1]"))
     """Share of a batch drawn from the demonstrations alone; 0 as in EARL, which samples all transitions uniformly."""
-    batch_size: int = struct.field(pytree_node=False, default=256)
+    batch_size: int = struct.field(pytree_node=False, default=256, metadata=within("[1, 1048576]"))
     """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
-    hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256))
+    hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
     """Widths of the ReLU layers of actor and critics (paper)."""
     layer_norm: bool = struct.field(pytree_node=False, default=False)
     """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
     stability."""
-    random_steps: int = struct.field(pytree_node=False, default=1000)
+    random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
     """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     precision: str = struct.field(pytree_node=False, default="tf32")
     """Precision of the networks' matrix products: "float32" (on every device), "tf32" (XLA's default: TF32 on NVIDIA
@@ -57,8 +57,6 @@ class SAC(struct.PyTreeNode):
 
     def __post_init__(self):
         networks.check_precision(self.precision)
-        if self.batch_size < 1:
-            raise InputError(f"batch_size must be at least 1, not {self.batch_size}")
 
 
 class Batch(NamedTuple):
