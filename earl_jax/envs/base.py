@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets, options
-from earl_jax.envs.state import DemoStart, NextState, State, check_action
+from earl_jax.envs.state import DemoStart, NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 
@@ -155,13 +155,12 @@ class Env(abc.ABC):
         """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
 
     def fault(self, state: State) -> jax.Array:
-        """Return whether the simulation of the step to `state` broke, bool []: a value in it is not finite.
+        """Return whether the simulation of the step to `state` broke, bool []: a value in it or its reward is not finite.
 
         Tasks with a workspace also report a body outside it. After a fault, the training loop resets the lane to s0 ~
         rho.
         """
-        leaves = [leaf for leaf in jax.tree.leaves((state.data, state.obs)) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
-        return ~jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+        return ~all_finite((state.data, state.obs, state.reward))
 
     def irreversible(self, state: State) -> jax.Array:
         """Return whether the agent can never leave `state` by itself, bool []; by default this is a `fault`.
@@ -248,12 +247,19 @@ class Env(abc.ABC):
 
     def finish_step(self, state: State, pending: PendingStep) -> State:
         """Return the state after the control step that `start_step` started from `state`."""
-        return self.next_state(state, self.transition(state, pending.payload))
+        return self.checked_state(pending.payload, self.next_state(state, self.transition(state, pending.payload)))
 
     def checked_action(self, action: jax.Array) -> jax.Array:
         """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
         check_action(action, self.action_size)
         return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
+
+    def checked_state(self, action: jax.Array, state: State) -> State:
+        """Return `state`, the result of `action [a]`; its obs is NaN, a fault, if the action is not finite.
+
+        An engine may replace such an action, as MuJoCo does.
+        """
+        return state.replace(obs=jnp.where(jnp.isfinite(action).all(), state.obs, jnp.nan))
 
     def next_state(self, state: State, following: NextState) -> State:
         """Return the `State` after a control step from `state` with the result `following`."""

@@ -98,7 +98,7 @@ class MujocoEnv(Env):
     def finish_step(self, state: State, pending: PendingStep) -> State:
         action, data, payload = pending.payload
         data, sensors = self.simulator.finish_step(data, PendingStep(payload, pending.ticket))
-        return self.next_state(state, self.observe(state, action, data, sensors))
+        return self.checked_state(action, self.next_state(state, self.observe(state, action, data, sensors)))
 
 
 def leashed_target(

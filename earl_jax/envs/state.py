@@ -52,3 +52,9 @@ def check_action(action: jax.Array, size: int) -> None:
         raise InputError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
     if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
         raise InputError(f"action is not finite: {np.asarray(action).tolist()}")
+
+
+def all_finite(tree: Any) -> jax.Array:
+    """Return whether every floating-point number in `tree` is finite, bool []."""
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()

@@ -6,6 +6,9 @@ from flax import struct
 
 from earl_jax.envs import State
 
+DIVERGED = "diverged"
+"""The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
+
 
 class Counters(struct.PyTreeNode):
     """Counts of one lane since its first step.

@@ -13,7 +13,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE, PublishedScore, published_fault
-from earl_jax.report.runs import read_methods
+from earl_jax.report.runs import diverged_text, read_methods
 from earl_jax.report.style import colours, method_order, new_figure, save, task_title
 from earl_jax.report.tables import markdown_table, write
 
@@ -107,7 +107,7 @@ def _run_note(row: Row) -> str:
     low, high = row["published_steps_low"], row["published_steps_high"]
     published = "-" if low is None else f"{low:,}" if low == high else f"{low:,} to {high:,}"
     shorter = ", shorter than published" if low and row["steps"] < low else ""
-    seeds = f"{row['seeds']} seed{'s' * (row['seeds'] > 1)}"
+    seeds = f"{row['seeds']} seed{'s' * (row['seeds'] > 1)}{diverged_text(row['diverged'], row['seeds'])}"
     steps = f"{row['steps']:,} steps (published {published})"
     return f"- {row['env']}, {row['label']}: {steps}, {seeds}, {row['options']}{shorter}"
 

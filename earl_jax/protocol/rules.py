@@ -41,7 +41,7 @@ class Attempt(NamedTuple):
 
     bool `is_task []`: the goal is a task goal, not that of a return phase; int32 `age []`: steps so far; int32 `limit
     []`: steps after which the attempt times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
-    the environment.
+    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault.
     """
 
     is_task: Any
@@ -49,6 +49,7 @@ class Attempt(NamedTuple):
     limit: Any
     ends_on_success: Any
     reset_at_end: Any
+    invalid_reward: Any = False
 
 
 class StepEnd(NamedTuple):
@@ -75,7 +76,7 @@ def advance_rules(
 
     `key` draws interventions by chance. A fault resets this lane, as an intervention does.
     """
-    fault = env.fault(env_state)
+    fault = env.fault(env_state) | attempt.invalid_reward
     success = env.sparse & env.success(env_state.obs) & attempt.ends_on_success
     reached = success & ~fault & (env_state.done == 0)
     intervened = rules.intervened(step, key) | fault

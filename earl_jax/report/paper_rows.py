@@ -63,7 +63,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
 
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     """Return the scores of the seeds of `group`, all of them None without a run."""
-    names = ["metric", "seeds", "steps", "mean", "stderr", "low", "high"]
+    names = ["metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high"]
     names += ["last10", "last10_stderr"] if number == 1 else []
     if group is None:
         return dict.fromkeys(names)
@@ -73,6 +73,7 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     row = {
         "metric": metric,
         "seeds": len(scores),
+        "diverged": group.curves.diverged,
         "steps": int(group.curves.steps[-1]),
         "mean": estimate.value,
         "stderr": float(stderr(scores[:, -1])),

@@ -8,6 +8,7 @@ import numpy as np
 
 from earl_jax.envs import make
 from earl_jax.errors import InputError
+from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
@@ -25,6 +26,17 @@ class Curves(NamedTuple):
     def deployed_metric(self) -> str:
         """The metric that scores a deployed policy on this task."""
         return self.config.deployed_metric
+
+    @property
+    def diverged(self) -> int:
+        """The number of seeds whose learner has diverged; runs of earlier versions show it by their loss alone."""
+        last = {name: values[:, -1] for name, values in self.metrics.items() if name in (DIVERGED, "critic_loss")}
+        return int(sum((last.get(DIVERGED, 0) > 0) | ~np.isfinite(last.get("critic_loss", np.zeros(self.seeds)))))
+
+    @property
+    def seeds(self) -> int:
+        """N, the number of seeds."""
+        return len(self.metrics[self.deployed_metric])
 
     @property
     def options(self) -> dict[str, Any]:
@@ -96,6 +108,7 @@ def _pooled(group: list[Curves]) -> Curves:
     metrics = {
         name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])
         for name in group[0].metrics
+        if name != DIVERGED or all(name in part.metrics for part in group)  # earlier versions did not write it
     }
     return Curves(group[0].config, steps, metrics)
 
@@ -135,6 +148,11 @@ def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
             names = [label(algo, changed, options) if changed else algo for changed in options]
             groups += [MethodRuns(env, algo, name, curves) for name, curves in zip(names, peers, strict=True)]
     return groups
+
+
+def diverged_text(diverged: int, seeds: int) -> str:
+    """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
+    return f", {diverged} of {seeds} diverged" if diverged else ""
 
 
 def options_text(options: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import summarise
 from earl_jax.report.published import LEVELS, published_score
-from earl_jax.report.runs import Curves, labels, options_text, read_all
+from earl_jax.report.runs import Curves, diverged_text, labels, options_text, read_all
 
 WINDOW = 10
 """Evaluations in the trailing mean from which crossings are read."""
@@ -45,6 +45,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "algo": name,
         "options": options_text(curves.options),
         "seeds": deployed.seeds,
+        "diverged": curves.diverged,
         "steps": int(curves.steps[-1]),
         "deployed": deployed.mean,
         "deployed_stderr": deployed.stderr,
@@ -97,7 +98,7 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         lines.append([
-            row["env"], row["algo"], row["seeds"], f"{row['steps']:,}",
+            row["env"], row["algo"], f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}", f"{row['steps']:,}",
             f"{row['deployed']:.3f} ({row['deployed_stderr']:.3f})",
             f"{row['deployed_iqm']:.3f} [{row['deployed_low']:.3f}, {row['deployed_high']:.3f}]",
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",

@@ -131,8 +131,9 @@ class RunFolder:
         """Append rows to metrics.csv and flush them to the disk."""
         try:
             new = not self.metrics.exists() or not self.metrics.stat().st_size
+            names = rows[0] if new else next(csv.reader(self._lines()))  # earlier versions wrote fewer metrics
             with self.metrics.open("a", newline="") as handle:
-                writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
+                writer = csv.DictWriter(handle, names, lineterminator="\n", extrasaction="ignore")
                 if new:
                     writer.writeheader()
                 writer.writerows(rows)

@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from earl_jax.metrics.continuing import DIVERGED
+
 if TYPE_CHECKING:
     from earl_jax.runs.config import Row
 
@@ -52,6 +54,11 @@ class Progress:
         """Show an evaluation: the deployed metric and the continuing reward, means over seeds."""
         score, reward = (sum(row[name] for row in rows) / len(rows) for name in (self._metric, "continuing/reward"))
         self._bar.update(self._task, score=f"{score:.2f}")
+        diverged = sum(row.get(DIVERGED, 0) > 0 for row in rows)
+        if diverged:
+            self.message(
+                f"step {step}: {diverged} of {len(rows)} lanes have diverged (a loss or a parameter is not finite)"
+            )
         if self._plain:
             line = f"step {step}/{self._steps}  {self._metric} {score:.3f}  continuing/reward {reward:.5f}"
             print(f"{line}  steps/s {self._speed:.0f}", file=sys.stderr, flush=True)

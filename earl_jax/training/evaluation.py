@@ -8,8 +8,9 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import with_physics
+from earl_jax.envs.state import all_finite
 from earl_jax.errors import InputError
-from earl_jax.metrics.continuing import continuing
+from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.options import require
 from earl_jax.runs.config import EPISODES
@@ -30,8 +31,14 @@ def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple
     counters, continuing_metrics = jax.vmap(lambda lane: continuing(lane.counters, lane.env_state, step, window))(
         state.lanes
     )
-    metrics = {**deployed_metrics, **continuing_metrics, **counters.diagnostics}
+    diverged = jax.vmap(has_diverged)(state.lanes)
+    metrics = {**deployed_metrics, **continuing_metrics, **counters.diagnostics, DIVERGED: diverged.astype(jnp.int32)}
     return state.replace(lanes=state.lanes.replace(counters=counters)), metrics
+
+
+def has_diverged(lane: LaneState) -> jax.Array:
+    """Return whether a parameter or a loss of the learner in `lane` is not finite, bool []."""
+    return ~all_finite((lane.agent, lane.method_state, lane.counters.diagnostics))
 
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:

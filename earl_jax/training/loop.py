@@ -82,8 +82,8 @@ def finish_and_store(
     """
     env, table = problem.env, jnp.asarray(problem.goals.table)
     env_state = env.finish_step(lane.env_state, pending)
-    end = _step_end(problem, method, lane, env_state, keys, step)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
+    end = _step_end(problem, method, lane, env_state, earned, keys, step)
     counters = lane.counters.replace(
         window_reward=lane.counters.window_reward + jnp.where(end.fault, 0.0, earned),
         interventions=lane.counters.interventions + end.reset,
@@ -106,7 +106,13 @@ def finish_and_store(
 
 
 def _step_end(
-    problem: Problem, method: Method, lane: LaneState, env_state: Any, keys: StepKeys, step: jax.Array
+    problem: Problem,
+    method: Method,
+    lane: LaneState,
+    env_state: Any,
+    earned: jax.Array,
+    keys: StepKeys,
+    step: jax.Array,
 ) -> StepEnd:
     attempt = Attempt(
         is_task=lane.phase == TASK,
@@ -114,6 +120,7 @@ def _step_end(
         limit=method.phase_length(problem.env, lane.phase),
         ends_on_success=method.ends_on_success(lane.phase),
         reset_at_end=method.resets,
+        invalid_reward=~jnp.isfinite(earned),
     )
     return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
 

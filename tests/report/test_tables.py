@@ -66,3 +66,14 @@ def test_tables_are_written_as_markdown_and_csv(tmp_path):
     assert "1.050 (0.035)" in (tmp_path / "t.md").read_text()
     with pytest.raises(ValueError, match=r"\.md or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
+
+
+def test_tables_say_how_many_seeds_have_diverged(tmp_path):
+    folder = write_three_evaluations(tmp_path / "a")
+    text = (folder / "metrics.csv").read_text().splitlines()
+    rows = [f"{line},{'diverged' if number == 0 else int(number in (4, 6))}" for number, line in enumerate(text)]
+    (folder / "metrics.csv").write_text("\n".join(rows) + "\n")
+    row = tables.tabulate([folder])[0]
+    assert row["diverged"] == 1
+    assert f"| {row['seeds']}, 1 of {row['seeds']} diverged |" in tables.markdown([row])
+    assert "diverged" not in tables.markdown(tables.tabulate([write_three_evaluations(tmp_path / "b")]))

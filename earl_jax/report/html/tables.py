@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.html.runs import Line
@@ -18,6 +19,7 @@ from earl_jax.report.published import (
     published_fault,
     published_score,
 )
+from earl_jax.report.runs import diverged_text
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW, row_of
 
@@ -29,6 +31,7 @@ FINAL_COLUMNS = {
     "continuing/reward": ("reward per step", 4),
     "interventions": ("interventions", 0),
     "faults": ("faults", 0),
+    DIVERGED: ("diverged", 0),
     "reached": ("goals reached", 0),
     "help/asked": ("requested help", 0),
     "help/enforced": ("enforced help", 0),
@@ -65,7 +68,7 @@ def _paper_row(number: int, row: dict[str, Any], lines: Sequence[Line]) -> dict[
     if line is None:
         return texts
     digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-    texts["size"] = f"{row['seeds']} × {steps_text(row['steps'])}"
+    texts["size"] = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
     texts |= {name: number_text(row[name], digits) for name in ("mean", "stderr", "low", "high")}
     if number == 1:
         scores = row_of(line.curves, 1, "")
