@@ -110,7 +110,10 @@ def gather(paths: Sequence[Path]) -> tuple[list[Line], list[LeftOut]]:
 
 
 def _opened(path: Path) -> Run:
+    """Return the run at `path`; an error means that its task, setting or method cannot be built here."""
     run = RunFolder.open(path)
+    run.config.build_env()
+    run.config.build_method()
     return Run(path, run.config, json.loads((path / "config.json").read_text()))
 
 

@@ -1,7 +1,12 @@
 """Run folders of a page: found below the given folders, pooled into lines, and left out with a cause."""
 
+import json
+
+import pytest
+
 from earl_jax.report.html.line_style import lightened, shaded
 from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.writing import write_page
 from tests.report.run_files import TABLETOP, rising, write_page_run
 
 
@@ -54,3 +59,28 @@ def test_shades_go_from_dark_to_light():
     assert shaded("#808080", 0, 1) == "#808080"
     assert shaded("#808080", 0, 2) < "#808080" < shaded("#808080", 1, 2)
     assert lightened("#333333") == "#A0A0A0"
+
+
+@pytest.mark.parametrize(
+    ("values", "cause"),
+    [
+        ({"algo": "ppo"}, "unknown algo 'ppo'; choose from"),
+        ({"env": "maze"}, "unknown env 'maze'; choose from"),
+        ({"options": {"precision": "int8"}}, "int8"),
+        ({"options": {"discount": 2}}, "discount must lie in [0, 1), not 2"),
+        ({"setting": {"name": "offline"}}, "offline"),
+        ({"algo_class": "elsewhere:Method"}, "elsewhere:Method, which is not registered here"),
+    ],
+)
+def test_a_run_that_cannot_be_built_here_costs_that_run_only(tmp_path, values, cause):
+    intact = write_page_run(tmp_path / "intact", "fbrl", rising(2, 2))
+    broken = write_page_run(tmp_path / "broken", "fbrl", rising(2, 2))
+    config = json.loads((broken / "config.json").read_text())
+    (broken / "config.json").write_text(json.dumps({**config, **values}))
+    out = write_page([tmp_path], tmp_path / "page.html")
+    text = out.read_text()
+    assert str(broken) in text
+    lines, left_out = gather([intact, broken])
+    assert [run.path for run in lines[0].runs] == [intact]
+    assert [entry.path for entry in left_out] == [broken]
+    assert cause in left_out[0].cause
