@@ -44,6 +44,10 @@ def main(arguments: list[str] | None = None) -> None:
     given = [argument for argument in arguments if argument != TRACEBACK]
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=given, description=DESCRIPTION)
+    except KeyboardInterrupt as interrupt:
+        code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
+        print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+        raise SystemExit(code) from None
     except Exception as error:
         if not is_input_error(error) or TRACEBACK in arguments:
             raise

@@ -41,8 +41,9 @@ class Plan:
     memory: memory.Need
 
     def spans(self, start: int) -> list[Span]:
-        """Return the chunks from step `start` to the next evaluation, which `eval_every` steps later."""
-        stop = start + self.problem.protocol.eval_every
+        """Return the chunks from step `start`, a multiple of `chunk`, to the next evaluation."""
+        every = self.problem.protocol.eval_every
+        stop = (start // every + 1) * every
         middle = min(max(self.random_steps, start), stop)
         parts = ((start, middle, True), (middle, stop, False))
         return [Span((end - first) // self.chunk, explore) for first, end, explore in parts if first < end]

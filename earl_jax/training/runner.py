@@ -32,6 +32,7 @@ from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import Plan, per_lane, prepare
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.state import Problem, TrainState, seed_keys
+from earl_jax.training.stopping import Stopped, StopRequest
 
 
 @dataclasses.dataclass
@@ -135,36 +136,61 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> Trai
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
     Each run's metrics are added to its `rows` and to its folder, which also receives checkpoints of the run's lanes.
+
+    Raises:
+        Stopped: SIGINT or SIGTERM arrived; the runs with a folder have a checkpoint of the last complete chunk.
     """
     keep_programs()
     method = placed(mix_methods([run.method for run in runs]), plan.mesh)
-    state = _restore_or_init(plan, method, runs)
-    step = int(gathered(state.step))
-    with contextlib.ExitStack() as stack:
+    with StopRequest() as stop, contextlib.ExitStack() as stack:
+        state = _restore_or_init(plan, method, runs)
+        step = int(gathered(state.step))
         for run in runs:
             stack.enter_context(run.logged(step))
         bar = stack.enter_context(_progress(plan, runs, step, progress))
         bar.message(str(plan.memory))
-        while step < plan.steps:
-            state = _train_to_evaluation(plan, method, state, step, bar)
-            step += plan.problem.protocol.eval_every
+        return _train_to_end(plan, method, runs, state, bar, stop)
+
+
+def _train_to_end(
+    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, bar: Progress, stop: StopRequest
+) -> TrainState:
+    step = int(gathered(state.step))
+    while step < plan.steps:
+        state = _train_to_evaluation(plan, method, state, step, bar, stop)
+        previous, step = step, int(gathered(state.step))
+        if step > previous and step % plan.problem.protocol.eval_every == 0:
             state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
             _record(runs, step, gathered(metrics), bar)
             _save_policies(runs, state)
-            for run, span in zip(runs, _lane_spans(runs), strict=True):
-                if run.folder and run.config.checkpoint_due(step):
-                    save(run.folder.checkpoints, state, span)
+        stopped = stop.number is not None and step < plan.steps
+        if step:
+            _save_checkpoints(runs, state, [stopped or run.config.checkpoint_due(step) for run in runs])
+        if stop.number is not None and stopped:
+            raise Stopped(stop.number, step, [run.folder.path for run in runs if run.folder])
     return state
 
 
-def _train_to_evaluation(plan: Plan, method: Method, state: TrainState, step: int, bar: Progress) -> TrainState:
+def _train_to_evaluation(
+    plan: Plan, method: Method, state: TrainState, step: int, bar: Progress, stop: StopRequest
+) -> TrainState:
+    """Return the state at the next evaluation, or after the chunk in which a signal arrived."""
     for span in plan.spans(step):
         for _ in range(span.chunks):
+            if stop.number is not None:
+                return state
             start_time = time.perf_counter()
             state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
             state.step.block_until_ready()
             bar.advance(plan.chunk, time.perf_counter() - start_time)
     return state
+
+
+def _save_checkpoints(runs: Sequence[Run], state: TrainState, due: Sequence[bool]) -> None:
+    """Save the lanes of each run that has a folder and is `due`."""
+    for run, span, is_due in zip(runs, _lane_spans(runs), due, strict=True):
+        if run.folder and is_due:
+            save(run.folder.checkpoints, state, span)
 
 
 def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar: Progress) -> None:
