@@ -1,5 +1,6 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
+import functools
 import gc
 import os
 from pathlib import Path
@@ -108,8 +109,14 @@ def advance(problem, method, state, steps, explore=False):
     """
     lengths = [CHUNK] * (steps // CHUNK) + [steps % CHUNK] * (steps % CHUNK > 0)
     for length in lengths:
-        state = runner._advance(problem, method, jax.tree.map(jnp.copy, state), length, explore, None)
+        state = runner._advance(problem, method, copy_of(state), length, explore, None)
     return state
+
+
+@jax.jit
+def copy_of(tree):
+    """Return a copy, by one program for all leaves, because `advance` gives its argument away."""
+    return jax.tree.map(jnp.copy, tree)
 
 
 def run_whole(problem, method, state, steps, explore=False, compiler_options=None):
@@ -120,6 +127,11 @@ def run_whole(problem, method, state, steps, explore=False, compiler_options=Non
 
 def take_lane(tree, lane):
     """Return `lane`, an index or a slice, of a tree of arrays with a leading lane axis."""
+    return _take(tree, lane) if isinstance(lane, int) else jax.tree.map(lambda leaf: leaf[lane], tree)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _take(tree, lane):
     return jax.tree.map(lambda leaf: leaf[lane], tree)
 
 

@@ -64,6 +64,12 @@ def select_seed(state: Any, i: int) -> Any:
     count = jax.tree.leaves(lanes)[0].shape[0]
     if not -count <= i < count:
         raise IndexError(f"no lane {i}: there are {count}")
+    return _lane(lanes, i)
+
+
+@jax.jit
+def _lane(lanes: Any, i: jax.Array) -> Any:
+    """Return lane `i`, by one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[i], lanes)
 
 

@@ -12,7 +12,7 @@ import pytest
 import earl_jax
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.devices import lane_mesh
-from tests.conftest import CACHE
+from tests.conftest import CACHE, TESTS
 
 FOUR_DEVICES = {**os.environ, "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
 SETUP = """
@@ -21,9 +21,11 @@ import jax
 import numpy as np
 import earl_jax
 from earl_jax.training import devices, runner
+from tests import threefry
+threefry.install()
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16, 16], batch_size=16, random_steps=20)
+tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16], batch_size=16, random_steps=20)
 """
 COMPARE = """
 single, four = (earl_jax.train("sawyer_door", "naive", devices=count, **tiny) for count in (1, 4))
@@ -51,7 +53,7 @@ except ValueError as error:
 def run_on_four_devices(script):
     """Return the JSON that `script` prints in a process with four CPU devices."""
     command = [sys.executable, "-c", SETUP + script, str(CACHE)]
-    result = subprocess.run(command, env=FOUR_DEVICES, capture_output=True, text=True)
+    result = subprocess.run(command, env=FOUR_DEVICES, cwd=TESTS.parent, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr[-2000:]
     return json.loads(result.stdout.splitlines()[-1])
 
