@@ -1,23 +1,14 @@
 """Import of recorded demonstrations of the original benchmark: untrusted pickles of numpy arrays, or npz files."""
 
-import pickle
-import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from earl_jax.assets import DIRECTIONS, Demos
+from earl_jax.demos import pickled, zipped
+from earl_jax.demos.plain_arrays import MAX_BYTES, read_bytes
 from earl_jax.errors import InputError
-
-NUMPY_MODULES = (
-    "numpy",
-    "numpy.core.multiarray",
-    "numpy._core.multiarray",
-    "numpy.core.numeric",
-    "numpy._core.numeric",
-)
-"""Modules under which pickles name the parts of an array, in numpy 1 and 2."""
 
 
 class Recording(NamedTuple):
@@ -53,77 +44,29 @@ class Recording(NamedTuple):
         )
 
 
-class _ArrayClass:
-    """Placeholder for numpy's array class: a pickle may refer to that class but must not call it."""
-
-
-def _reconstruct(array_class: Any, shape: tuple, typecode: Any) -> np.ndarray:
-    if array_class is not _ArrayClass or tuple(shape) != (0,):
-        raise pickle.UnpicklingError("it builds an array in an unusual way")
-    return np.ndarray(shape, typecode)
-
-
-def _encode(text: str, encoding: str) -> bytes:
-    if encoding != "latin1":
-        raise pickle.UnpicklingError(f"it encodes bytes as {encoding!r}, not as latin1")
-    return text.encode("latin1")
-
-
-def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: Any) -> np.ndarray:
-    return np.frombuffer(data, dtype).reshape(shape, order=order).copy()
-
-
-class ArrayUnpickler(pickle.Unpickler):
-    """Reads pickles of plain containers and numpy arrays, and refuses any other name before anything is called."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        """Return a safe replacement for a name that numpy puts in a pickle, and refuse any other name."""
-        if (module, name) == ("_codecs", "encode"):
-            return _encode
-        allowed = {"ndarray": _ArrayClass, "dtype": np.dtype, "_reconstruct": _reconstruct, "_frombuffer": _frombuffer}
-        if module in NUMPY_MODULES and name in allowed:
-            return allowed[name]
-        raise pickle.UnpicklingError(f"it asks for {module}.{name}, but only numpy arrays are allowed")
-
-    def persistent_load(self, pid: Any) -> Any:
-        """Refuse references to objects outside the file."""
-        raise pickle.UnpicklingError("it refers to objects outside the file")
-
-
-def unpickle(handle: BinaryIO) -> Any:
-    """Return the content of a pickle of numpy arrays.
-
-    Raises:
-        ValueError: the pickle holds anything else, or is damaged; nothing in it was executed.
-    """
-    try:
-        return ArrayUnpickler(handle).load()
-    except Exception as error:  # a damaged pickle can raise any exception
-        raise InputError(f"not a pickle of numpy arrays: {error}") from error
-
-
 def read(path: Path) -> Recording:
     """Return the recording in a pickle of the original, or in an npz of the same five arrays.
 
     Raises:
-        ValueError: the file is something else, or its arrays don't fit together; the message gives file and cause.
+        ValueError: the file is something else or too large, or its arrays don't fit together; the message gives file
+            and cause. Nothing in it was executed.
     """
     try:
-        if zipfile.is_zipfile(path):
-            with np.load(path, allow_pickle=False) as stored:
-                return _checked({name: stored[name] for name in stored.files})
-        with path.open("rb") as handle:
-            return _checked(unpickle(handle))
-    except (ValueError, zipfile.BadZipFile) as error:
+        data = read_bytes(path)
+        is_zip = data.startswith(zipped.SIGNATURE)
+        return _checked(zipped.load(data, Recording._fields) if is_zip else pickled.load(data))
+    except MemoryError as error:
+        raise InputError(f"{path}: reading it takes more memory than there is") from error
+    except ValueError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _checked(arrays: Any) -> Recording:
-    if not isinstance(arrays, dict) or not set(Recording._fields) <= set(arrays):
+def _checked(arrays: dict[str, np.ndarray]) -> Recording:
+    if not set(Recording._fields) <= set(arrays):
         raise InputError(f"a recording has the arrays {', '.join(Recording._fields)}")
-    parts = [np.asarray(arrays[name]) for name in Recording._fields]
-    if any(part.dtype.kind not in "fiub" for part in parts):
-        raise InputError("its arrays are not all numbers")
+    parts = [arrays[name] for name in Recording._fields]
+    if sum(part.size for part in parts) * np.float32().itemsize > MAX_BYTES:
+        raise InputError(f"its arrays take more than {MAX_BYTES >> 20} MiB in float32, the limit for a recording")
     rows = len(parts[0]) if parts[0].ndim else 0
     shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
     flat = all(part.size == rows for part in (parts[2], parts[4]))

@@ -1,8 +1,11 @@
 """The importer reads recordings of the original benchmark, refuses other files, and executes nothing in them."""
 
 import ast
+import json
 import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +17,13 @@ import earl_jax
 from earl_jax import assets
 from earl_jax.cli.main import main
 from earl_jax.demos import importer
+from earl_jax.demos.plain_arrays import MAX_BYTES
 from earl_jax.envs import make
+from earl_jax.errors import InputError
+from tests.demos.attack_files import ATTACKS
 
 FUZZ = settings(max_examples=100, deadline=None)
+ROOT = Path(earl_jax.__file__).parent.parent
 
 
 def arrays(episodes=2, length=5, size=14):
@@ -52,7 +59,7 @@ class Disguised:
         return np.ndarray, ((1 << 40,),)
 
 
-@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
 def test_pickles_of_numpy_arrays_are_read(tmp_path, protocol):
     content = arrays()
     recording = importer.read(pickled(tmp_path / "demo.pkl", content, protocol))
@@ -73,13 +80,14 @@ def test_a_hostile_pickle_is_refused_and_not_executed(tmp_path, where):
     flag = tmp_path / "flag"
     bomb = Bomb(flag)
     trap = np.array([bomb], object)
-    content = {
-        "alone": bomb,
-        "in an array": {**arrays(), "rewards": trap},
-        "beside the arrays": {**arrays(), "x": bomb},
-    }
-    path = pickled(tmp_path / "hostile.pkl", content[where])
-    with pytest.raises(ValueError, match=r"hostile.pkl: .*asks for (posix|nt).system"):
+    system = r"asks for (posix|nt).system"
+    content, cause = {
+        "alone": (bomb, system),
+        "in an array": ({**arrays(), "rewards": trap}, "elements of the type O8"),
+        "beside the arrays": ({**arrays(), "x": bomb}, system),
+    }[where]
+    path = pickled(tmp_path / "hostile.pkl", content)
+    with pytest.raises(InputError, match=rf"hostile.pkl: .*{cause}"):
         importer.read(path)
     assert not flag.exists()
 
@@ -94,6 +102,68 @@ def test_any_other_file_is_an_error_that_names_the_file(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"other.pkl: not a pickle of numpy arrays"):
         importer.read(path)
+
+
+LIMITED = """
+import json, pathlib, resource, sys
+from earl_jax.demos import importer
+from tests.demos.attack_files import ATTACKS
+
+pages = int(pathlib.Path("/proc/self/statm").read_text().split()[0])
+limit = pages * resource.getpagesize() + (400 << 20)
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+messages = {}
+path = pathlib.Path(sys.argv[1])
+for name, content in ATTACKS.items():
+    path.write_bytes(content())
+    try:
+        messages[name] = f"read {importer.read(path)}"
+    except Exception as error:
+        messages[name] = f"{type(error).__name__}: {error}"
+print(json.dumps(messages))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits the memory of a process as Linux counts it")
+def test_every_attack_is_refused_in_one_line_within_little_memory_and_time(tmp_path):
+    path = tmp_path / "attack"
+    run = subprocess.run([sys.executable, "-c", LIMITED, path], capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0, run.stderr
+    messages = json.loads(run.stdout)
+    assert list(messages) == list(ATTACKS)
+    odd = {name: text for name, text in messages.items() if not text.startswith(f"InputError: {path}: ")}
+    assert odd == {}
+    assert [name for name, text in messages.items() if "\n" in text or len(text) > 1000 or "memory" in text] == []
+
+
+def test_the_command_refuses_an_attack_in_one_line_and_writes_nothing(tmp_path, capsys):
+    path = tmp_path / "attack.pkl"
+    path.write_bytes(ATTACKS["subdtype_larger_than_its_dtype"]())
+    with pytest.raises(SystemExit) as stop:
+        main(["import-demos", str(path)])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_that_are_too_large_or_not_regular_are_refused_unread(tmp_path):
+    large, pipe = tmp_path / "large.pkl", tmp_path / "pipe.pkl"
+    large.touch()
+    os.truncate(large, MAX_BYTES + 1)
+    os.mkfifo(pipe)
+    for path, cause in ((large, "larger than 512 MiB"), (pipe, "not a regular file"), (tmp_path, "not a regular file")):
+        with pytest.raises(InputError, match=f"{path.name}: {cause}"):
+            importer.read(path)
+
+
+def test_missing_memory_is_invalid_input(tmp_path, monkeypatch):
+    def fail(data):
+        raise MemoryError
+
+    monkeypatch.setattr(importer.pickled, "load", fail)
+    with pytest.raises(InputError, match=r"demo.pkl: .*more memory than there is"):
+        importer.read(pickled(tmp_path / "demo.pkl", arrays()))
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +232,7 @@ def test_nothing_else_in_the_package_unpickles():
     [
         (lambda a: a.pop("actions"), "has the arrays"),
         (lambda a: a.update(actions=a["actions"][:-1]), "don't fit together"),
-        (lambda a: a.update(rewards=np.array(["x"] * 10)), "not all numbers"),
+        (lambda a: a.update(rewards=np.array(["x"] * 10)), "elements of the type U1"),
         (lambda a: a["observations"].__setitem__(0, np.nan), "not finite"),
         (lambda a: a["terminals"].__setitem__(-1, False), "middle of an episode"),
     ],
