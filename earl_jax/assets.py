@@ -2,11 +2,14 @@
 
 import csv
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from earl_jax.arrays import npz
+from earl_jax.arrays.plain import read_bytes
 from earl_jax.errors import InputError
 
 DIRECTIONS = ("forward", "backward")
@@ -70,13 +73,14 @@ def demos(name: str, direction: str) -> Demos:
     if direction not in DIRECTIONS:
         raise InputError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
     path = _file("demos", name, ".npz")
-    with np.load(path, allow_pickle=False) as stored:
-        if f"{direction}_states" not in stored:
-            raise InputError(f"{path.name} has no {direction} demonstrations")
-        arrays = [stored[f"{direction}_{field}"] for field in Demos._fields]
-    for array in arrays:
+    stored = _arrays(path, [f"{direction}_{field}" for field in Demos._fields])
+    if f"{direction}_states" not in stored:
+        raise InputError(f"{path.name} has no {direction} demonstrations")
+    if len(stored) < len(Demos._fields):
+        raise InputError(f"{path} is damaged: it lacks arrays of the {direction} demonstrations")
+    for array in stored.values():
         array.setflags(write=False)
-    return Demos(*arrays)
+    return Demos(**{field: stored[f"{direction}_{field}"] for field in Demos._fields})
 
 
 def demo_directions(name: str) -> tuple[str, ...]:
@@ -84,8 +88,16 @@ def demo_directions(name: str) -> tuple[str, ...]:
     path = Path(name) if name.endswith(".npz") else root() / "demos" / f"{name}.npz"
     if not path.is_file():
         return ()
-    with np.load(path, allow_pickle=False) as stored:
-        return tuple(direction for direction in DIRECTIONS if f"{direction}_states" in stored)
+    stored = _arrays(path, [f"{direction}_states" for direction in DIRECTIONS])
+    return tuple(direction for direction in DIRECTIONS if f"{direction}_states" in stored)
+
+
+def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return those arrays of an npz file that have one of `names`; the file can be a user's own."""
+    try:
+        return npz.load(read_bytes(path), names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def has_demos(name: str) -> bool:

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from earl_jax.arrays import npz
+from earl_jax.arrays.plain import MAX_BYTES, read_bytes
 from earl_jax.assets import DIRECTIONS, Demos
-from earl_jax.demos import pickled, zipped
-from earl_jax.demos.plain_arrays import MAX_BYTES, read_bytes
+from earl_jax.demos import pickled
 from earl_jax.errors import InputError
 
 
@@ -53,8 +54,8 @@ def read(path: Path) -> Recording:
     """
     try:
         data = read_bytes(path)
-        is_zip = data.startswith(zipped.SIGNATURE)
-        return _checked(zipped.load(data, Recording._fields) if is_zip else pickled.load(data))
+        is_zip = data.startswith(npz.SIGNATURE)
+        return _checked(npz.load(data, Recording._fields) if is_zip else pickled.load(data))
     except MemoryError as error:
         raise InputError(f"{path}: reading it takes more memory than there is") from error
     except ValueError as error:
@@ -66,7 +67,7 @@ def _checked(arrays: dict[str, np.ndarray]) -> Recording:
         raise InputError(f"a recording has the arrays {', '.join(Recording._fields)}")
     parts = [arrays[name] for name in Recording._fields]
     if sum(part.size for part in parts) * np.float32().itemsize > MAX_BYTES:
-        raise InputError(f"its arrays take more than {MAX_BYTES >> 20} MiB in float32, the limit for a recording")
+        raise InputError(f"its arrays take more than {MAX_BYTES >> 20} MiB in float32, the limit")
     rows = len(parts[0]) if parts[0].ndim else 0
     shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
     flat = all(part.size == rows for part in (parts[2], parts[4]))

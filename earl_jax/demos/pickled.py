@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.demos.plain_arrays import array_bytes, build_array, checked_code, element_type, shortened
+from earl_jax.arrays.plain import array_bytes, build_array, checked_code, element_type, shortened
 from earl_jax.errors import InputError
 
 MAX_OPCODES = 100_000

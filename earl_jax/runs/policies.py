@@ -5,7 +5,6 @@ the tree, such as `actor['params']['hidden_0']['kernel']`.
 """
 
 import io
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from earl_jax.arrays import npz
+from earl_jax.arrays.plain import read_bytes
 from earl_jax.errors import InputError
 from earl_jax.runs.files import write_atomically
 
@@ -31,7 +32,7 @@ def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_
 
 def policies_step(path: Path) -> int:
     """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
-    return int(_read(path)["step"]) if path.is_file() else 0
+    return int(_read(path, [])["step"]) if path.is_file() else 0
 
 
 def load_policies(path: Path, like: Any) -> Any:
@@ -40,7 +41,8 @@ def load_policies(path: Path, like: Any) -> Any:
     Raises:
         ValueError: the file is damaged or has arrays of other shapes; the message names it.
     """
-    arrays, expected = _read(path), _named(like)
+    expected = _named(like)
+    arrays = _read(path, list(expected))
     for name, leaf in expected.items():
         if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype != leaf.dtype:
             raise InputError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
@@ -51,11 +53,12 @@ def _named(actors: Any) -> dict[str, Any]:
     return {f"actor{jax.tree_util.keystr(path)}": leaf for path, leaf in jax.tree_util.tree_leaves_with_path(actors)}
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the array `step` and the arrays `names`, as far as the file has them."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        arrays["step"] = np.asarray(int(arrays["step"]))
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        arrays = npz.load(read_bytes(path), ["step", *names])
+        if "step" not in arrays or arrays["step"].shape or arrays["step"].dtype.kind not in "iu":
+            raise InputError("it has no step")
+    except (OSError, InputError) as error:
         raise InputError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
     return arrays

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 import earl_jax
 from earl_jax import assets
+from earl_jax.arrays.plain import MAX_BYTES
 from earl_jax.cli.main import main
 from earl_jax.demos import importer
-from earl_jax.demos.plain_arrays import MAX_BYTES
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from tests.demos.attack_files import ATTACKS

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from earl_jax.demos import plain_arrays, zipped
+from earl_jax.arrays import npz, plain
 from earl_jax.errors import InputError
 from tests.demos import attack_zips as files
 
@@ -28,7 +28,7 @@ def test_arrays_of_every_type_and_order_are_read(save):
     values = np.arange(12).reshape(3, 4)
     parts = {"c": values, "f": np.asfortranarray(values), "row": values[0], "number": np.array(3), "empty": values[:0]}
     content = {f"{name} {code}": part.astype(code) for name, part in parts.items() for code in TYPES}
-    read = zipped.load(saved(content, save), list(content))
+    read = npz.load(saved(content, save), list(content))
     assert list(read) == list(content)
     for name, array in read.items():
         assert (array.dtype, array.tolist()) == (content[name].dtype, content[name].tolist())
@@ -36,21 +36,20 @@ def test_arrays_of_every_type_and_order_are_read(save):
 
 def test_only_the_arrays_asked_for_are_read():
     data = saved({"a": np.ones(2), "b": np.array([object()], object)}, np.savez)
-    assert list(zipped.load(data, ["a", "c"])) == ["a"]
+    assert list(npz.load(data, ["a", "c"])) == ["a"]
 
 
 @pytest.mark.parametrize("shape", ["(2L, 4L)", "(2,4)", "(2, 4,)"])
 def test_headers_of_other_writers_are_read(shape):
     assert (
-        zipped.load(files.npz(files.entry("observations.npy", files.npy(shape))), files.FIELDS)["observations"].size
-        == 8
+        npz.load(files.npz(files.entry("observations.npy", files.npy(shape))), files.FIELDS)["observations"].size == 8
     )
 
 
 def test_arrays_that_pack_well_have_a_limit_above_64_mib():
     arrays = {"a": np.zeros((9 << 20,))}
     with pytest.raises(InputError, match="more than 100 times as large"):
-        zipped.load(saved(arrays), ["a"])
+        npz.load(saved(arrays), ["a"])
 
 
 @pytest.mark.parametrize(
@@ -61,17 +60,17 @@ def test_sizes_and_types_are_checked_before_the_content_is_unpacked(attack, monk
     read = zipfile.ZipExtFile.read
     monkeypatch.setattr(zipfile.ZipExtFile, "read", lambda *args: unpacked.append(read(*args)) or unpacked[-1])
     with pytest.raises(InputError):
-        zipped.load(files.NPZ[attack](), files.FIELDS)
+        npz.load(files.NPZ[attack](), files.FIELDS)
     assert len(b"".join(unpacked)) < 200
 
 
 def test_the_sum_of_the_arrays_is_limited(monkeypatch):
     data = saved({"a": np.ones(600), "b": np.ones(600)}, np.savez)
-    assert len(zipped.load(data, ["a", "b"])) == 2
-    monkeypatch.setattr(zipped, "MAX_BYTES", 1 << 10)
-    monkeypatch.setattr(zipped, "MAX_HEADER_BYTES", 128)
+    assert len(npz.load(data, ["a", "b"])) == 2
+    monkeypatch.setattr(npz, "MAX_BYTES", 1 << 10)
+    monkeypatch.setattr(npz, "MAX_HEADER_BYTES", 128)
     with pytest.raises(InputError, match="larger than"):
-        zipped.load(data, ["a", "b"])
+        npz.load(data, ["a", "b"])
 
 
 VALID = files.npz()
@@ -95,7 +94,7 @@ def test_a_damaged_npz_is_refused_or_read_as_numpy_reads_it(changes):
         data = data[:offset] + text + data[offset + (0 if insert else len(text)) :]
     read, message = {}, ""
     try:
-        read = zipped.load(data, files.FIELDS)
+        read = npz.load(data, files.FIELDS)
     except InputError as error:
         message = str(error)
     assert message.isprintable()
@@ -109,4 +108,4 @@ def test_a_damaged_npz_is_refused_or_read_as_numpy_reads_it(changes):
 )
 def test_other_element_types_and_byte_orders_are_refused(code, order):
     with pytest.raises(InputError, match=r"elements of the type"):
-        plain_arrays.element_type(code, order)
+        plain.element_type(code, order)

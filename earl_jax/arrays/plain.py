@@ -26,7 +26,7 @@ def read_bytes(path: Path) -> bytes:
     if not stat.S_ISREG(status.st_mode):
         raise InputError("not a regular file")
     if status.st_size > MAX_BYTES:
-        raise InputError(f"larger than {MAX_BYTES >> 20} MiB, the limit for a recording")
+        raise InputError(f"larger than {MAX_BYTES >> 20} MiB, the limit")
     with path.open("rb") as handle:
         return handle.read(status.st_size)
 
@@ -67,7 +67,7 @@ def array_bytes(dtype: np.dtype, shape: tuple) -> int:
     if len(shape) > MAX_AXES or any(type(size) is not int or not 0 <= size <= MAX_BYTES for size in shape):
         raise InputError(f"an array's shape is not at most {MAX_AXES} sizes from 0 to {MAX_BYTES}")
     if math.prod(max(size, 1) for size in shape) * dtype.itemsize > MAX_BYTES:
-        raise InputError(f"an array is larger than {MAX_BYTES >> 20} MiB, the limit for a recording")
+        raise InputError(f"an array is larger than {MAX_BYTES >> 20} MiB, the limit")
     return math.prod(shape) * dtype.itemsize
 
 

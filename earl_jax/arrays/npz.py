@@ -10,7 +10,7 @@ from typing import IO
 
 import numpy as np
 
-from earl_jax.demos.plain_arrays import MAX_BYTES, array_bytes, build_array, element_type, shortened
+from earl_jax.arrays.plain import MAX_BYTES, array_bytes, build_array, element_type, shortened
 from earl_jax.errors import InputError
 
 SIGNATURE = b"PK\x03\x04"
@@ -65,7 +65,7 @@ def _members(archive: zipfile.ZipFile, names: Sequence[str], file_size: int) -> 
         raise InputError("a member is encrypted or packed in another way than numpy packs")
     total = sum(info.file_size for info in stored)
     if total > MAX_BYTES + MAX_HEADER_BYTES * len(names):
-        raise InputError(f"its arrays are larger than {MAX_BYTES >> 20} MiB, the limit for a recording")
+        raise InputError(f"its arrays are larger than {MAX_BYTES >> 20} MiB, the limit")
     if total > max(FREE_BYTES, MAX_RATIO * file_size):
         raise InputError(f"its arrays are more than {MAX_RATIO} times as large as the file")
     return members

@@ -1,0 +1,1 @@
+"""Arrays of numbers from untrusted files."""
