@@ -1,7 +1,9 @@
 """The configuration of a run: all values that config.json needs to repeat it."""
 
 import dataclasses
+import json
 import numbers
+import reprlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +16,11 @@ from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_s
 
 Row = dict[str, float]
 """One row of metrics.csv: the metrics of one seed at one evaluation."""
+MOST_SEEDS = 2**16
+LARGEST = 2**31 - 1
+"""The largest number of steps: they are counted in 32 bits."""
+DEEPEST = 8
+"""Levels of lists and dictionaries in an option."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,25 +49,35 @@ class RunConfig:
     def __post_init__(self):
         kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
         for field, kind in kinds.items():
-            if not isinstance(getattr(self, field), kind):
-                raise InputError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
+            value = getattr(self, field)
+            if not isinstance(value, kind):
+                raise InputError(f"{field} must be a {kind.__name__}, not {_brief(value)}")
+            for name, option in value.items() if isinstance(value, dict) else ():
+                _check_values(f"{name} in {field}", option)
         if "name" not in self.setting:
-            raise InputError(f"setting has no name: {self.setting}")
+            raise InputError(f"setting has no name: {_brief(self.setting)}")
+        for field in ("env_class", "algo_class"):
+            if not isinstance(getattr(self, field), str | None):
+                raise InputError(f"{field} must be text or null, not {_brief(getattr(self, field))}")
         self._check_seeds_and_lengths()
 
     def _check_seeds_and_lengths(self) -> None:
         whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
         if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
             raise InputError(
-                f"steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, not {whole}"
+                "steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, "
+                f"not {_brief(whole)}"
             )
+        _check_count(self.seeds)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise InputError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
+            raise InputError(f"seeds must be at least one and distinct, not {_brief(list(self.seeds))}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
-            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
+            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {_brief(list(self.seeds))}")
         for field in ("steps", "eval_every", "eval_episodes", "checkpoint_every"):
-            if getattr(self, field) < 1:
-                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
+            if not 1 <= getattr(self, field) <= LARGEST:
+                raise InputError(
+                    f"{field} must be at least 1 and at most {LARGEST}, not {_brief(getattr(self, field))}"
+                )
         if self.steps % self.eval_every:
             raise InputError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
 
@@ -78,6 +95,7 @@ class RunConfig:
         checkpoint_every: int,
     ) -> "RunConfig":
         """Return the config of built objects; `eval_every` is at most `steps`."""
+        _check_count(seeds)
         task, setting = split_setting(env, setting)
         return cls(
             env=task.name,
@@ -93,6 +111,11 @@ class RunConfig:
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),
         )
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The fields as config.json has them."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
 
     def build_setting(self) -> Setting:
         """Return the setting with its options."""
@@ -174,6 +197,32 @@ def _changed_options(options: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that differ from its defaults."""
     fields = {field.name: field.default for field in dataclasses.fields(options)}
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
+
+
+def _check_count(seeds: Sequence[int]) -> None:
+    if len(seeds[MOST_SEEDS : MOST_SEEDS + 1]):  # a range can have more values than len() can count
+        raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
+
+
+def _check_values(owner: str, values: Any) -> None:
+    """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
+    level = [values]
+    for _ in range(DEEPEST + 1):
+        for value in level:
+            if isinstance(value, int) and abs(value) >= 2**63:
+                raise InputError(f"{owner} is or holds a number that is too large: {_brief(value)}")
+        containers = [value for value in level if isinstance(value, dict | list | tuple)]
+        level = [inner for value in containers for inner in (value.values() if isinstance(value, dict) else value)]
+    if level:
+        raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
+
+
+def _brief(value: Any) -> str:
+    """Return `value` as text of at most some hundred characters."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python writes no numbers of thousands of digits
+        return "a number of thousands of digits"
 
 
 def _class_name(cls: type) -> str:

@@ -5,7 +5,6 @@ the tree, such as `actor['params']['hidden_0']['kernel']`.
 """
 
 import io
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import jax
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import read_bytes, write_atomically
 
 
 def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_size: int, action_size: int) -> None:
@@ -31,7 +30,7 @@ def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_
 
 def policies_step(path: Path) -> int:
     """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
-    return int(_read(path)["step"]) if path.is_file() else 0
+    return int(_read(path)["step"]) if path.exists() else 0
 
 
 def load_policies(path: Path, like: Any) -> Any:
@@ -53,9 +52,9 @@ def _named(actors: Any) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         arrays["step"] = np.asarray(int(arrays["step"]))
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # a file is data, and the libraries that read it raise many kinds of errors
         raise InputError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
     return arrays
