@@ -1,9 +1,11 @@
 """The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
 
 import itertools
+import reprlib
 import sysconfig
 import traceback
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).parent
 LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")]
@@ -11,6 +13,14 @@ LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "pu
 
 class InputError(ValueError):
     """Invalid input: a command prints its message as one line. Other errors keep their traceback."""
+
+
+def brief(value: Any) -> str:
+    """Return `value` as text of at most some hundred characters, for a message."""
+    try:
+        return reprlib.repr(value.tolist() if hasattr(value, "tolist") else value)
+    except ValueError:  # Python writes no numbers of thousands of digits
+        return "a number of thousands of digits"
 
 
 def is_input_error(error: BaseException) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 
 LARGEST_INT = 2**31 - 1
 """The largest count that a program can hold: int32."""
@@ -49,7 +49,7 @@ COUNT = within(f"[1, {LARGEST_INT}]")
 def require(name: str, value: Any, interval: Interval) -> None:
     """Raise an InputError with the option `name` and its `interval` if `value` is outside it."""
     if not interval.contains(value):
-        raise InputError(f"{name} must lie in {interval.text}, not {_short(value)}")
+        raise InputError(f"{name} must lie in {interval.text}, not {brief(value)}")
 
 
 def check_intervals(owner: str, options: Any) -> None:
@@ -58,11 +58,6 @@ def check_intervals(owner: str, options: Any) -> None:
         value = getattr(options, field.name)
         if "interval" in field.metadata and value is not None:
             require(f"{owner}: {field.name}", value, field.metadata["interval"])
-
-
-def _short(value: Any) -> str:
-    text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}
@@ -80,7 +75,7 @@ def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
             raise InputError(f"{owner} has no option {option!r}; choose from {', '.join(fields)}")
         expected = _expected(fields[option], value)
         if expected:
-            raise InputError(f"{owner}: {option} must be {expected}, not {_short(value)}")
+            raise InputError(f"{owner}: {option} must be {expected}, not {brief(value)}")
         if "interval" in fields[option].metadata and value is not None:
             require(f"{owner}: {option}", value, fields[option].metadata["interval"])
 

@@ -86,6 +86,7 @@ def _leaf(option: str, value: Any) -> Any:
     if option == "hidden_sizes":
         return tuple(value)
     try:
-        return np.asarray(value, np.float32)
+        with np.errstate(over="ignore"):  # too large values become infinite, and the check of intervals refuses them
+            return np.asarray(value, np.float32)
     except (TypeError, ValueError) as error:
         raise InputError(f"{option} must be a number for each lane, not {value!r}") from error

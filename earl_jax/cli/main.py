@@ -9,7 +9,7 @@ import tyro
 
 from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train
 from earl_jax.errors import is_input_error
-from earl_jax.runs.files import DamagedWarning
+from earl_jax.runs.files import RunWarning
 
 COMMANDS = {
     "list": inspect_runs.list_,
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _format_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
-    """Return a warning about a damaged file as one line without a source location, any other in Python's format."""
-    if issubclass(category, DamagedWarning):
+    """Return a warning about the files of a run as one line without a source location, any other in Python's format."""
+    if issubclass(category, RunWarning):
         return f"earl-jax: {message}\n"
     return DEFAULT_FORMAT(message, category, *details)

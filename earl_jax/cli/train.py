@@ -20,6 +20,7 @@ def train(
     devices: Devices = None,
     hosts: Hosts = None,
     log: Logs = (),
+    overwrite: bool = False,
     set: Set = (),
     json: JSON = False,
 ) -> None:
@@ -35,6 +36,7 @@ def train(
         eval_episodes: Greedy episodes of each deployed evaluation.
         checkpoint_every: Steps between checkpoints.
         setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
+        overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
     from earl_jax import algos, envs
     from earl_jax.runs.hosts import join_hosts
@@ -54,6 +56,7 @@ def train(
         eval_episodes=eval_episodes,
         checkpoint_every=checkpoint_every,
         logs=log,
+        overwrite=overwrite,
         progress=True,
         devices=devices,
     )

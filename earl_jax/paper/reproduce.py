@@ -21,6 +21,7 @@ from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import VisitMap, write_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.tables import write_table
+from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
@@ -185,7 +186,7 @@ def reproduce(
     blocks = [result.block(task) for task in tasks or result.tasks[: chosen.tasks]]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
-    file.write_text(grid_text(blocks, chosen, options or {}))
+    write_atomically(file, grid_text(blocks, chosen, options or {}))
     sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit)
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]

@@ -26,6 +26,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` to write to, and rename it to `path` if no exception was raised."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.part{path.suffix}")
+    part.unlink(missing_ok=True)  # a link there would be followed
     try:
         yield part
         part.replace(path)

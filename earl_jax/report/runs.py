@@ -12,6 +12,7 @@ from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
 
@@ -54,6 +55,17 @@ class Curves(NamedTuple):
         return config.build_env().sparse == make(config.env).sparse and config.build_setting() == Deployment()
 
 
+class Columns(dict[str, np.ndarray]):
+    """Metrics by name; a missing one is an InputError that names the folder `path` of the run."""
+
+    def __init__(self, path: Path, metrics: dict[str, np.ndarray]):
+        super().__init__(metrics)
+        self._path = path
+
+    def __missing__(self, name: str) -> np.ndarray:
+        raise InputError(f"{self._path / METRICS} has no column {name!r}; it has {', '.join(self)}")
+
+
 class MethodRuns(NamedTuple):
     """The runs of one method on one task; `label` is its name with the options that tell it from others there."""
 
@@ -67,15 +79,14 @@ def read(path: Path) -> Curves:
     """Return the curves of one run folder, up to its last complete evaluation.
 
     Raises:
-        ValueError: the folder holds no run, or a run without an evaluation.
+        ValueError: the folder holds no run, or a run without an evaluation, or rows of its metrics are missing.
     """
     folder = RunFolder.open(path)
     rows = folder.rows()
-    rows_per_step = len(folder.config.seeds)
-    rows = rows[: len(rows) // rows_per_step * rows_per_step]
     if not rows:
         raise InputError(f"{path} has no evaluation yet")
-    return Curves(folder.config, *folder.config.curves(rows))
+    steps, metrics = folder.config.curves(rows)
+    return Curves(folder.config, steps, Columns(path, metrics))
 
 
 def read_all(folders: Sequence[Path]) -> list[Curves]:
@@ -87,10 +98,13 @@ def read_all(folders: Sequence[Path]) -> list[Curves]:
     if not folders:
         raise InputError("name at least one run folder")
     groups: dict[str, list[Curves]] = {}
+    paths: dict[str, Path] = {}
     for path in folders:
         curves = read(path)
-        groups.setdefault(pooling_key(curves.config), []).append(curves)
-    return [_pooled(group) for group in groups.values()]
+        key = pooling_key(curves.config)
+        groups.setdefault(key, []).append(curves)
+        paths.setdefault(key, path)
+    return [_pooled(paths[key], group) for key, group in groups.items()]
 
 
 def pooling_key(config: RunConfig) -> str:
@@ -98,7 +112,8 @@ def pooling_key(config: RunConfig) -> str:
     return repr((config.env, config.env_options, config.setting, config.algo, config.options))
 
 
-def _pooled(group: list[Curves]) -> Curves:
+def _pooled(path: Path, group: list[Curves]) -> Curves:
+    """Return the pooled curves of `group`, of which `path` is the first folder."""
     steps = group[0].steps
     for other in group[1:]:
         steps = np.intersect1d(steps, other.steps)
@@ -110,7 +125,7 @@ def _pooled(group: list[Curves]) -> Curves:
         for name in group[0].metrics
         if name != DIVERGED or all(name in part.metrics for part in group)  # earlier versions did not write it
     }
-    return Curves(group[0].config, steps, metrics)
+    return Curves(group[0].config, steps, Columns(path, metrics))
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:

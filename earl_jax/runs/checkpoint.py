@@ -8,10 +8,9 @@ A train state is any `flax.struct` tree with the fields `lanes`, `replay` and `s
 """
 
 import contextlib
-import hashlib
-import json
 import logging
-import shutil
+import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,18 +21,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import DamagedWarning, inside
+from earl_jax.runs.files import DamagedWarning, OpenFolder, opened
 from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.manifest import MANIFEST, DamagedError, checksums, manifest_text, verified
 from earl_jax.runs.snapshot import filled, plain, spread, typed
 
-MANIFEST = "manifest.json"
+PARTS = ("lanes", "replay", MANIFEST)
+"""What is in a checkpoint."""
+PREFIX = "part-"
+"""What the names of unfinished and of half removed checkpoints start with."""
+NAME = re.compile("[0-9]{9,10}")
 KEPT = 2
 SPARE = 1 << 20
 """Bytes of a checkpoint in addition to its arrays, with room for subsequent rows of metrics."""
-
-
-class DamagedError(InputError):
-    """A checkpoint does not match its checksums."""
 
 
 def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
@@ -45,42 +45,73 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
         OSError: the checkpoint could not be written; older ones are unchanged.
     """
     step = int(gathered(state.step))
-    part, done = folder / f"part-{step}", folder / f"{step:09d}"
+    done = folder / f"{step:09d}"
     lanes = gathered(plain(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
     replay = filled(state.replay, span)
     if not first_host():
         return done
     try:
-        for stale in folder.glob("part-*"):
-            shutil.rmtree(stale)
-        part.mkdir(parents=True)
-        _require_room(part, [*lanes.values(), *replay.values()])
-        _write(part / "lanes", lanes)
-        _write(part / "replay", replay)
-        (part / MANIFEST).write_text(_manifest({"step": step, "lanes": _described(lanes), "files": _checksums(part)}))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with opened(folder.parent) as parent, parent.subfolder(folder.name) as checkpoints:
+            _save(checkpoints, step, lanes, replay)
     except Exception as error:  # orbax raises various exceptions if the disk is full
-        shutil.rmtree(part, ignore_errors=True)
         cause = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
         raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
-    older = [path for path in _checkpoints(folder) if path != done]
-    shutil.rmtree(done, ignore_errors=True)
-    part.rename(done)
-    for path in older[: 1 - KEPT]:
-        shutil.rmtree(path)
     return done
 
 
-def _require_room(folder: Path, arrays: Sequence[np.ndarray]) -> None:
+def _save(checkpoints: OpenFolder, step: int, lanes: dict[str, np.ndarray], replay: dict[str, np.ndarray]) -> None:
+    part, done = f"{PREFIX}{step}", f"{step:09d}"
+    _remove(checkpoints, [name for name in checkpoints.names() if name.startswith(PREFIX)])
+    checkpoints.make(part)
+    try:
+        _require_room(checkpoints, [*lanes.values(), *replay.values()])
+        path = checkpoints.path / part
+        _write(path / "lanes", lanes)
+        _write(path / "replay", replay)
+        with checkpoints.subfolder(part) as folder:
+            manifest = {"step": step, "lanes": _described(lanes), "files": checksums(path)}
+            folder.write(MANIFEST, manifest_text(manifest))
+    except Exception:
+        _remove(checkpoints, [part])
+        raise
+    older = [name for name in checkpoints.names() if NAME.fullmatch(name) and name != done]
+    _discard(checkpoints, [done])
+    checkpoints.rename(part, done)
+    _discard(checkpoints, sorted(older, key=int)[: 1 - KEPT])
+
+
+def _discard(checkpoints: OpenFolder, names: Sequence[str]) -> None:
+    """Remove checkpoints; a kill in between leaves none of them half removed under its name."""
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            checkpoints.rename(name, PREFIX + name)
+            _remove(checkpoints, [PREFIX + name])
+
+
+def _remove(checkpoints: OpenFolder, names: Sequence[str]) -> None:
+    """Remove folders as far as possible: on NFS, files that another process reads stay until the next checkpoint."""
+    for name in names:
+        with contextlib.suppress(OSError):
+            checkpoints.remove(name)
+
+
+def _require_room(folder: OpenFolder, arrays: Sequence[np.ndarray]) -> None:
     """Raise an OSError if the disk has too little space: orbax's threads continue for a while after a failed write."""
-    needed, free = sum(array.nbytes for array in arrays) + SPARE, shutil.disk_usage(folder).free
+    disk = os.fstatvfs(folder.descriptor)
+    needed, free = sum(array.nbytes for array in arrays) + SPARE, disk.f_bavail * disk.f_frsize
     if free < needed:
         raise OSError(f"it needs up to {needed / 1e6:,.1f} MB, but {free / 1e6:,.1f} MB are free")
 
 
 def newest(folder: Path) -> int:
     """Return the step of the newest checkpoint in `folder`, or 0 if there is none."""
-    paths = _checkpoints(folder)
-    return int(paths[-1].name) if paths else 0
+    return max(saved_steps(folder), default=0)
+
+
+def saved_steps(folder: Path) -> list[int]:
+    """Return the steps of the checkpoints in `folder`, sorted."""
+    return sorted(int(path.name) for path in _checkpoints(folder))
 
 
 def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:
@@ -109,11 +140,10 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
     causes = []
     for paths in _common_checkpoints(folders):
         try:
-            manifests = [verified(path) for path in paths]
+            state = _read_state(paths, [verified(path) for path in paths], sizes, like, with_replay)
         except DamagedError as error:
             causes.append(str(error))
             continue
-        state = _read_state(paths, manifests, sizes, like, with_replay)
         if causes:
             warnings.warn(f"{'; '.join(causes)}; continuing from {paths[0].name}", DamagedWarning, stacklevel=2)
         return state
@@ -124,7 +154,7 @@ def _common_checkpoints(folders: Sequence[Path]) -> list[list[Path]]:
     """Return the paths in all `folders` for each step at which all of them have a checkpoint, newest first."""
     by_name = [{path.name: path for path in _checkpoints(folder)} for folder in folders]
     common = set.intersection(*map(set, by_name))
-    return [[paths[name] for paths in by_name] for name in sorted(common, reverse=True)]
+    return [[paths[name] for paths in by_name] for name in sorted(common, key=int, reverse=True)]
 
 
 def _read_state(
@@ -133,9 +163,17 @@ def _read_state(
     lanes = [_read_lanes(*checkpoint, like) for checkpoint in zip(paths, manifests, sizes, strict=True)]
     replay = like.replay
     if with_replay:
-        replay = spread([_read(path / "replay", None) for path in paths], sizes, like.replay)
+        replay = _read_replay(paths, sizes, like.replay)
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
     return like.replace(lanes=joined, replay=replay, step=jnp.asarray(int(paths[0].name), jnp.int32))
+
+
+def _read_replay(paths: Sequence[Path], sizes: Sequence[int], like: Any) -> Any:
+    parts = [_read(path / "replay", None) for path in paths]
+    try:
+        return spread(parts, sizes, like)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise DamagedError(f"checkpoint {paths[0]} is damaged: its replay has other arrays ({error})") from error
 
 
 def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> Any:
@@ -150,53 +188,12 @@ def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> A
 def _checkpoints(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.glob("*") if path.name.isdigit() and not path.is_symlink())
+    return [path for path in folder.iterdir() if is_checkpoint(path)]
 
 
-def _checksums(folder: Path) -> dict[str, str]:
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
-    return {str(path.relative_to(folder)): _checksum(path) for path in files}
-
-
-def _checksum(path: Path) -> str:
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "blake2b").hexdigest()
-
-
-def _manifest(body: dict[str, Any]) -> str:
-    """Return `body` as text, with its checksum."""
-    return json.dumps({**body, "checksum": _sum_of(body)})
-
-
-def _sum_of(body: dict[str, Any]) -> str:
-    return hashlib.blake2b(json.dumps(body, sort_keys=True).encode()).hexdigest()
-
-
-def verified(path: Path) -> dict[str, Any]:
-    """Return the manifest of the checkpoint at `path` after a check of all its files.
-
-    Raises:
-        DamagedError: a file is missing or does not match its checksum; the message names it.
-    """
-    try:
-        manifest = json.loads((path / MANIFEST).read_text())
-        if manifest.pop("checksum") != _sum_of(manifest):
-            raise InputError("it does not match its checksum")
-        files = dict(manifest["files"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} cannot be read ({error})") from error
-    if manifest["step"] != int(path.name):
-        raise DamagedError(f"checkpoint {path} is damaged: {MANIFEST} names step {manifest['step']}")
-    for name, expected in files.items():
-        try:
-            file = inside(path, name)
-        except ValueError as error:
-            raise DamagedError(f"checkpoint {path} is damaged: {error}") from error
-        if not file.is_file():
-            raise DamagedError(f"checkpoint {path} is damaged: {name} is missing")
-        if _checksum(file) != expected:
-            raise DamagedError(f"checkpoint {path} is damaged: {name} does not match its checksum")
-    return manifest
+def is_checkpoint(path: Path) -> bool:
+    """Return whether `path` is a folder with the name of a checkpoint."""
+    return NAME.fullmatch(path.name) is not None and path.is_dir() and not path.is_symlink()
 
 
 def _described(leaves: dict[str, Any]) -> dict[str, str]:
@@ -236,5 +233,9 @@ def _write(path: Path, tree: Any) -> None:
 def _read(path: Path, like: Any) -> Any:
     import orbax.checkpoint as ocp
 
-    with _checkpointer() as checkpointer:
-        return checkpointer.restore(path.resolve(), args=ocp.args.StandardRestore(like))
+    try:
+        with _checkpointer() as checkpointer:
+            return checkpointer.restore(path.resolve(), args=ocp.args.StandardRestore(like))
+    except Exception as error:  # orbax raises various exceptions if files are missing
+        cause = (str(error).strip() or repr(error)).splitlines()[0]
+        raise DamagedError(f"checkpoint {path.parent} is damaged: {path.name} can't be read ({cause})") from error

@@ -1,6 +1,7 @@
 """The configuration of a run: all values that config.json needs to repeat it."""
 
 import dataclasses
+import json
 import numbers
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,15 +10,17 @@ import numpy as np
 
 from earl_jax.algos import Method, algo_class, make_algo
 from earl_jax.envs import Env, env_class, make
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options import COUNT, Interval, check_intervals, require
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
 """One row of metrics.csv: the metrics of one seed at one evaluation."""
-MAX_SEEDS = 65_536
+MOST_SEEDS = 2**16
 EPISODES = Interval("[1, 100000]")
 """The valid numbers of episodes of an evaluation."""
+DEEPEST = 8
+"""Levels of lists and dictionaries in an option."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,23 +49,30 @@ class RunConfig:
     def __post_init__(self):
         kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
         for field, kind in kinds.items():
-            if not isinstance(getattr(self, field), kind):
-                raise InputError(f"{field} must be a {kind.__name__}, not {getattr(self, field)!r}")
+            value = getattr(self, field)
+            if not isinstance(value, kind):
+                raise InputError(f"{field} must be a {kind.__name__}, not {brief(value)}")
+            for name, option in value.items() if isinstance(value, dict) else ():
+                _check_values(f"{name} in {field}", option)
         if "name" not in self.setting:
-            raise InputError(f"setting has no name: {self.setting}")
+            raise InputError(f"setting has no name: {brief(self.setting)}")
+        for field in ("env_class", "algo_class"):
+            if not isinstance(getattr(self, field), str | None):
+                raise InputError(f"{field} must be text or null, not {brief(getattr(self, field))}")
         self._check_seeds_and_lengths()
 
     def _check_seeds_and_lengths(self) -> None:
         whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
-        _require_few_seeds(self.seeds)
         if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
             raise InputError(
-                f"steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, not {whole}"
+                "steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, "
+                f"not {brief(whole)}"
             )
+        _check_count(self.seeds)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise InputError(f"seeds must be at least one and distinct, not {list(self.seeds)}")
+            raise InputError(f"seeds must be at least one and distinct, not {brief(list(self.seeds))}")
         if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
-            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {list(self.seeds)}")
+            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {brief(list(self.seeds))}")
         for field in ("steps", "eval_every", "checkpoint_every"):
             require(field, getattr(self, field), COUNT["interval"])
         require("eval_episodes", self.eval_episodes, EPISODES)
@@ -87,7 +97,7 @@ class RunConfig:
         Raises:
             InputError: an option is outside its interval, or a length or the number of seeds is invalid.
         """
-        _require_few_seeds(seeds)
+        _check_count(seeds)
         task, setting = split_setting(env, setting)
         for owner, options in (
             (task.name, task),
@@ -110,6 +120,11 @@ class RunConfig:
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),
         )
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The fields as config.json has them."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
 
     def build_setting(self) -> Setting:
         """Return the setting with its options."""
@@ -170,11 +185,6 @@ class RunConfig:
         }
 
 
-def _require_few_seeds(seeds: Sequence[int]) -> None:
-    if len(seeds) > MAX_SEEDS:
-        raise InputError(f"a run has at most {MAX_SEEDS} seeds, not {len(seeds)}; divide them over several runs")
-
-
 def deployed_metric(env: Env) -> str:
     """Return the name of the deployed metric of `env`: success for sparse rewards, return for dense ones."""
     return "deployed/success" if env.sparse else "deployed/return"
@@ -196,6 +206,24 @@ def _changed_options(options: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that differ from its defaults."""
     fields = {field.name: field.default for field in dataclasses.fields(options)}
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
+
+
+def _check_count(seeds: Sequence[int]) -> None:
+    if len(seeds[MOST_SEEDS : MOST_SEEDS + 1]):  # a range can have more values than len() can count
+        raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
+
+
+def _check_values(owner: str, values: Any) -> None:
+    """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
+    level = [values]
+    for _ in range(DEEPEST + 1):
+        for value in level:
+            if isinstance(value, int) and abs(value) >= 2**63:
+                raise InputError(f"{owner} is or holds a number that is too large: {brief(value)}")
+        containers = [value for value in level if isinstance(value, dict | list | tuple)]
+        level = [inner for value in containers for inner in (value.values() if isinstance(value, dict) else value)]
+    if level:
+        raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
 
 
 def _class_name(cls: type) -> str:

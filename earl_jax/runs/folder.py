@@ -1,23 +1,26 @@
 """The folder of a run: config.json, metrics.csv, policies.npz, checkpoints."""
 
 import contextlib
-import csv
 import dataclasses
 import json
-import os
+import sys
 import uuid
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.runs import contents
+from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.files import LOCK, PART, inside, locked, write_atomically
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
+from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
+from earl_jax.runs.table import COLUMNS, Table, cells, complete_lines, csv_text
 
-CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
-LEFTOVERS = (LOCK, CONFIG + PART)
-"""Files that a kill during the creation of a folder leaves there."""
+LARGEST_CONFIG = 1 << 24
+"""Bytes of a config.json."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,30 +55,37 @@ class RunFolder:
     @property
     def id(self) -> str:
         """The unique identifier of the run, which does not change if the folder is moved."""
-        return json.loads(self.config_file.read_text())["id"]
+        identifier = self._config_values().get("id")
+        if not isinstance(identifier, str):
+            raise InputError(f"{self.config_file} is damaged: it has no id")
+        return identifier
 
     @classmethod
-    def create(cls, path: Path, config: RunConfig, engine: str, logs: Sequence[str] = ()) -> "RunFolder":
+    def create(
+        cls, path: Path, config: RunConfig, engine: str, logs: Sequence[str] = (), overwrite: bool = False
+    ) -> "RunFolder":
         """Return a new run folder with its config.json; `engine` is the physics engine that the run uses.
 
+        A folder in which a run started and left no results is used again. With `overwrite`, so is one with results,
+        which are removed; a line on stderr names them.
+
         Raises:
-            ValueError: the folder is not empty, and is left unchanged, or the config has options that JSON cannot
-                represent.
+            ValueError: the folder holds another run's results or other files, and is left unchanged, or the config has
+                options that JSON cannot represent.
         """
-        if (path / CONFIG).is_file():
-            raise InputError(
-                f"{path} holds another run; choose another folder, or continue it with: earl-jax resume {path}"
-            )
-        if path.exists() and (not path.is_dir() or any(entry.name not in LEFTOVERS for entry in path.iterdir())):
-            raise InputError(f"{path} exists and is not an empty folder; choose another folder")
+        existing = _existing(path, overwrite)
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
-        with folder.claimed():
-            if folder.config_file.is_file():
+        with locked(path), opened(path) as entries:
+            if _existing(path, overwrite) != existing:
                 raise InputError(
                     f"{path} holds another run, which another process has just started; choose another folder"
                 )
+            has_results = contents.has_results(path)
+            removed = contents.clear(entries)
+            if has_results:
+                print(f"earl-jax: removed from the earlier run in {path}: {', '.join(removed)}", file=sys.stderr)
             write_atomically(folder.config_file, text)
         return folder
 
@@ -92,7 +102,7 @@ class RunFolder:
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
             inside(path, name)
         try:
-            values = json.loads(file.read_text())
+            values = json.loads(read_bytes(file, LARGEST_CONFIG))
             known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
             config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
             return cls(path, config, tuple(map(str, values.get("logs", ()))))
@@ -105,10 +115,17 @@ class RunFolder:
         """Lock this folder for this process; if there are several hosts, the first one locks it for all.
 
         Raises:
-            ValueError: another process has locked it.
+            ValueError: another process has locked it or has started another run in it, or a link is where the run
+                writes.
             OSError: the folder is not writable.
         """
-        with locked(self.path) if first_host() else contextlib.nullcontext():
+        if not first_host():
+            yield
+            return
+        with locked(self.path):
+            contents.require_no_links(self.path)
+            if RunFolder.open(self.path).config.values != self.config.values:
+                raise InputError(f"another process has just started another run in {self.path}; choose another folder")
             yield
 
     def extended(self, steps: int) -> "RunFolder":
@@ -117,59 +134,113 @@ class RunFolder:
         Raises:
             ValueError: the run has more steps already.
         """
-        reached = max((int(row["step"]) for row in self.rows()), default=0)
+        reached = max(self._table().step, newest(self.checkpoints))
         if steps < reached:
             raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
         config = dataclasses.replace(self.config, steps=steps)
         if first_host():
             with self.claimed():
-                values = json.loads(self.config_file.read_text())
-                write_atomically(self.config_file, json.dumps({**values, "steps": steps}, indent=2) + "\n")
+                text = json.dumps({**self._config_values(), "steps": steps}, indent=2) + "\n"
+                write_atomically(self.config_file, text)
         return dataclasses.replace(self, config=config)
 
+    def _config_values(self) -> dict[str, Any]:
+        return json.loads(read_bytes(self.config_file, LARGEST_CONFIG))
+
     def append(self, rows: list[Row]) -> None:
-        """Append rows to metrics.csv and flush them to the disk."""
+        """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
         try:
-            new = not self.metrics.exists() or not self.metrics.stat().st_size
-            names = rows[0] if new else next(csv.reader(self._lines()))  # earlier versions wrote fewer metrics
-            with self.metrics.open("a", newline="") as handle:
-                writer = csv.DictWriter(handle, names, lineterminator="\n", extrasaction="ignore")
-                if new:
-                    writer.writeheader()
-                writer.writerows(rows)
-                handle.flush()
-                os.fsync(handle.fileno())
+            lines = complete_lines(self.metrics)
+            text = csv_text(rows, cells(lines[0]) if lines else [])
+            with opened(self.path) as folder:
+                folder.append(METRICS, text)
         except OSError as error:
             cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error
 
-    def _lines(self) -> list[str]:
-        """Return the complete lines of metrics.csv, header first, without a last line that a kill truncated."""
-        text = self.metrics.read_bytes().decode(errors="replace") if self.metrics.exists() else ""
-        return [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+    def _table(self) -> Table:
+        return Table.read(self.metrics, self.config)
 
     def rows(self) -> list[Row]:
-        """Return the complete rows of metrics.csv.
+        """Return the rows of metrics.csv, up to its last complete evaluation.
 
         Raises:
-            ValueError: a row has values that are not numbers; the message names its line.
+            ValueError: a row is damaged, repeated, missing or of another run, or the newest checkpoint comes after the
+                last row; the message says what to do.
         """
-        rows = []
-        for number, texts in enumerate(csv.DictReader(self._lines()), 2):
-            try:
-                rows.append(_row(texts))
-            except (ValueError, AttributeError):
-                raise InputError(f"{self.metrics} is damaged: line {number} is not a row of numbers") from None
-        return rows
+        step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
+        table = self._table()
+        self._require(table, table.problem, step)
+        return table.rows
+
+    def require_rows(self) -> None:
+        """Raise a ValueError, as `rows` does, if rows or columns up to the newest checkpoint are damaged or missing."""
+        step = newest(self.checkpoints)
+        table = self._table()
+        problem = table.problem if table.step < step else ""
+        missing = ", ".join(sorted(COLUMNS.difference(table.columns)))
+        if missing and table.rows and step and not problem:
+            problem = f"it has no column {missing}"
+        self._require(table, problem, step)
 
     def rows_until(self, step: int) -> list[Row]:
-        """Drop the rows after `step`, which a resumed run writes again, and return the remaining ones."""
-        rows, lines = self.rows(), self._lines()
-        kept = [line for line, row in zip(lines[1:], rows, strict=True) if row["step"] <= step]
-        text = "".join(lines[:1] + kept) if kept else ""
-        if self.metrics.exists() and self.metrics.read_bytes() != text.encode():
+        """Drop the rows after `step`, which a resumed run writes again, and return the remaining ones.
+
+        Raises:
+            ValueError: a row up to `step` is damaged or missing.
+        """
+        table = self._table()
+        self._require(table, table.problem if table.step < step else "", step)
+        count = step // self.config.eval_every * len(self.config.seeds)
+        text = "".join(f"{line}\n" for line in table.lines[: count + 1]) if count else ""
+        if self.metrics.exists() and (read_bytes(self.metrics) != text.encode() or self.metrics.stat().st_nlink > 1):
             write_atomically(self.metrics, text)
-        return rows[: len(kept)]
+        return table.rows[:count]
+
+    def _require(self, table: Table, problem: str, step: int) -> None:
+        """Raise an InputError if the table has a `problem` or less than the rows up to `step`."""
+        if step > self.config.steps:
+            name = f"{CHECKPOINTS}/{step:09d}"
+            raise InputError(
+                f"{self.path} is damaged: {name} is later than the {self.config.steps} steps of {CONFIG}; restore "
+                f"{CONFIG}, or delete {name}"
+            )
+        if not problem and table.step < step // self.config.eval_every * self.config.eval_every:
+            problem = f"its rows end at step {table.step}, but the newest checkpoint is of step {step}"
+        if problem:
+            raise InputError(f"{self.metrics} is damaged: {problem}; {self._remedy(table.step)}")
+
+    def _remedy(self, intact: int) -> str:
+        """Return what to do if the rows are intact up to the step `intact` only."""
+        steps = saved_steps(self.checkpoints)
+        later = [f"{CHECKPOINTS}/{step:09d}" for step in steps if step > intact]
+        step = max((step for step in steps if step <= intact), default=0)
+        if not later:
+            return f"earl-jax resume {self.path} continues from step {step} and writes later rows again"
+        start = f"resume from step {step}" if step else "train again from the start"
+        return f"restore the file from a copy, or delete {' and '.join(later)} to {start}"
+
+
+def _existing(path: Path, overwrite: bool) -> bytes | None:
+    """Return the config.json of the folder at `path`, in which a new run can be created, or None if it has none.
+
+    Raises:
+        ValueError: the folder holds results, unless `overwrite`, or files that are not a run's.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} exists and is not a folder; choose another folder")
+    if (path / CONFIG).is_file() and contents.has_results(path) and not overwrite:
+        raise InputError(
+            f"{path} holds another run; choose another folder, continue it with: earl-jax resume {path}, "
+            "or replace it with: earl-jax train --overwrite"
+        )
+    unknown = contents.unknown_entries(path)
+    if unknown or (not overwrite and contents.has_results(path)):
+        names = ", ".join(unknown[:5]) or "results without a config.json"
+        raise InputError(
+            f"{path} exists and is not an empty folder: it holds {names}; move it away, or choose another folder"
+        )
+    return read_bytes(path / CONFIG) if (path / CONFIG).is_file() else None
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
@@ -182,14 +253,3 @@ def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
             f"the options of {config.env} or {config.algo} can't be written to {CONFIG} ({error}); "
             "train without a folder, or pass them as numbers, text and lists"
         ) from error
-
-
-def _row(texts: dict[str, str]) -> Row:
-    row = {name: _number(text) for name, text in texts.items()}
-    if not {"step", "seed"} <= set(row):
-        raise InputError("no step or no seed")
-    return row
-
-
-def _number(text: str) -> float:
-    return int(text) if text.lstrip("-").isdigit() else float(text)

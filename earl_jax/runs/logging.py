@@ -1,12 +1,13 @@
 """Logs of a run: always metrics.csv, and TensorBoard or Weights & Biases on request.
 
 All logs receive the same `log(step, metrics)`. metrics.csv is the reference: after a kill, a run continues from its
-last checkpoint, drops later rows and writes them again, on a CPU bit for bit. TensorBoard purges the events after the
-checkpoint. Weights & Biases continues the same run and keeps the first value of a step.
+last checkpoint, drops later rows and writes them again, on a CPU bit for bit, because the same program runs.
+TensorBoard purges the events after the checkpoint. Weights & Biases continues the same run and keeps the first value of a step.
 """
 
 import dataclasses
 import importlib
+import importlib.util
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -14,6 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.runs import contents
+from earl_jax.runs.contents import TENSORBOARD, WANDB
+from earl_jax.runs.files import opened
 from earl_jax.runs.folder import RunFolder
 
 
@@ -52,6 +56,12 @@ def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, f
     return values_by_name
 
 
+def _prepare(folder: RunFolder, name: str) -> None:
+    """Create the folder `name` of a log in a run folder; raise a ValueError if a link is there."""
+    with opened(folder.path) as entries, entries.subfolder(name):
+        contents.require_no_links(folder.path)
+
+
 class TensorBoardLog:
     """Event files in the folder `tensorboard` of a run folder."""
 
@@ -59,11 +69,12 @@ class TensorBoardLog:
         try:
             from tensorboardX import SummaryWriter
         except ImportError as error:
-            raise InputError("the log tensorboard needs tensorboardX: pip install 'earl-jax[tensorboard]'") from error
+            raise _missing(TENSORBOARD) from error
         self._seeds = folder.config.seeds
+        _prepare(folder, TENSORBOARD)
         purge_step = since + 1 if since else None
         suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
-        self._writer = SummaryWriter(str(folder.path / "tensorboard"), purge_step=purge_step, filename_suffix=suffix)
+        self._writer = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Write a scalar for every mean and every seed."""
@@ -84,7 +95,8 @@ class WandbLog:
         try:
             wandb: Any = importlib.import_module("wandb")
         except ImportError as error:
-            raise InputError("the log wandb needs wandb: pip install 'earl-jax[wandb]'") from error
+            raise _missing(WANDB) from error
+        _prepare(folder, WANDB)
         config = folder.config
         try:
             self._run = wandb.init(
@@ -104,7 +116,8 @@ class WandbLog:
         self._run.finish()
 
 
-LOGS: dict[str, Callable[[RunFolder, int], Log]] = {"tensorboard": TensorBoardLog, "wandb": WandbLog}
+LIBRARIES = {TENSORBOARD: "tensorboardX", WANDB: "wandb"}
+LOGS: dict[str, Callable[[RunFolder, int], Log]] = {TENSORBOARD: TensorBoardLog, WANDB: WandbLog}
 
 
 def check_logs(logs: Sequence[Any]) -> None:
@@ -114,6 +127,17 @@ def check_logs(logs: Sequence[Any]) -> None:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
         if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
+
+
+def require_libraries(names: Sequence[str]) -> None:
+    """Raise a ValueError if the library of one of the logs `names` is not installed."""
+    for name in names:
+        if importlib.util.find_spec(LIBRARIES[name]) is None:
+            raise _missing(name)
+
+
+def _missing(name: str) -> InputError:
+    return InputError(f"the log {name} needs {LIBRARIES[name]}: pip install 'earl-jax[{name}]'")
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:

@@ -32,7 +32,7 @@ def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_
 
 def policies_step(path: Path) -> int:
     """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
-    return int(_read(path, [])["step"]) if path.is_file() else 0
+    return int(_read(path, [])["step"]) if path.exists() else 0
 
 
 def load_policies(path: Path, like: Any) -> Any:

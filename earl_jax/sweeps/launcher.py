@@ -201,6 +201,8 @@ def _slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
         raise InputError(
             "--launcher slurm needs a time limit in minutes: --slurm time=600 partition=... gpus_per_node=1"
         )
+    if (out / LOGS).is_symlink():
+        raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
     try:
         executor = submitit.SlurmExecutor(out.resolve() / LOGS, max_num_timeout=RETRIES)
         executor.update_parameters(**{"job_name": "earl-jax", **parameters})

@@ -1,7 +1,6 @@
 """The planner of sweeps: it groups runs that can share one program. Each run keeps its own folder."""
 
 import dataclasses
-import json
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ from earl_jax.algos.mixed import program_signature
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.folder import CHECKPOINTS, CONFIG, RunFolder
+from earl_jax.runs.contents import CHECKPOINTS, has_results
+from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
 from earl_jax.training.demo_rows import demo_rows
@@ -111,7 +111,7 @@ def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
         )
         run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
-        if (path / CONFIG).is_file():
+        if has_results(path):
             open_folder(path, config)
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error
@@ -122,14 +122,16 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     """Return the folder at `path` with the run `config`.
 
     Raises:
-        ValueError: the folder is damaged or holds another run; the message gives the differences.
+        ValueError: the folder is damaged, rows of its metrics are missing, or it holds another run; the message gives
+            the differences.
     """
     folder = RunFolder.open(path)
-    existing, wanted = (json.loads(json.dumps(dataclasses.asdict(each))) for each in (folder.config, config))
+    existing, wanted = folder.config.values, config.values
     differing = [name for name in wanted if existing[name] != wanted[name]]
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
         raise InputError(
             f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
         )
+    folder.require_rows()
     return dataclasses.replace(folder, config=config)

@@ -20,8 +20,10 @@ from typing import IO, Any
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.contents import has_results
 from earl_jax.runs.files import inside
-from earl_jax.runs.folder import CONFIG, RunFolder
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.logging import check_logs
 from earl_jax.sweeps.planner import PlannedRun, open_folder, plan, program_groups
 from earl_jax.training.runner import Run, plan_runs, run_program
 
@@ -38,9 +40,10 @@ def claimed(path: Path, run: Run, logs: Sequence[str] = ()) -> Iterator[RunFolde
         ValueError: the folder holds anything else, or another process uses it.
         OSError: the folder cannot be written to.
     """
-    if not (path / CONFIG).is_file():
+    if not has_results(path):
         RunFolder.create(path, run.config, run.env.engine, logs)
     folder = open_folder(path, run.config)
+    check_logs(folder.logs)
     with folder.claimed():
         yield folder
 

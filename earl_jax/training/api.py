@@ -17,7 +17,7 @@ from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_s
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host
-from earl_jax.runs.logging import Log, check_logs
+from earl_jax.runs.logging import Log, check_logs, require_libraries
 from earl_jax.training.plan import Plan
 from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
@@ -85,6 +85,7 @@ def train(
     out: str | Path | None = None,
     checkpoint_every: int = 100_000,
     logs: Sequence[str | Log] = (),
+    overwrite: bool = False,
     progress: bool = False,
     devices: int | None = None,
     **options: Any,
@@ -95,7 +96,8 @@ def train(
         env: a name of `list_envs()` or an `Env`, which need not be registered.
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
         setting: `deployment`, `continuing`, or a `Setting` object with its own interventions and budget.
-        seeds: the number of seeds (0, 1, ...), or a list of them.
+        seeds: the number of seeds (0, 1, ...), or a list of them. The randomness of a seed depends on no other seed;
+            with another number of seeds in the program, its results agree to rounding.
         steps: training steps of each seed.
         eval_every: steps between evaluations; the last one is at `steps`.
         eval_episodes: greedy episodes of each deployed evaluation.
@@ -103,6 +105,8 @@ def train(
         checkpoint_every: steps between checkpoints in `out`.
         logs: receivers of metrics in addition to metrics.csv: `tensorboard` or `wandb` (written into `out`), or an
             object with `log` and `close`.
+        overwrite: remove the results of an earlier run in `out`, and name them on stderr. A folder with other files
+            than a run's is refused.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes; by default one, or the devices of all hosts if jax runs on
             several.
@@ -124,7 +128,7 @@ def train(
     )
     run = Run.resolve(config, task, method, resolved)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
-    run.folder = _create_folder(out, run, logs)
+    run.folder = _create_folder(out, run, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress)
 
@@ -151,7 +155,8 @@ def resume(
 ) -> Result:
     """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
-    On a CPU, the result is bit-identical to that of an uninterrupted run.
+    On a CPU, the result is bit-identical to that of an uninterrupted run, because the same program runs. The same seed
+    in a program with another number of lanes agrees to rounding.
 
     Args:
         folder: a run folder.
@@ -162,9 +167,12 @@ def resume(
         devices: the number of devices that share the lanes.
 
     Raises:
-        ValueError: `folder` is not a run folder or is damaged, or the run's objects must be registered or passed.
+        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's objects
+            must be registered or passed.
     """
     opened = RunFolder.open(Path(folder))
+    opened.require_rows()  # rather than after the training
+    check_logs(opened.logs)
     config = opened.config if steps is None else dataclasses.replace(opened.config, steps=steps)
     setting = config.build_setting()
     wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
@@ -189,7 +197,7 @@ def _execute(plan: Plan, run: Run, progress: bool) -> Result:
     )
 
 
-def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log]) -> RunFolder | None:
+def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log], overwrite: bool) -> RunFolder | None:
     """Return the new folder of a run, or None without `out`; raise a ValueError before if a log can't be opened."""
     check_logs(logs)
     names = tuple(log for log in logs if isinstance(log, str))
@@ -197,10 +205,11 @@ def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log]) 
         if names:
             raise InputError(f"the log {names[0]} writes into a run folder: pass one with out=")
         return None
+    require_libraries(names)
     path = Path(out)
     if not first_host():
         return RunFolder(path, run.config, names)
-    return RunFolder.create(path, run.config, run.env.engine, names)
+    return RunFolder.create(path, run.config, run.env.engine, names, overwrite)
 
 
 def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:

@@ -1,5 +1,6 @@
 """Checkpoints are restored whole, or an error names the damaged file."""
 
+import errno
 import json
 import shutil
 
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from earl_jax.runs import checkpoint, snapshot
+from earl_jax.runs import checkpoint, manifest, snapshot
 from earl_jax.runs.files import DamagedWarning
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
@@ -147,10 +148,10 @@ def test_every_flipped_bit_is_detected(saved, where, bit, number):
 def test_a_manifest_cannot_name_a_file_outside_its_checkpoint(tmp_path, state):
     path = checkpoint.save(tmp_path / "here", state)
     (tmp_path / "secret").write_text("mine")
-    manifest = json.loads((path / "manifest.json").read_text())
-    manifest.pop("checksum")
-    manifest["files"]["../../secret"] = checkpoint._checksum(tmp_path / "secret")
-    (path / "manifest.json").write_text(checkpoint._manifest(manifest))
+    body = json.loads((path / "manifest.json").read_text())
+    body.pop("checksum")
+    body["files"]["../../secret"] = manifest.checksum(tmp_path / "secret")
+    (path / "manifest.json").write_text(manifest.manifest_text(body))
     with pytest.raises(ValueError, match="points outside"):
         checkpoint.restore(tmp_path / "here", state)
 
@@ -217,3 +218,37 @@ def test_a_checkpoint_of_other_shapes_is_refused(tmp_path, problem, state):
     other = make_train_state(problem, tiny_method("fbrl", hidden_sizes=[8, 8]), [0, 1])
     with pytest.raises(ValueError, match="does not belong to this run"):
         checkpoint.restore(tmp_path, other)
+
+
+def test_a_checkpoint_that_cannot_be_removed_yet_does_not_stop_the_next_one(tmp_path, state, monkeypatch):
+    def fail(path, **_):
+        raise OSError(errno.ENOTEMPTY, "a file in it is still read by another host", path)
+
+    monkeypatch.setattr(shutil, "rmtree", fail)
+    for step in (40, 80, 120, 160):
+        checkpoint.save(tmp_path, at_step(state, step))
+    assert checkpoint.saved_steps(tmp_path) == [120, 160]
+    monkeypatch.undo()
+    checkpoint.save(tmp_path, at_step(state, 200))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["000000160", "000000200"]
+
+
+def test_a_file_that_cannot_be_read_is_damage(tmp_path, state, monkeypatch):
+    for step in (40, 80):
+        checkpoint.save(tmp_path, at_step(state, step))
+    digest = manifest.checksum
+
+    def unreadable(path):
+        if "000000080" in str(path):
+            raise OSError(errno.EIO, "Input/output error", str(path))
+        return digest(path)
+
+    monkeypatch.setattr(manifest, "checksum", unreadable)
+    with pytest.warns(DamagedWarning, match="000000080 is damaged: .*Input/output error"):
+        assert int(checkpoint.restore(tmp_path, state).step) == 40
+
+
+def test_checkpoints_of_a_billion_steps_are_in_order(tmp_path):
+    for name in ("999999999", "1000000000"):
+        (tmp_path / name).mkdir()
+    assert checkpoint.newest(tmp_path) == 10**9

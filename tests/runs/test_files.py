@@ -1,5 +1,8 @@
 """Files survive kills, full disks and other processes."""
 
+import errno
+import fcntl
+import io
 import os
 import subprocess
 import sys
@@ -7,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax.runs.files import inside, locked, write_atomically
+from earl_jax.runs.files import UnlockedWarning, inside, locked, opened, read_bytes, write_atomically
 
 HOLD_LOCK = (
     "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
@@ -30,7 +33,7 @@ def test_a_lock_that_is_a_symbolic_link_is_not_followed(tmp_path):
     (tmp_path / "mine").write_text("all of it")
     (tmp_path / "run").mkdir()
     (tmp_path / "run/.lock").symlink_to(tmp_path / "mine")
-    with pytest.raises(OSError, match="can't be written to"), locked(tmp_path / "run"):
+    with pytest.raises(ValueError, match=r"run/\.lock is a link"), locked(tmp_path / "run"):
         pass
     assert (tmp_path / "mine").read_text() == "all of it"
 
@@ -53,3 +56,112 @@ def test_a_path_that_leads_out_of_the_folder_is_refused(tmp_path, name):
     with pytest.raises(ValueError, match="points outside"):
         inside(folder, name)
     assert inside(folder, "a/../b") == Path(folder / "a/../b")
+
+
+def link_to(victim, path):
+    victim.write_text("mine")
+    path.symlink_to(victim)
+
+
+def hard_link_to(victim, path):
+    victim.write_text("mine")
+    path.hardlink_to(victim)
+
+
+@pytest.mark.parametrize("name", ["config.json", "config.json.part"])
+def test_a_link_is_not_written_through(tmp_path, name):
+    link_to(tmp_path / "victim", tmp_path / name)
+    with pytest.raises(ValueError, match=f"{name} is a link"):
+        write_atomically(tmp_path / "config.json", "new")
+    assert (tmp_path / "victim").read_text() == "mine"
+
+
+def test_an_unfinished_file_with_a_second_name_is_replaced(tmp_path):
+    hard_link_to(tmp_path / "victim", tmp_path / "config.json.part")
+    write_atomically(tmp_path / "config.json", "new")
+    assert (tmp_path / "victim").read_text() == "mine"
+    assert (tmp_path / "config.json").read_text() == "new"
+
+
+@pytest.mark.parametrize(("make", "message"), [(link_to, "is a link"), (hard_link_to, "a hard link")])
+def test_nothing_is_appended_to_a_file_with_another_name(tmp_path, make, message):
+    make(tmp_path / "victim", tmp_path / "metrics.csv")
+    with opened(tmp_path) as folder, pytest.raises(ValueError, match=message):
+        folder.append("metrics.csv", "new")
+    assert (tmp_path / "victim").read_text() == "mine"
+
+
+def test_a_fifo_is_refused_instead_of_waiting_for_its_other_end(tmp_path):
+    os.mkfifo(tmp_path / "metrics.csv")
+    with opened(tmp_path) as folder, pytest.raises(ValueError, match="not a regular file"):
+        folder.append("metrics.csv", "new")
+    with pytest.raises(ValueError, match="not a regular file"):
+        read_bytes(tmp_path / "metrics.csv")
+
+
+def test_a_folder_that_is_replaced_by_a_link_is_not_written_to(tmp_path):
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "checkpoints").mkdir()
+    with opened(tmp_path) as parent, parent.subfolder("checkpoints") as folder:
+        (tmp_path / "checkpoints").rename(tmp_path / "moved")
+        (tmp_path / "checkpoints").symlink_to(tmp_path / "victim")
+        (tmp_path / "victim/part-40").mkdir()
+        with pytest.raises(ValueError, match="was replaced by a link"):
+            folder.make("part-40")
+    assert list((tmp_path / "victim").rglob("*")) == [tmp_path / "victim/part-40"]
+
+
+@pytest.mark.parametrize("code", ["ENOSYS", "ENOTSUP", "EOPNOTSUPP", "ENOLCK"])
+def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatch, code):
+    monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(getattr(errno, code), code)))
+    with pytest.warns(UnlockedWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
+        write_atomically(tmp_path / "config.json", "new")
+
+
+def test_another_error_of_a_lock_is_no_permission_to_write(tmp_path, monkeypatch):
+    monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error")))
+    with pytest.raises(OSError, match="can't be locked: Input/output error"), locked(tmp_path):
+        pass
+
+
+def test_a_file_system_that_ignores_exclusive_creation_still_gets_whole_files(tmp_path, monkeypatch):
+    real_open, real_unlink = os.open, os.unlink
+    monkeypatch.setattr(
+        os, "open", lambda path, flags, *rest, **named: real_open(path, flags & ~os.O_EXCL, *rest, **named)
+    )
+    monkeypatch.setattr(
+        os, "unlink", lambda path, **named: None if path.endswith(".part") else real_unlink(path, **named)
+    )
+    (tmp_path / "config.json.part").write_text("a long text that another process left")
+    write_atomically(tmp_path / "config.json", "new")
+    assert (tmp_path / "config.json").read_text() == "new"
+
+
+@pytest.mark.parametrize("failures", [1, 2])
+def test_a_stale_handle_is_opened_again_once(tmp_path, monkeypatch, failures):
+    (tmp_path / "metrics.csv").write_text("rows")
+    real_open, left = io.open, [failures]
+
+    def stale_open(*arguments, **named):
+        if left[0]:
+            left[0] -= 1
+            raise OSError(errno.ESTALE, "Stale file handle", str(arguments[0]))
+        return real_open(*arguments, **named)
+
+    monkeypatch.setattr(io, "open", stale_open)
+    if failures == 1:
+        assert read_bytes(tmp_path / "metrics.csv") == b"rows"
+    else:
+        with pytest.raises(OSError, match=r"Stale file handle: '.*metrics\.csv'"):
+            read_bytes(tmp_path / "metrics.csv")
+
+
+def test_a_file_is_replaced_while_another_process_reads_it(tmp_path):
+    path = tmp_path / "config.json"
+    write_atomically(path, "old")
+    with path.open() as reader:
+        write_atomically(path, "new")
+        assert reader.read() == "old"
+    (tmp_path / ".nfs0001").write_text("old")
+    with opened(tmp_path) as folder:
+        assert folder.names() == ["config.json"]

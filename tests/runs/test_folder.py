@@ -1,7 +1,9 @@
 """Run folders: any content is a valid run or one clear error."""
 
 import copy
+import dataclasses
 import json
+import os
 import re
 
 import numpy as np
@@ -14,6 +16,7 @@ from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.plan import per_lane
+from tests.cli.process import snapshot
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-3, 2**70) | st.floats() | st.text(max_size=5),
@@ -143,8 +146,8 @@ def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):
     assert RunFolder.open(tmp_path / "latest").config.seeds == (3, 5)
 
 
-def test_a_full_disk_is_one_clear_error(folder):
-    folder.metrics.symlink_to("/dev/full")
+def test_a_full_disk_is_one_clear_error(folder, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(OSError, match=r"metrics\.csv can't be written: No space left .* earl-jax resume .* continues"):
         append_rows(folder, 40)
 
@@ -155,3 +158,97 @@ def test_the_id_stays_when_the_run_is_extended_or_moved(folder, tmp_path):
     moved = RunFolder.open(folder.path.rename(tmp_path / "moved"))
     assert moved.id == before
     assert moved.config.steps == 240
+
+
+def create(folder, **options):
+    config = dataclasses.replace(folder.config, seeds=(1, 2, 3))
+    return RunFolder.create(folder.path, config, "kinematic", **options)
+
+
+def fill(folder):
+    """Put every entry that a run writes into its folder."""
+    append_rows(folder, 40)
+    (folder.path / "policies.npz").write_bytes(b"x")
+    (folder.path / "checkpoints/000000040/lanes").mkdir(parents=True)
+    (folder.path / "checkpoints/part-80").mkdir()
+    (folder.path / "tensorboard").mkdir()
+    (folder.path / "tensorboard/events.out.tfevents.1").write_bytes(b"x")
+    (folder.path / "wandb").mkdir()
+
+
+BEFORE_RESULTS = {
+    "config": lambda folder: None,
+    "damaged config": lambda folder: folder.config_file.write_text("{"),
+    "header": lambda folder: folder.metrics.write_text("step,seed,deployed/success\n40,3,0."),
+    "logs": lambda folder: (folder.path / "tensorboard").mkdir(),
+    "unfinished checkpoint": lambda folder: (folder.path / "checkpoints/part-40/lanes").mkdir(parents=True),
+}
+RESULTS = {
+    "rows": lambda folder: append_rows(folder, 40),
+    "rows of old Macs": lambda folder: folder.metrics.write_bytes(b"step,seed\r40,3\r"),
+    "rows without a header": lambda folder: folder.metrics.write_text("40,3,0.5\n"),
+    "policies": lambda folder: (folder.path / "policies.npz").write_bytes(b"x"),
+    "checkpoint": lambda folder: (folder.path / "checkpoints/000000040").mkdir(parents=True),
+}
+
+
+@pytest.mark.parametrize("state", BEFORE_RESULTS)
+def test_a_folder_without_results_is_used_by_the_next_run(folder, state, capsys):
+    BEFORE_RESULTS[state](folder)
+    assert RunFolder.open(create(folder).path).config.seeds == (1, 2, 3)
+    assert not folder.metrics.exists()
+    assert not folder.checkpoints.exists()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("state", RESULTS)
+def test_a_folder_with_results_is_replaced_only_on_request(folder, state, capsys):
+    RESULTS[state](folder)
+    before = snapshot(folder.path)
+    with pytest.raises(ValueError, match=r"holds another run; choose another folder, continue it .* --overwrite"):
+        create(folder)
+    assert snapshot(folder.path) == before
+    assert RunFolder.open(create(folder, overwrite=True).path).config.seeds == (1, 2, 3)
+    message = capsys.readouterr().err
+    assert message.startswith(f"earl-jax: removed from the earlier run in {folder.path}: ")
+    assert message.count("\n") == 1
+    assert sorted(path.name for path in folder.path.iterdir()) == [".lock", "config.json"]
+
+
+def test_overwriting_names_what_it_removes_and_keeps_the_runs_of_wandb(folder, capsys):
+    fill(folder)
+    create(folder, overwrite=True)
+    assert capsys.readouterr().err.endswith(": checkpoints, tensorboard, policies.npz, metrics.csv\n")
+    assert sorted(path.name for path in folder.path.iterdir()) == [".lock", "config.json", "wandb"]
+
+
+UNKNOWN = ["thesis.tex", "checkpoints/thesis.tex", "checkpoints/000000040/thesis.tex", "tensorboard/thesis.tex"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", UNKNOWN)
+@pytest.mark.parametrize("link", [False, True])
+def test_other_files_and_links_in_a_folder_are_never_removed(folder, name, overwrite, link):
+    fill(folder)
+    if link:
+        (folder.path / name).symlink_to(folder.path.parent)
+    else:
+        (folder.path / name).write_text("all of it")
+    before = snapshot(folder.path)
+    with pytest.raises(ValueError, match=f"it holds {name}; move" if overwrite else "holds another run"):
+        create(folder, overwrite=overwrite)
+    assert snapshot(folder.path) == before
+
+
+def test_overwriting_a_folder_in_use_is_refused(folder):
+    fill(folder)
+    before = snapshot(folder.path)
+    with folder.claimed(), pytest.raises(ValueError, match="in use by another process"):
+        create(folder, overwrite=True)
+    assert snapshot(folder.path) == before
+
+
+def test_a_folder_that_another_process_took_over_is_not_used(folder):
+    create(folder)
+    with pytest.raises(ValueError, match="another process has just started another run"), folder.claimed():
+        pass

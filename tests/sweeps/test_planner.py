@@ -1,6 +1,7 @@
 """Tests of the planner: the program groups of a grid, and the errors that it reports before any training."""
 
 import jax
+import numpy as np
 import pytest
 
 from earl_jax.runs.folder import RunFolder
@@ -78,6 +79,7 @@ def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     runs = planner.plan(grid, tmp_path)["runs"]
     config = worker.parse_config(runs[NAMES[0]]["config"])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
+    folder.append(config.rows(40, {"deployed/success": np.zeros(2)}))
     assert planner.plan(grid, tmp_path)["groups"][0]["runs"] == NAMES
     before = (folder.path / "config.json").read_bytes()
     grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))

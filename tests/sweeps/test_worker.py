@@ -122,6 +122,7 @@ def test_a_run_in_a_damaged_folder_fails_with_its_cause(tmp_path, grid, monkeypa
     plan = planner.plan(grid, tmp_path)
     (tmp_path / NAMES[0]).mkdir(parents=True)
     (tmp_path / NAMES[0] / "config.json").write_text("{}")
+    (tmp_path / NAMES[0] / "metrics.csv").write_text("step,seed\n40,0\n")
     stdin = tmp_path / "stdin"
     runs = {NAMES[0]: plan["runs"][NAMES[0]]["config"]}
     stdin.write_text(json.dumps({"out": str(tmp_path), "runs": runs}) + "\n")

@@ -11,6 +11,8 @@ from earl_jax import HelpBudget, algos, envs
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.runs.folder import RunFolder
+from earl_jax.training import api
+from tests.cli.process import snapshot
 from tests.conftest import TINY, TINY_RUN, assert_equal_trees, tiny_train
 
 
@@ -119,3 +121,30 @@ def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_pa
         assert resumed.env == env
         assert_equal_results(resumed, expected)
     assert RunFolder.open(tmp_path / "run").config.setting == {"name": "deployment", "budget": 5.0}
+
+
+def test_a_crashed_start_does_not_block_its_folder(tmp_path, monkeypatch):
+    def crash(*_):
+        raise RuntimeError("out of memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(api, "run_program", crash)
+        with pytest.raises(RuntimeError, match="out of memory"):
+            tiny_train("naive", out=tmp_path / "run", seeds=3)
+    tiny_train("naive", out=tmp_path / "run")
+    with pytest.raises(ValueError, match="holds another run"):
+        tiny_train("naive", out=tmp_path / "run")
+
+
+def test_overwriting_removes_the_earlier_run_only_after_the_new_one_is_accepted(tmp_path, capsys):
+    out = tmp_path / "run"
+    tiny_train("naive", out=out)
+    before = snapshot(out)
+    for invalid in ({"steps": 50}, {"logs": ["abacus"]}, {"discount": "high"}, {"devices": 1000}):
+        with pytest.raises(ValueError, match=r".+"):
+            tiny_train("naive", out=out, overwrite=True, **invalid)
+    assert snapshot(out) == before
+    result = tiny_train("naive", out=out, overwrite=True, seeds=[5, 6])
+    assert "removed from the earlier run" in capsys.readouterr().err
+    assert RunFolder.open(out).config.seeds == result.seeds == (5, 6)
+    assert [row["seed"] for row in RunFolder.open(out).rows()] == [5, 6] * 3

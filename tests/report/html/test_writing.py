@@ -3,8 +3,8 @@
 import base64
 import hashlib
 import html
+import os
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -115,7 +115,7 @@ def test_a_page_is_replaced_completely_or_not_at_all(folders, tmp_path, monkeypa
     page = tmp_path / "deep" / "page.html"
     assert write_page([folders / "door"], page) == page
     before = page.read_text()
-    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "disk full")))
+    monkeypatch.setattr(os, "replace", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "disk full")))
     with pytest.raises(OSError, match="disk full"):
         write_page([folders / "fbrl"], page)
     assert page.read_text() == before

@@ -1,0 +1,207 @@
+"""Damaged run folders: every command stops at once with one line, or uses what is intact; links are never followed."""
+
+import json
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import resume
+from earl_jax.errors import InputError
+from earl_jax.protocol import Deployment
+from earl_jax.report.runs import read
+from earl_jax.runs import checkpoint
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.files import DamagedWarning
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.policies import save_policies
+from earl_jax.runs.table import COLUMNS
+from earl_jax.sweeps.planner import open_folder
+from earl_jax.training import api
+from tests.cli.process import run, snapshot
+from tests.conftest import TINY_RUN, make_train_state, tiny_method
+from tests.runs import damage
+
+
+@pytest.fixture(scope="module")
+def state(problem):
+    return make_train_state(problem, tiny_method("naive"), [0, 1])
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory, env, state):
+    """The folder of a finished run, and that of a run whose newest checkpoint is of step 80."""
+    lengths = {**TINY_RUN, "seeds": (0, 1), "checkpoint_every": 40}
+    config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), **lengths)
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, env.engine)
+    for step in (40, 80, 120):
+        folder.append(config.rows(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)}))
+        checkpoint.save(folder.checkpoints, state.replace(step=jnp.asarray(step, jnp.int32)))
+    save_policies(folder.policies, {"w": np.zeros(2)}, step=120, seeds=(0, 1), obs_size=1, action_size=1)
+    running = shutil.copytree(folder.path, folder.path.parent / "running")
+    shutil.rmtree(running / "checkpoints/000000120")
+    return {path.name: path for path in (folder.path, running)}
+
+
+@pytest.fixture(params=["finished", "running"])
+def folder(request, originals, tmp_path):
+    return shutil.copytree(originals[request.param], tmp_path / "run")
+
+
+@pytest.fixture
+def finished(originals, tmp_path):
+    return shutil.copytree(originals["finished"], tmp_path / "run")
+
+
+@pytest.fixture(autouse=True)
+def _no_training(monkeypatch):
+    def train(*_):
+        raise AssertionError("training started")
+
+    monkeypatch.setattr(api, "run_program", train)
+
+
+def message_of(action):
+    """Return the message of the InputError of `action`, which is a single line of readable length."""
+    with pytest.raises(InputError) as info:
+        action()
+    message = str(info.value)
+    assert len(message.splitlines()) == 1
+    assert len(message) < 700
+    return message
+
+
+@pytest.mark.parametrize("kind", damage.TABLE)
+def test_missing_or_foreign_rows_are_refused_before_training_and_by_every_reader(folder, kind):
+    damage.TABLE[kind](folder)
+    before = snapshot(folder)
+    config = RunFolder.open(folder).config
+    for action in (lambda: resume(folder), lambda: read(folder), lambda: open_folder(folder, config)):
+        assert "metrics.csv is" in message_of(action)
+    assert snapshot(folder) == before
+
+
+@pytest.mark.parametrize("command", ["table", "plot", "resume"])
+def test_a_command_on_missing_rows_prints_one_line(finished, command):
+    damage.TABLE["table without its second row"](finished)
+    code, _, err = run(command, finished)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "metrics.csv is damaged: line 3 is step 80 of seed 0 instead of step 40 of seed 1" in err
+
+
+def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
+    lines = (finished / "metrics.csv").read_text().splitlines(keepends=True)
+    (finished / "metrics.csv").write_text("".join(lines[:6]))
+    expected = (
+        "its rows end at step 80, but the newest checkpoint is of step 120; restore the file from a copy, or delete"
+    )
+    assert f"{expected} checkpoints/000000120 to resume from step 80" in message_of(lambda: resume(finished))
+    shutil.rmtree(finished / "checkpoints/000000120")
+    with pytest.raises(AssertionError, match="training started"):
+        resume(finished)
+
+
+def test_damage_after_the_newest_checkpoint_is_mended_by_resuming(originals, tmp_path):
+    running = shutil.copytree(originals["running"], tmp_path / "run")
+    whole = (running / "metrics.csv").read_text()
+    (running / "metrics.csv").write_text(whole + whole.splitlines(keepends=True)[-1])
+    assert f"earl-jax resume {running} continues from step 80" in message_of(lambda: read(running))
+    assert [row["step"] for row in RunFolder.open(running).rows_until(80)] == [40, 40, 80, 80]
+    assert (running / "metrics.csv").read_text() == "".join(whole.splitlines(keepends=True)[:5])
+
+
+@pytest.mark.parametrize("kind", damage.READABLE)
+def test_other_line_ends_are_read_and_replaced(finished, kind):
+    rows, text = RunFolder.open(finished).rows(), (finished / "metrics.csv").read_bytes()
+    damage.READABLE[kind](finished)
+    assert RunFolder.open(finished).rows() == rows
+    RunFolder.open(finished).rows_until(120)
+    assert (finished / "metrics.csv").read_bytes() == text
+
+
+def test_rows_of_an_earlier_release_keep_their_columns(originals, tmp_path):
+    folder = RunFolder.open(shutil.copytree(originals["running"], tmp_path / "run"))
+    folder.rows_until(80)
+    scores = {name: float(number) for number, name in enumerate(sorted(COLUMNS, reverse=True))}
+    folder.append([{"added": 1.0, **scores, "seed": seed, "step": 120} for seed in (0, 1)])
+    assert folder.rows()[-1] == {"step": 120, "seed": 1, **scores}
+    del scores["faults"]
+    with pytest.raises(InputError, match="columns that this run does not write: faults"):
+        folder.append([{"step": 160, "seed": 0, **scores}])
+
+
+def test_a_column_that_a_table_needs_is_named(finished):
+    path = finished / "metrics.csv"
+    path.write_text(path.read_text().replace("deployed/success", "deployed/succes"))
+    for command in ("table", "plot"):
+        code, _, err = run(command, finished)
+        assert (code, err.count("\n")) == (2, 1)
+        assert "has no column 'deployed/success'" in err
+    assert "metrics.csv is damaged: it has no column deployed/success" in message_of(lambda: resume(finished))
+
+
+def build_all(folder):
+    config = RunFolder.open(folder).config
+    config.build_env(), config.build_method(), config.build_setting()
+
+
+@pytest.mark.parametrize("kind", damage.CONFIG)
+def test_a_damaged_config_is_one_line(finished, kind):
+    damage.CONFIG[kind](finished)
+    message_of(lambda: build_all(finished))
+    message_of(lambda: resume(finished))
+
+
+@pytest.mark.parametrize("kind", damage.LOGS)
+def test_an_unknown_log_concerns_training_only(finished, kind):
+    damage.LOGS[kind](finished)
+    assert "choose from tensorboard, wandb" in message_of(lambda: resume(finished))
+    assert read(finished).steps.tolist() == [40, 80, 120]
+
+
+@pytest.mark.parametrize("kind", damage.CHECKPOINTS)
+def test_a_damaged_checkpoint_is_replaced_by_the_older_one(finished, state, kind):
+    damage.CHECKPOINTS[kind](finished)
+    with pytest.warns(DamagedWarning, match="000000120 is damaged: .* continuing from 000000080"):
+        restored = checkpoint.restore(finished / "checkpoints", jax.eval_shape(lambda: state))
+    assert int(restored.step) == 80
+
+
+@pytest.mark.parametrize("kind", damage.IGNORED)
+def test_other_entries_are_no_checkpoints(finished, kind):
+    damage.IGNORED[kind](finished)
+    assert checkpoint.newest(finished / "checkpoints") == 120
+    assert len(RunFolder.open(finished).rows()) == 6
+
+
+def test_a_checkpoint_after_the_end_of_the_run_is_refused(finished):
+    values = json.loads((finished / "config.json").read_text())
+    (finished / "config.json").write_text(json.dumps({**values, "steps": 80}))
+    for action in (lambda: resume(finished), lambda: read(finished)):
+        assert "checkpoints/000000120 is later than the 80 steps of config.json" in message_of(action)
+
+
+@pytest.mark.parametrize("kind", damage.LINKS)
+def test_a_link_is_named_and_what_it_leads_to_stays(folder, kind):
+    damage.LINKS[kind](folder)
+    victim = damage.victim_of(folder)
+    message = message_of(lambda: resume(folder))
+    assert kind.removeprefix("link at ").partition("/events")[0] in message
+    content = snapshot(victim) if victim.is_dir() else victim.read_text()
+    assert content in (damage.SECRET, {victim / "file": damage.SECRET.encode()})
+
+
+@pytest.mark.parametrize("kind", ["link at checkpoints", "link at checkpoints/part-120"])
+def test_a_checkpoint_is_not_saved_through_a_link(finished, state, kind):
+    damage.LINKS[kind](finished)
+    victim = damage.victim_of(finished)
+    if kind == "link at checkpoints":
+        with pytest.raises(OSError, match="checkpoints is a link"):
+            checkpoint.save(finished / "checkpoints", state.replace(step=jnp.asarray(120)))
+    else:
+        checkpoint.save(finished / "checkpoints", state.replace(step=jnp.asarray(120)))
+        assert checkpoint.newest(finished / "checkpoints") == 120
+    assert snapshot(victim) == {victim / "file": damage.SECRET.encode()}
