@@ -20,8 +20,12 @@ def main(arguments: list[str] | None = None) -> int:
         end_with_pipe(sys.stdin.fileno())
     from earl_jax.sweeps import worker  # it imports jax, which takes seconds
 
-    if options.command == "work":
-        return worker.serve(task)
+    try:
+        if options.command == "work":
+            return worker.serve(task)
+    except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or Ctrl-C before training
+        print(str(interrupt) or "interrupted", file=sys.stderr)
+        return getattr(interrupt, "exit_code", 130)
     return worker.print_plan(options.grid, options.out, options.max_lanes)
 
 

@@ -129,7 +129,7 @@ class GroupJob:
         return DelayedSubmission(self, task)
 
 
-class StopRequest:
+class ForwardedSignal:
     """A context in which SIGINT and SIGTERM stop a sweep: the worker saves its state and ends. A second signal ends both.
 
     The worker has a session of its own, so that a terminal sends Ctrl-C to the launcher alone.
@@ -140,7 +140,7 @@ class StopRequest:
         self._worker: subprocess.Popen[str] | None = None
         self._earlier: dict[int, Any] = {}
 
-    def __enter__(self) -> "StopRequest":
+    def __enter__(self) -> "ForwardedSignal":
         if threading.current_thread() is threading.main_thread():
             self._earlier = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
@@ -163,7 +163,7 @@ class StopRequest:
             worker.send_signal(self.signal)
 
 
-def worker_events(task: dict[str, Any], stop: StopRequest | None = None) -> Iterator[dict[str, Any]]:
+def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> Iterator[dict[str, Any]]:
     """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
     The worker ends when this process ends, for whatever reason. It receives the signals of `stop`.
@@ -222,7 +222,7 @@ def worker_tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
 def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> int:
     """Train the program groups of `plan` one after another and return the number of failed runs."""
     last_states: dict[str, str] = {}
-    with StopRequest() as stop:
+    with ForwardedSignal() as stop:
         for task in worker_tasks(plan):
             for event in worker_events(task, stop):
                 state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
