@@ -1,13 +1,16 @@
 """Kill runs at random times: `python -m benchmarks.kills --kills 50 --out benchmarks/results/kills/kills.json`.
 
 A small run that writes a checkpoint at every evaluation is started, gets SIGKILL after a random time, is started again
-(`earl-jax resume`, or `train` if it has no config yet) and so on until it ends. Then the next run starts. Every run must end
-with the table of an uninterrupted run, byte for byte, and with an intact last checkpoint. Writes a row per kill beside the json.
+(`earl-jax resume`, or `train` if it has no config yet; a sweep or a reproduction by the same command) and so on until it ends.
+Then the next run starts. Every run must end with the tables of an uninterrupted run, byte for byte, and with intact last
+checkpoints. A kill hits the launcher of a sweep alone: its worker must end with it. Writes a row per kill beside the json.
 """
 
 import argparse
 import csv
+import dataclasses
 import random
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,23 +21,108 @@ from typing import Any
 from benchmarks.output import emit
 from earl_jax.runs import checkpoint
 
-RUN = [
-    "--seeds", "2", "--steps", "800", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40",
-    "--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=40",
-]  # fmt: skip
+TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=40"]
 CLI = [sys.executable, "-m", "earl_jax.cli"]
-FIELDS = ["run", "command", "seconds", "rows", "newest", "writing"]
+FIELDS = ["subject", "run", "command", "seconds", "rows", "newest", "writing", "outlived"]
+PATIENCE = 10.0
+"""Seconds after which a worker counts as one that does not end with its launcher."""
+GRID = """
+envs = ["tabletop_organization"]
+algos = ["naive", "fbrl"]
+seeds = 2
+steps = 800
+eval_every = 40
+eval_episodes = 2
+checkpoint_every = 40
+[options]
+hidden_sizes = [[16, 16]]
+batch_size = 16
+random_steps = 40
+reward_scale = [1, 10]
+"""
 
 
-def start(folder: Path) -> subprocess.Popen:
-    """Return a process that trains the run in `folder`, or resumes it."""
-    train = ["train", "tabletop_organization", "--algo", "fbrl", "--out", str(folder), *RUN]
-    arguments = ["resume", str(folder)] if (folder / "config.json").is_file() else train
-    return subprocess.Popen([*CLI, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """What is killed: a run of `arguments` of `train`, or with `repeated` a command that continues what it finds."""
+
+    name: str
+    arguments: tuple[str, ...]
+    repeated: bool = False
+
+    def command(self, folder: Path) -> tuple[str, ...]:
+        """Return the command that starts or continues this in `folder`."""
+        if not self.repeated and (folder / "config.json").is_file():
+            return "resume", str(folder)
+        return *self.arguments, "--out", str(folder)
 
 
-def finished(process: subprocess.Popen, seconds: float | None = None) -> bool:
-    """Return whether `process` ended without an error before it is killed after `seconds`.
+def training(name: str, task: str, algo: str, steps: int, options: list[str], *others: str) -> Subject:
+    """Return a run with twenty evaluations, a checkpoint at each."""
+    every = str(steps // 20)
+    lengths = ["--steps", str(steps), "--eval-every", every, "--checkpoint-every", every, "--eval-episodes", "2"]
+    return Subject(name, ("train", task, "--algo", algo, "--seeds", "2", *lengths, *others, "--set", *TINY, *options))
+
+
+def subjects(root: Path) -> dict[str, Subject]:
+    """Return all subjects by name; `root` receives the grid of the sweep."""
+    grid, table = root / "grid.toml", "tabletop_organization"
+    grid.write_text(GRID)
+    every = [
+        training("fbrl", table, "fbrl", 800, []),
+        training("vaprl", table, "vaprl", 800, ["refresh_every=40", "value_samples=2"]),
+        training("door", "sawyer_door", "fbrl", 400, ["eval_horizon=40"], "--physics", "c"),
+        training("peg", "sawyer_peg", "fbrl", 400, ["eval_horizon=40"], "--physics", "c"),
+        training("budget", table, "fbrl", 800, ["budget=5", "intervention_chance=0.01"], "--setting", "continuing"),
+        Subject("sweep", ("sweep", str(grid)), repeated=True),
+        Subject("reproduce", ("reproduce", "table1", "--steps", "1000"), repeated=True),
+    ]
+    return {subject.name: subject for subject in every}
+
+
+def start(subject: Subject, folder: Path) -> subprocess.Popen:
+    """Return a process that starts or continues `subject` in `folder`."""
+    return subprocess.Popen(
+        [*CLI, *subject.command(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that `pid` has started, which are alive."""
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def alive(pid: int) -> bool:
+    """Return whether the process `pid` runs; a zombie does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def kill(process: subprocess.Popen) -> float:
+    """Kill `process` and return the seconds for which its children outlive it.
+
+    Raises:
+        RuntimeError: one of them does not end.
+    """
+    left = children(process.pid)
+    process.send_signal(signal.SIGKILL)
+    began = time.monotonic()
+    while any(map(alive, left)):
+        if time.monotonic() - began > PATIENCE:
+            raise RuntimeError(f"a child outlived its launcher by more than {PATIENCE} s")
+        time.sleep(0.001)
+    seconds = time.monotonic() - began
+    process.communicate()
+    return round(seconds, 3)
+
+
+def finished(process: subprocess.Popen, seconds: float | None = None) -> tuple[bool, float]:
+    """Return whether `process` ended without an error before it is killed after `seconds`, and what `kill` returns.
 
     Raises:
         RuntimeError: it ended with an error.
@@ -42,48 +130,52 @@ def finished(process: subprocess.Popen, seconds: float | None = None) -> bool:
     try:
         _, err = process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        return False
+        return False, kill(process)
     if process.returncode:
         raise RuntimeError(f"ended with {process.returncode}: {err}")
-    return True
+    return True, 0.0
+
+
+def tables(folder: Path) -> dict[str, bytes]:
+    """Return the tables of all runs in `folder`, by their paths."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("metrics.csv"))}
 
 
 def describe(folder: Path) -> dict[str, Any]:
-    """Return what is in `folder` after a kill."""
-    table, checkpoints = folder / "metrics.csv", folder / "checkpoints"
-    rows = len(table.read_text().splitlines()) - 1 if table.exists() else 0
+    """Return what is in `folder` after a kill: of a sweep, the rows of all runs and the newest checkpoint of any."""
+    checkpoints = list(folder.rglob("checkpoints"))
     return {
-        "rows": max(rows, 0),
-        "newest": checkpoint.newest(checkpoints),
-        "writing": any(checkpoints.glob("part-*")) or (folder / "config.json.part").exists(),
+        "rows": sum(max(0, len(table.splitlines()) - 1) for table in tables(folder).values()),
+        "newest": max(map(checkpoint.newest, checkpoints), default=0),
+        "writing": any(folder.rglob("part-*")) or any(folder.rglob("*.part")),
     }
 
 
-def measure(count: int, seed: int, root: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return a row for each of `count` kills, and a summary of the runs."""
+def measure(subject: Subject, count: int, seed: int, root: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return a row for each of `count` kills of `subject`, and a summary of the runs."""
     whole, rng, kills = root / "whole", random.Random(seed), []
-    finished(start(whole))  # compiles
-    again = root / "again"
+    finished(start(subject, whole))  # compiles
     began = time.monotonic()
-    finished(start(again))
+    finished(start(subject, root / "again"))
     longest, runs, equal = time.monotonic() - began, 0, 0
     while len(kills) < count:
         folder = root / f"run{runs}"
         runs += 1
         while True:
-            command, seconds = "resume" if (folder / "config.json").is_file() else "train", rng.uniform(0, longest)
-            limit = seconds if len(kills) < count else None
-            if finished(start(folder), limit):
+            command, seconds = subject.command(folder)[0], rng.uniform(0, longest)
+            done, outlived = finished(start(subject, folder), seconds if len(kills) < count else None)
+            if done:
                 break
-            kills.append({"run": runs, "command": command, "seconds": round(seconds, 3), **describe(folder)})
+            row = {"subject": subject.name, "run": runs, "command": command, "seconds": round(seconds, 3)}
+            kills.append({**row, **describe(folder), "outlived": outlived})
             print(kills[-1], flush=True)
-        equal += (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-        checkpoint.verified(folder / "checkpoints" / "000000800")
+        equal += tables(folder) == tables(whole)
+        for checkpoints in folder.rglob("checkpoints"):
+            checkpoint.verified(checkpoints / f"{checkpoint.newest(checkpoints):09d}")
     summary = {
-        "kills": len(kills), "in_a_write": sum(kill["writing"] for kill in kills), "runs": runs, "equal_tables": equal,
-        "seconds_of_a_run": round(longest, 1), "seed": seed,
+        "subject": subject.name, "kills": len(kills), "in_a_write": sum(kill["writing"] for kill in kills), "runs": runs,
+        "equal_tables": equal, "longest_outlived_s": max(kill["outlived"] for kill in kills),
+        "seconds_of_a_run": round(longest, 1),
     }  # fmt: skip
     return kills, summary
 
@@ -91,20 +183,28 @@ def measure(count: int, seed: int, root: Path) -> tuple[list[dict[str, Any]], di
 def main() -> None:
     """Kill, compare, and write both files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--kills", type=int, default=50, help="kills of each subject")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--subjects", nargs="+", default=["fbrl"], metavar="NAME")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
+    kills, summaries = [], []
     with tempfile.TemporaryDirectory() as root:
-        kills, summary = measure(arguments.kills, arguments.seed, Path(root))
+        every = subjects(Path(root))
+        for name in arguments.subjects:
+            rows, summary = measure(every[name], arguments.kills, arguments.seed, Path(root, name))
+            kills += rows
+            summaries.append(summary)
     out = f" --out {arguments.out}" if arguments.out else ""
-    emit(summary, arguments.out, f"python -m benchmarks.kills --kills {arguments.kills} --seed {arguments.seed}{out}")
+    names = " ".join(arguments.subjects)
+    command = f"python -m benchmarks.kills --kills {arguments.kills} --seed {arguments.seed} --subjects {names}{out}"
+    emit({"seed": arguments.seed, "subjects": summaries}, arguments.out, command)
     if arguments.out:
         with arguments.out.with_suffix(".csv").open("w", newline="") as handle:
             writer = csv.DictWriter(handle, FIELDS, lineterminator="\n")
             writer.writeheader()
             writer.writerows(kills)
-    if summary["equal_tables"] < summary["runs"]:
+    if any(summary["equal_tables"] < summary["runs"] for summary in summaries):
         raise SystemExit(1)
 
 

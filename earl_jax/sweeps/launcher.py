@@ -3,8 +3,10 @@
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -12,7 +14,9 @@ from typing import Any
 
 from earl_jax.errors import InputError
 
-WORKER = [sys.executable, "-m", "earl_jax.sweeps.worker"]
+WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
+TIED = "--end-with-stdin"
+"""The worker's option to end as soon as its launcher does: stdin is a pipe that the launcher holds open."""
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
 RETRIES = 100
@@ -72,12 +76,25 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
     if max_lanes is not None and max_lanes < 1:
         raise InputError(f"max_lanes must be at least 1, not {max_lanes}")
     limit = [] if max_lanes is None else ["--max-lanes", str(max_lanes)]
-    command = [*WORKER, "plan", str(grid), "--out", str(out.resolve()), *limit]
-    planner = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+    command = [*WORKER, "plan", str(grid), "--out", str(out.resolve()), *limit, TIED]
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    with _open_pipe() as stdin:
+        planner = subprocess.run(command, stdin=stdin, capture_output=True, text=True, env=environment)
     if planner.returncode:
         message = planner.stderr.strip() or f"the planner ended with code {planner.returncode}"
         raise InputError(message.splitlines()[-1])
     return json.loads(planner.stdout.splitlines()[-1])
+
+
+@contextlib.contextmanager
+def _open_pipe() -> Iterator[int]:
+    """Yield the end for reading of a pipe that stays open until the context or this process ends."""
+    reading, writing = os.pipe()
+    try:
+        yield reading
+    finally:
+        os.close(reading)
+        os.close(writing)
 
 
 def describe(plan: dict[str, Any]) -> str:
@@ -112,12 +129,54 @@ class GroupJob:
         return DelayedSubmission(self, task)
 
 
-def worker_events(task: dict[str, Any]) -> Iterator[dict[str, Any]]:
+class ForwardedSignal:
+    """A context in which SIGINT and SIGTERM stop a sweep: the worker saves its state and ends. A second signal ends both.
+
+    The worker has a session of its own, so that a terminal sends Ctrl-C to the launcher alone.
+    """
+
+    def __init__(self):
+        self.signal: int | None = None
+        self._worker: subprocess.Popen[str] | None = None
+        self._earlier: dict[int, Any] = {}
+
+    def __enter__(self) -> "ForwardedSignal":
+        if threading.current_thread() is threading.main_thread():
+            self._earlier = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._earlier.items():
+            signal.signal(number, handler)
+
+    def _stop(self, number: int, frame: object) -> None:
+        if self.signal is not None:
+            raise SystemExit(128 + number)
+        self.signal = number
+        if self._worker is not None:
+            self._worker.send_signal(number)
+
+    def pass_on_to(self, worker: subprocess.Popen[str]) -> None:
+        """Let `worker` receive the signal, also if it has arrived already."""
+        self._worker = worker
+        if self.signal is not None:
+            worker.send_signal(self.signal)
+
+
+def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> Iterator[dict[str, Any]]:
     """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
-    The worker ends when this process ends, for whatever reason.
+    The worker ends when this process ends, for whatever reason. It receives the signals of `stop`.
     """
-    worker = subprocess.Popen([*WORKER, "work"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    worker = subprocess.Popen(
+        [*WORKER, "work", TIED],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=stop is not None,
+    )
+    if stop is not None:
+        stop.pass_on_to(worker)
     assert worker.stdin is not None
     assert worker.stdout is not None
     unfinished = set(task["runs"])
@@ -163,11 +222,16 @@ def worker_tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
 def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> int:
     """Train the program groups of `plan` one after another and return the number of failed runs."""
     last_states: dict[str, str] = {}
-    for task in worker_tasks(plan):
-        for event in worker_events(task):
-            last_states[event["run"]] = event["state"]
-            details = f"  from step {event['step']}" if event.get("step") else f"  {event.get('why', '')}".rstrip()
-            emit(f"{event['state']:<10} {event['run']}{details}")
+    with ForwardedSignal() as stop:
+        for task in worker_tasks(plan):
+            for event in worker_events(task, stop):
+                state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
+                last_states[event["run"]] = state
+                details = f"  from step {event['step']}" if event.get("step") else f"  {event.get('why', '')}".rstrip()
+                emit(f"{state:<10} {event['run']}{details}")
+            if stop.signal:
+                emit("stopped; repeat the command to continue")
+                raise SystemExit(128 + stop.signal)
     count = Counter(last_states.values())
     before = len(plan["runs"]) - len(last_states)
     emit(f"{len(plan['runs'])} runs: {before} done before, {count['done']} done now, {count['failed']} failed")

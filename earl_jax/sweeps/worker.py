@@ -1,21 +1,14 @@
-"""The worker of a sweep: it trains program groups and reports the state of each run.
+"""The worker of a sweep: it trains program groups and reports the state of each run. `sweeps/__main__.py` is its process."""
 
-`python -m earl_jax.sweeps.worker plan GRID --out DIR` prints a plan as JSON. `python -m earl_jax.sweeps.worker work` reads the
-configs of runs as one line of JSON from stdin, prints events as lines of JSON, and exits when stdin closes, so that it ends with
-its launcher.
-"""
-
-import argparse
 import contextlib
 import json
 import os
 import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.runs.checkpoint import newest
@@ -110,11 +103,10 @@ def _cause(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
-def _serve(stdin: IO[str]) -> int:
-    """Train the runs in one line of `stdin`, and exit at once when `stdin` closes."""
-    task = json.loads(stdin.readline())
-    configs = {name: parse_config(fields) for name, fields in task["runs"].items()}
-    threading.Thread(target=_exit_when_closed, args=(stdin.fileno(),), daemon=True).start()
+def serve(task: str) -> int:
+    """Train the runs of `task`, a JSON object, and return the exit code: 1 if one of them is not finished."""
+    fields = json.loads(task)
+    configs = {name: parse_config(config) for name, config in fields["runs"].items()}
     if "SLURM_JOB_ID" in os.environ:  # submitit handles these signals and resubmits the job before this process ends
         for number in SCHEDULER_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -122,37 +114,17 @@ def _serve(stdin: IO[str]) -> int:
     def emit(name: str, state: str, **details: Any) -> None:
         print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
-    succeeded = work(Path(task["out"]), configs, emit, devices=task.get("devices"), logs=task.get("logs", ()))
+    succeeded = work(Path(fields["out"]), configs, emit, devices=fields.get("devices"), logs=fields.get("logs", ()))
     return 0 if succeeded else 1
 
 
-def _exit_when_closed(descriptor: int) -> None:
-    while os.read(descriptor, 1):
-        pass
-    os._exit(1)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run one of the worker's two commands and return the exit code: 2 with a one-line error for invalid input."""
-    parser = argparse.ArgumentParser(prog="python -m earl_jax.sweeps.worker", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    planning = commands.add_parser("plan")
-    planning.add_argument("grid", type=Path)
-    planning.add_argument("--out", type=Path, required=True)
-    planning.add_argument("--max-lanes", type=int)
-    commands.add_parser("work")
-    options = parser.parse_args(arguments)
+def print_plan(grid: Path, out: Path, max_lanes: int | None) -> int:
+    """Print the plan of a grid as JSON and return the exit code: 2 with a one-line error for invalid input."""
     try:
-        if options.command == "work":
-            return _serve(sys.stdin)
-        print(json.dumps(plan(options.grid, options.out, options.max_lanes)))
+        print(json.dumps(plan(grid, out, max_lanes)))
     except Exception as error:
         if not is_input_error(error):
             raise
         print(error, file=sys.stderr)
         return 2
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -244,3 +244,42 @@ def test_missing_slurm_or_unknown_launcher_is_refused(grid, tmp_path, monkeypatc
         launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
     with pytest.raises(ValueError, match="choose from local, slurm"):
         launcher.sweep(grid, tmp_path / "out", "cloud")
+
+
+SLOW_WORKER = """
+import json, os, signal, sys, time
+if sys.argv[1] == "plan":
+    groups = [{"runs": [name], "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for name in "ab"]
+    print(json.dumps({"out": sys.argv[4], "runs": {name: {"step": 0, "config": {}} for name in "ab"}, "groups": groups}))
+    sys.exit()
+name = list(json.loads(sys.stdin.readline())["runs"])[0]
+emit = lambda state: print(json.dumps({"run": name, "state": state}), flush=True)
+def save_and_end(number, frame):
+    print("saved", flush=True)
+    sys.exit(128 + number)
+signal.signal(signal.SIGTERM, save_and_end)
+emit("started")
+time.sleep(60)
+"""
+
+
+def test_a_stopped_sweep_lets_its_worker_save_and_starts_no_other_group(grid, tmp_path, monkeypatch, capsys):
+    script, lines = tmp_path / "worker.py", []
+    script.write_text(SLOW_WORKER)
+    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+
+    def emit(line):
+        lines.append(line)
+        if line.startswith("started"):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(SystemExit) as exit_info:
+        launcher.sweep(grid, tmp_path, emit=emit)
+    assert exit_info.value.code == 128 + signal.SIGTERM
+    assert lines == [
+        "started    a",
+        "stopped    a  the worker ended with code 143",
+        "stopped; repeat the command to continue",
+    ]
+    assert "saved" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL

@@ -67,7 +67,7 @@ def test_replay_bytes_of_a_plan_match_the_allocated_replay(tmp_path, grid, probl
 def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid, change, messages, capsys):
     text = GRID if "[[runs]]" not in change[1] else GRID[: GRID.index("[options]")]
     grid.write_text(text.replace(*change))
-    assert worker.main(["plan", str(grid), "--out", str(tmp_path / "out")]) == 2
+    assert worker.print_plan(grid, tmp_path / "out", None) == 2
     error = capsys.readouterr().err
     assert len(error.strip().splitlines()) == 1
     for message in messages:

@@ -1,7 +1,6 @@
 """Tests of the worker: runs that share a program give the results that each gives alone, in separate folders."""
 
 import json
-import sys
 
 import pytest
 
@@ -118,18 +117,13 @@ def test_a_folder_with_other_files_is_refused(tmp_path, grid):
         pass
 
 
-def test_a_run_in_a_damaged_folder_fails_with_its_cause(tmp_path, grid, monkeypatch, capsys):
+def test_a_run_in_a_damaged_folder_fails_with_its_cause(tmp_path, grid, capsys):
     plan = planner.plan(grid, tmp_path)
     (tmp_path / NAMES[0]).mkdir(parents=True)
     (tmp_path / NAMES[0] / "config.json").write_text("{}")
     (tmp_path / NAMES[0] / "metrics.csv").write_text("step,seed\n40,0\n")
-    stdin = tmp_path / "stdin"
     runs = {NAMES[0]: plan["runs"][NAMES[0]]["config"]}
-    stdin.write_text(json.dumps({"out": str(tmp_path), "runs": runs}) + "\n")
-    with stdin.open() as handle:
-        monkeypatch.setattr(sys, "stdin", handle)
-        monkeypatch.setattr(worker, "_exit_when_closed", lambda descriptor: None)
-        assert worker.main(["work"]) == 1
+    assert worker.serve(json.dumps({"out": str(tmp_path), "runs": runs})) == 1
     event = json.loads(capsys.readouterr().out)
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
     assert "config.json is damaged" in event["why"]

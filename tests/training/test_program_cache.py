@@ -1,9 +1,11 @@
 """The cache of compiled programs."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 
@@ -22,11 +24,16 @@ print(events.count("cache_hits"), events.count("cache_misses"), time.perf_counte
 """
 
 
-def train_with_cache(folder):
-    """Return cache hits, misses and seconds of a training process whose programs are cached in `folder`."""
+def environment(folder):
+    """Return the environment of a process whose programs are cached in `folder`."""
     env = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
     env["EARL_JAX_CACHE"] = str(folder)
-    output = subprocess.check_output([sys.executable, "-c", TRAIN], env=env, text=True)
+    return env
+
+
+def train_with_cache(folder):
+    """Return cache hits, misses and seconds of a training process whose programs are cached in `folder`."""
+    output = subprocess.check_output([sys.executable, "-c", TRAIN], env=environment(folder), text=True)
     return [float(word) for word in output.split()]
 
 
@@ -36,6 +43,58 @@ def test_a_second_process_compiles_nothing_and_starts_within_a_minute(tmp_path):
     assert cold_hits == 0
     assert hits == stored > 0, "programs that compile too fast to be stored may be compiled again"
     assert seconds < 60, "10 s on a quiet machine; the suite's is busy"
+
+
+COMPILE = """
+import os, signal, sys, warnings
+import jax
+from earl_jax.training import program_cache
+from pathlib import Path
+if sys.argv[1:] == ["killed"]:  # while an entry is written
+    def put(cache, key, value):
+        (Path(cache.path) / f"{key}-cache").write_bytes(value[: len(value) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+    program_cache.CheckedCache.put = put
+warnings.simplefilter("error")
+program_cache.keep_programs()
+events = []
+jax.monitoring.register_event_listener(lambda name, **_: events.append(name.rsplit("/", 1)[-1]))
+assert float(jax.jit(lambda x: x * 2 + 1)(3.0)) == 7.0
+print(events.count("cache_hits"))
+"""
+
+
+def compile_with_cache(folder, *arguments):
+    """Return the exit code of a process that compiles one program, and its number of cache hits."""
+    env = {**environment(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    process = subprocess.run([sys.executable, "-c", COMPILE, *arguments], env=env, capture_output=True, text=True)
+    return process.returncode, int(process.stdout or 0), process.stderr
+
+
+def flip_a_bit(content):
+    return content[:100] + bytes([content[100] ^ 1]) + content[101:]
+
+
+def test_a_kill_while_a_program_is_stored_costs_one_compilation(tmp_path):
+    assert compile_with_cache(tmp_path, "killed")[0] == -signal.SIGKILL
+    (entry,) = tmp_path.iterdir()
+    truncated = entry.read_bytes()
+    assert compile_with_cache(tmp_path) == (0, 0, "")
+    files = SimpleNamespace(path=tmp_path, get=lambda key: (tmp_path / f"{key}-cache").read_bytes())
+    assert program_cache.CheckedCache(files).get(entry.name.removesuffix("-cache")) is not None
+    assert entry.read_bytes() != truncated
+
+
+def test_a_damaged_program_is_compiled_and_stored_anew(tmp_path):
+    files = SimpleNamespace(path=tmp_path, get=lambda key: (tmp_path / f"{key}-cache").read_bytes())
+    files.put = lambda key, value: (tmp_path / f"{key}-cache").write_bytes(value)
+    cache, entry = program_cache.CheckedCache(files), tmp_path / "key-cache"
+    for damage in (flip_a_bit, lambda content: content[:-1], lambda content: b"", lambda content: content[:-32]):
+        cache.put("key", bytes(range(200)))
+        assert cache.get("key") == bytes(range(200))
+        entry.write_bytes(damage(entry.read_bytes()))
+        assert cache.get("key") is None
+        assert not entry.exists()
 
 
 def test_the_user_chooses_the_folder(monkeypatch):

@@ -1,0 +1,1 @@
+"""Attacks on the package: damaged files, hostile input, signals, full disks; `python -m benchmarks.attacks`."""
