@@ -244,3 +244,12 @@ def test_missing_slurm_or_unknown_launcher_is_refused(grid, tmp_path, monkeypatc
         launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
     with pytest.raises(ValueError, match="choose from local, slurm"):
         launcher.sweep(grid, tmp_path / "out", "cloud")
+
+
+def test_slurm_logs_are_not_written_through_a_link(grid, tmp_path):
+    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "slurm").symlink_to(tmp_path / "victim")
+    with pytest.raises(ValueError, match="slurm is a link"):
+        launcher.sweep(grid, tmp_path, "slurm", slurm=("time=5",))
+    assert list((tmp_path / "victim").iterdir()) == []
