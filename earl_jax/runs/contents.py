@@ -1,13 +1,13 @@
 """What is in a run folder: whether a run has results there, which entries are a run's own, and their removal."""
 
-import itertools
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import PARTS, PREFIX, is_checkpoint, saved_steps
-from earl_jax.runs.files import BUSY, LOCK, PART, OpenFolder
+from earl_jax.runs.files import BUSY, LOCK, PART, OpenFolder, opened
 from earl_jax.runs.table import complete_lines, table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
@@ -60,10 +60,14 @@ def _entries(folder: Path) -> list[Path]:
     return [entry for entry in folder.iterdir() if not entry.name.startswith(BUSY)]
 
 
-def require_no_links(path: Path) -> None:
-    """Raise an InputError that names a link, if there is one where a run in the folder at `path` writes."""
-    names = [LOCK, CHECKPOINTS, TENSORBOARD, WANDB, *(name + end for name in FILES for end in ("", PART))]
-    for entry in itertools.chain((path / name for name in names), _below(path)):
+def require_plain_entries(path: Path) -> None:
+    """Raise an InputError that names a link or a special file, if there is one where a run at `path` writes."""
+    with opened(path) as folder:
+        for name in (LOCK, *(name + end for name in FILES for end in ("", PART))):
+            folder.require(name)
+        for name in (CHECKPOINTS, TENSORBOARD, WANDB):
+            folder.require(name, stat.S_IFDIR)
+    for entry in _below(path):
         if entry.is_symlink():
             raise InputError(f"{entry} is a link, and a run writes through none; remove it")
 

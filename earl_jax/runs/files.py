@@ -220,9 +220,13 @@ def inside(folder: Path, name: str) -> Path:
     """Return `folder/name`, which need not exist.
 
     Raises:
-        ValueError: the path is outside `folder`.
+        ValueError: the path is outside `folder`, or a link in it leads to itself.
     """
     path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
+    try:
+        is_outside = not path.resolve().is_relative_to(folder.resolve())
+    except (RuntimeError, OSError) as error:  # before Python 3.13, a loop of links is a RuntimeError
+        raise InputError(f"{path} is a link that leads to itself; remove it") from error
+    if is_outside:
         raise InputError(f"{path} points outside {folder}")
     return path

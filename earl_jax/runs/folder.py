@@ -103,10 +103,15 @@ class RunFolder:
             inside(path, name)
         try:
             values = json.loads(read_bytes(file, LARGEST_CONFIG))
+            for name in ("seeds", "logs"):
+                if not isinstance(values.get(name, []), list):
+                    raise InputError(f"{name} must be a list")
             known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
             config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
             return cls(path, config, tuple(map(str, values.get("logs", ()))))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except KeyError as error:
+            raise InputError(f"{file} is damaged: it has no {error}") from error
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             cause = str(error) if isinstance(error, InputError) else repr(error)
             raise InputError(f"{file} is damaged: {cause}") from error
 
@@ -123,7 +128,7 @@ class RunFolder:
             yield
             return
         with locked(self.path):
-            contents.require_no_links(self.path)
+            contents.require_plain_entries(self.path)
             if RunFolder.open(self.path).config.values != self.config.values:
                 raise InputError(f"another process has just started another run in {self.path}; choose another folder")
             yield

@@ -59,7 +59,7 @@ def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, f
 def _prepare(folder: RunFolder, name: str) -> None:
     """Create the folder `name` of a log in a run folder; raise a ValueError if a link is there."""
     with opened(folder.path) as entries, entries.subfolder(name):
-        contents.require_no_links(folder.path)
+        contents.require_plain_entries(folder.path)
 
 
 class TensorBoardLog:

@@ -128,11 +128,12 @@ CONFIG = {
     "config with an unknown setting": _config(setting={"name": 5}),
     "config with a class as a number": _config(env_class=5),
     "config with logs as a number": _config(logs=5),
+    "config with logs as text": _config(logs="tensorboard"),
     "config of 17 MB": lambda folder: (folder / "config.json").write_text(" " * (17 << 20)),
 }
 LOGS = {
     "config with an unknown log": _config(logs=["abacus"]),
-    "config with a log as text": _config(logs="tensorboard"),
+    "config with a log as a number": _config(logs=[5]),
 }
 """Damage to config.json that concerns training only: tables and plots need no logs."""
 

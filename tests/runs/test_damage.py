@@ -184,14 +184,28 @@ def test_a_checkpoint_after_the_end_of_the_run_is_refused(finished):
         assert "checkpoints/000000120 is later than the 80 steps of config.json" in message_of(action)
 
 
+def assert_untouched(victim):
+    content = snapshot(victim) if victim.is_dir() else victim.read_text()
+    assert content in (damage.SECRET, {victim / "file": damage.SECRET.encode()})
+
+
+@pytest.mark.parametrize("kind", damage.LINKS)
+def test_overwriting_follows_no_link(folder, kind):
+    config = RunFolder.open(folder).config
+    damage.LINKS[kind](folder)
+    before = snapshot(folder)
+    assert kind.removeprefix("link at ") in message_of(lambda: RunFolder.create(folder, config, "c", overwrite=True))
+    assert snapshot(folder) == before
+    assert_untouched(damage.victim_of(folder))
+
+
 @pytest.mark.parametrize("kind", damage.LINKS)
 def test_a_link_is_named_and_what_it_leads_to_stays(folder, kind):
     damage.LINKS[kind](folder)
     victim = damage.victim_of(folder)
     message = message_of(lambda: resume(folder))
     assert kind.removeprefix("link at ").partition("/events")[0] in message
-    content = snapshot(victim) if victim.is_dir() else victim.read_text()
-    assert content in (damage.SECRET, {victim / "file": damage.SECRET.encode()})
+    assert_untouched(victim)
 
 
 @pytest.mark.parametrize("kind", ["link at checkpoints", "link at checkpoints/part-120"])

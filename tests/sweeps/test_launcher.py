@@ -283,3 +283,12 @@ def test_a_stopped_sweep_lets_its_worker_save_and_starts_no_other_group(grid, tm
     ]
     assert "saved" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_slurm_logs_are_not_written_through_a_link(grid, tmp_path):
+    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "slurm").symlink_to(tmp_path / "victim")
+    with pytest.raises(ValueError, match="slurm is a link"):
+        launcher.sweep(grid, tmp_path, "slurm", slurm=("time=5",))
+    assert list((tmp_path / "victim").iterdir()) == []
