@@ -109,4 +109,11 @@ def _fits(kind: Any, value: Any) -> bool:
         return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
     if hasattr(value, "dtype") and not isinstance(value, np.generic):
         return True  # a jax array, whose values may be unknown under a trace
-    return kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+    return kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool) and _is_finite(value)
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an int of hundreds of digits
+        return False

@@ -16,6 +16,8 @@ from earl_jax import envs
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs import Env, State
 from earl_jax.errors import InputError
+from earl_jax.options import require
+from earl_jax.runs.config import SEED
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""
@@ -33,6 +35,7 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
         RuntimeError: a demonstration failed, as in `record`.
     """
     _require_script(env)
+    require("seed", seed, SEED)
     rng = np.random.default_rng(seed)
     rows: dict[str, list[tuple]] = {direction: [] for direction in DIRECTIONS}
     for start in env.demo_starts(seed):

@@ -15,6 +15,7 @@ import numpy as np
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
+from earl_jax.options import COUNT, require
 from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
@@ -178,6 +179,9 @@ def reproduce(
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
     """
     result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
+    for option, value in (("seeds", seeds), ("steps", steps)):
+        if value is not None:
+            require(option, value, COUNT["interval"])
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     for task in tasks:
         if task not in result.tasks:

@@ -12,6 +12,8 @@ import numpy as np
 
 from earl_jax.envs import Env, State, list_envs, make, with_physics
 from earl_jax.errors import InputError
+from earl_jax.options import require
+from earl_jax.runs.config import SEED
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy, load_policies, select_seed
 
@@ -54,6 +56,7 @@ class Actor(NamedTuple):
 
 def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Actor:
     """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`."""
+    require("seed", seed, SEED)
     if acting is not None and acting not in ACTINGS:
         raise InputError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
     from_run = is_run(source)

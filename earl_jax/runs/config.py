@@ -19,6 +19,7 @@ Row = dict[str, float]
 MOST_SEEDS = 2**16
 EPISODES = Interval("[1, 100000]")
 """The valid numbers of episodes of an evaluation."""
+SEED = Interval(f"[0, {2**32 - 1}]")
 DEEPEST = 8
 """Levels of lists and dictionaries in an option."""
 
@@ -71,8 +72,7 @@ class RunConfig:
         _check_count(self.seeds)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise InputError(f"seeds must be at least one and distinct, not {brief(list(self.seeds))}")
-        if min(self.seeds) < 0 or max(self.seeds) >= 2**32:
-            raise InputError(f"seeds must lie in 0 to 2**32 - 1, not {brief(list(self.seeds))}")
+        require("seeds", list(self.seeds), SEED)
         for field in ("steps", "eval_every", "checkpoint_every"):
             require(field, getattr(self, field), COUNT["interval"])
         require("eval_episodes", self.eval_episodes, EPISODES)

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import BUSY, inside, read_again
+from earl_jax.runs.files import BUSY, inside, read_again, read_bytes
 
 MANIFEST = "manifest.json"
+LARGEST = 16 << 20
+"""Bytes of a manifest at most."""
 
 
 class DamagedError(InputError):
@@ -60,7 +62,7 @@ def verified(path: Path) -> dict[str, Any]:
 def _read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of the checkpoint at `path`; its entries have the right types."""
     try:
-        manifest = json.loads(read_again((path / MANIFEST).read_text))
+        manifest = json.loads(read_bytes(path / MANIFEST, LARGEST))
         if manifest.pop("checksum") != _sum_of(manifest):
             raise InputError("it does not match its checksum")
         if type(manifest["step"]) is not int:

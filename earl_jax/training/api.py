@@ -229,6 +229,9 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     fields = {field.name for field in dataclasses.fields(make(env))}
     task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
     setting = setting_of(name, **setting_options)
+    reserved = {"env", "name"} & set(rest)  # parameters of the functions that take options by name
+    if reserved:
+        raise InputError(f"there is no option {reserved.pop()!r}")
     return setting.wrap(task), setting, rest
 
 

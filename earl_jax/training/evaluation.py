@@ -13,7 +13,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.options import require
-from earl_jax.runs.config import EPISODES
+from earl_jax.runs.config import EPISODES, SEED
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
@@ -67,6 +67,7 @@ def evaluate(
     if starts not in STARTS:
         raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
     require("episodes", episodes, EPISODES)
+    require("seed", seed, SEED)
     env, policies = load_policies(RunFolder.open(Path(folder)))
     env = with_physics(env, physics)
 

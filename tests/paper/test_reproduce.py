@@ -97,6 +97,8 @@ def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
         ({"name": "figure3"}, "unknown experiment 'figure3'; choose from table1"),
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
+        ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
+        ({"name": "table1", "seeds": 0}, r"seeds must lie in \[1, 2147483647\], not 0"),
     ],
 )
 def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):
