@@ -30,7 +30,7 @@ GRID = """
 envs = ["tabletop_organization"]
 algos = ["naive", "fbrl"]
 seeds = 2
-steps = 800
+steps = 400
 eval_every = 40
 eval_episodes = 2
 checkpoint_every = 40
@@ -75,7 +75,7 @@ def subjects(root: Path) -> dict[str, Subject]:
         training("peg", "sawyer_peg", "fbrl", 400, ["eval_horizon=40"], "--physics", "c"),
         training("budget", table, "fbrl", 800, ["budget=5", "intervention_chance=0.01"], "--setting", "continuing"),
         Subject("sweep", ("sweep", str(grid)), repeated=True),
-        Subject("reproduce", ("reproduce", "table1", "--steps", "1000"), repeated=True),
+        Subject("reproduce", ("reproduce", "table1", "--steps", "400"), repeated=True),
     ]
     return {subject.name: subject for subject in every}
 

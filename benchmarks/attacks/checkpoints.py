@@ -6,16 +6,18 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.attacks.case import Case, first, refused, require, unchanged
+from benchmarks.attacks.case import Case, Failure, first, refused, require, unchanged
 from benchmarks.attacks.place import EVERY, STEPS, Place
+from earl_jax.errors import InputError
+from earl_jax.runs.checkpoint import verified
 
 NEWEST, OLDER = f"checkpoints/{STEPS:09d}", f"checkpoints/{STEPS - EVERY:09d}"
 FALLS_BACK = "a warning, training from the older checkpoint, the identical table"
 REFUSES = "one line, exit code 2, nothing changed"
 Damage = Callable[[Path], object]
-PARTS = ("manifest.json", "lanes/_METADATA", "lanes/_sharding", "lanes/manifest.ocdbt", "lanes/d", "lanes/_CHECKPOINT_METADATA",
-         "replay/_METADATA", "replay/manifest.ocdbt", "replay/d", "replay/_CHECKPOINT_METADATA")  # fmt: skip
-"""Files, or folders of which the largest file is meant; one that this version of orbax does not write is skipped."""
+INSIDE = ("_METADATA", "manifest.ocdbt", "d", "ocdbt.process_0", "_CHECKPOINT_METADATA")
+PARTS = ("manifest.json", *(f"{tree}/{name}" for tree in ("lanes", "replay") for name in INSIDE))
+"""Files, or folders of which the largest file is meant."""
 
 
 def target(path: Path) -> Path:
@@ -141,6 +143,26 @@ def remove_newest(folder: Path) -> None:
     shutil.rmtree(folder / NEWEST)
 
 
+def flip_everywhere(place: Place) -> str:
+    """Flip a bit at several places of every file, one at a time, and expect that the check of the checkpoint finds each."""
+    checkpoint, count = place.finished() / NEWEST, 0
+    for path in sorted(path for path in checkpoint.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        for share in (0.0, 0.01, 0.25, 0.5, 0.75, 0.99, 1.0) if content else ():
+            flip(share, path)
+            try:
+                verified(checkpoint)
+            except InputError as error:
+                if str(checkpoint) not in str(error):
+                    raise Failure(f"the message does not name the checkpoint: {error}") from None
+            else:
+                raise Failure(f"{path.relative_to(checkpoint)} with a flipped bit at {share} passes the check")
+            path.write_bytes(content)
+            count += 1
+    verified(checkpoint)
+    return f"{count} flipped bits detected"
+
+
 def resume_anyhow(damage: Damage, place: Place) -> str:
     """Expect one line with nothing changed, or the identical table."""
     folder = place.finished()
@@ -204,9 +226,12 @@ def cases() -> list[Case]:
         )
         for name, change in CHANGES.items()
     ]
+    flips = Case(
+        "a bit at seven places of every file", "each is detected, and the message names it", flip_everywhere, fast=True
+    )
     gone = Case(
         "a finished run without its newest checkpoint",
         "the identical table, or one line",
         functools.partial(resume_anyhow, remove_newest),
     )
-    return [*one, *two, *listed, *swaps, *names, *policies, gone]
+    return [*one, *two, *listed, *swaps, *names, *policies, flips, gone]

@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmarks.attacks.case import Case, Failure, first, refused, require
 from benchmarks.attacks.place import STEPS, Place
 
-EXPECTED = "one line, or the right result; nothing outside is written, and nothing waits for long"
+EXPECTED = "one line, at the latest at the first write, or the right result; nothing outside is written, and nothing waits for long"
 NAMES = (
     "config.json", "config.json.part", "metrics.csv", "metrics.csv.part", "policies.npz", "policies.npz.part", "checkpoints",
     "tensorboard", ".lock", f"checkpoints/{STEPS:09d}", "checkpoints/part-120", "checkpoints/000000080/manifest.json",
@@ -78,7 +78,15 @@ def attack(command: str, name: str, make: Callable[[Place, Path], None], place: 
     make(place, path)
     outcome = place.run(*COMMANDS[command], seconds=60)
     place.check_outside()
-    return first(lambda: refused(outcome), lambda: _right(place, command, outcome, folder))
+    return first(lambda: refused(outcome), lambda: _right(place, command, outcome, folder), lambda: _late(outcome))
+
+
+def _late(outcome) -> str:
+    """Expect that training stopped with one error line when it reached the file; what was there before is intact."""
+    last = outcome.err.strip().splitlines()[-1:]
+    stopped = outcome.code == 2 and "Traceback" not in outcome.err and last and last[0].startswith("earl-jax: ")
+    require(stopped, outcome, "one line at the first write")
+    return "stopped with one line at the first write"
 
 
 def _right(place: Place, command: str, outcome, folder: Path) -> str:

@@ -42,7 +42,8 @@ def while_locked(arguments: tuple[str, ...], allowed: bool, place: Place) -> str
     if allowed:
         require(outcome.code == 0, outcome, "the output")
         return "read"
-    return refused(outcome, "in use by another process")
+    require(any(word in outcome.err for word in WORDS), outcome, "the cause")
+    return refused(outcome)
 
 
 def read_in_training(command: str, place: Place) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.attacks import events
 from benchmarks.attacks.case import Case, Failure, require
-from benchmarks.attacks.place import STEPS, Place, train
+from benchmarks.attacks.place import Place, train
 from benchmarks.attacks.process import spawned
 from benchmarks.kills import GRID, alive, children
 
@@ -103,10 +103,10 @@ def launcher(name: str, signum: int, place: Place) -> str:
     """Send a signal to the launcher of a sweep or a reproduction after the first checkpoint, then repeat the command."""
     folder = place.path / "run"
     if name == "sweep":
-        (place.path / "grid.toml").write_text(GRID.replace("steps = 800", f"steps = {4 * STEPS}"))
+        (place.path / "grid.toml").write_text(GRID)
         arguments = ["sweep", "grid.toml", "--out", str(folder)]
     else:
-        arguments = ["reproduce", "table1", "--steps", "1000", "--out", str(folder), "--set", "eval_horizon=40"]
+        arguments = ["reproduce", "table1", "--steps", "400", "--out", str(folder), "--set", "eval_horizon=40"]
     from earl_jax.training.program_cache import folder as programs
 
     outcome, left = interpreter(
