@@ -1,5 +1,6 @@
 """Reset-free reinforcement learning: train agents, inspect runs, reproduce the results of the EARL paper."""
 
+import gc
 import os
 import sys
 import warnings
@@ -38,6 +39,7 @@ def main(arguments: list[str] | None = None) -> None:
     if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback. On a
     GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
     """
+    gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
     warnings.formatwarning = _format_warning
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     arguments = sys.argv[1:] if arguments is None else arguments

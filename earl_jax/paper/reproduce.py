@@ -54,7 +54,7 @@ class Scale:
         return max(1, wanted // eval_every) * eval_every
 
 
-SMALL = {"hidden_sizes": [16, 16], "batch_size": 16, "random_steps": 100}
+SMALL = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 100}
 SCALES = {
     "smoke": Scale(seeds=2, steps=200, eval_every=100, eval_episodes=2, tasks=1, options=SMALL),
     "short": Scale(seeds=3, share=0.1),

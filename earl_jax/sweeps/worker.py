@@ -1,6 +1,7 @@
 """The worker of a sweep: it trains program groups and reports the state of each run. `sweeps/__main__.py` is its process."""
 
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -105,6 +106,7 @@ def _cause(error: Exception) -> str:
 
 def serve(task: str) -> int:
     """Train the runs of `task`, a JSON object, and return the exit code: 1 if one of them is not finished."""
+    gc.set_threshold(100_000, 50, 50)  # as on the command line
     fields = json.loads(task)
     configs = {name: parse_config(config) for name, config in fields["runs"].items()}
     if "SLURM_JOB_ID" in os.environ:  # submitit handles these signals and resubmits the job before this process ends
