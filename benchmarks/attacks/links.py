@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmarks.attacks.case import Case, Failure, first, refused, require
 from benchmarks.attacks.place import STEPS, Place
 
-EXPECTED = "one line, at the latest at the first write, or the right result; nothing outside is written, and nothing waits for long"
+EXPECTED = "one line, at the latest at the first write, or the right result; nothing outside is written, nothing waits"
 NAMES = (
     "config.json", "config.json.part", "metrics.csv", "metrics.csv.part", "policies.npz", "policies.npz.part", "checkpoints",
     "tensorboard", ".lock", f"checkpoints/{STEPS:09d}", "checkpoints/part-120", "checkpoints/000000080/manifest.json",
