@@ -4,6 +4,7 @@ The harness has imported the package but has started no jax backend, so a fork o
 signals and patches.
 """
 
+import contextlib
 import importlib
 import os
 import resource
@@ -18,11 +19,14 @@ from pathlib import Path
 from typing import NoReturn
 
 from benchmarks.attacks.case import Outcome
+from benchmarks.kills import children
 
 SECONDS, MEMORY_MB = 90.0, 3000.0
 """The bounds of a command: seconds of the processor, which may include a compilation, and the memory that it holds at once."""
 WAITING = 4
 """How many times as long a command may last, because the machine is busy or because it waits."""
+ADDRESSES = 1 << 34
+"""Bytes of addresses of each process, as a last bound. jax maps a few GB."""
 POLL = 0.01
 
 
@@ -57,10 +61,12 @@ class Command:
                 lasted = time.monotonic() - self._began
                 if not limit and (lasted > WAITING * seconds or _processor_seconds(self.pid) > seconds):
                     limit = f"still running after {lasted:.0f} s"
-                elif not limit and _resident_mb(self.pid) > memory_mb:
+                elif not limit and sum(map(_resident_mb, descendants(self.pid))) > memory_mb:
                     limit = f"took more than {memory_mb:g} MB"
                 if limit:
-                    os.killpg(self.pid, signal.SIGKILL)
+                    for process in descendants(self.pid):
+                        with contextlib.suppress(ProcessLookupError):
+                            os.kill(process, signal.SIGKILL)
                 time.sleep(POLL)
             _, status, usage = ended
             out, err = (path.read_text(errors="replace") for path in self._texts)
@@ -87,6 +93,12 @@ def _resident_mb(pid: int) -> float:
     except (OSError, IndexError):
         return 0.0
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def descendants(pid: int) -> list[int]:
+    """Return `pid` and the processes that it and its children have started."""
+    below = children(pid)
+    return [pid, *(process for child in below for process in descendants(child))]
 
 
 def _texts() -> list[Path]:
@@ -116,6 +128,7 @@ def _run_and_exit(action: Callable[[], object], cwd: Path, texts: Sequence[Path]
     try:
         os.setsid()
         os.chdir(cwd)
+        limited(resource.RLIMIT_AS, ADDRESSES)()
         for path, number in zip(texts, (1, 2), strict=True):
             os.dup2(os.open(path, os.O_WRONLY | os.O_APPEND), number)
         sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterator
@@ -14,6 +15,8 @@ from earl_jax.errors import InputError
 
 COUNTS = {"steps": 100_000, "eval_every": 10_000, "eval_episodes": 10, "checkpoint_every": 100_000}
 KEYS = ("envs", "algos", "seeds", *COUNTS, "options")
+MOST_RUNS, MOST_SEEDS = 10_000, 65_536
+"""The largest numbers of runs in a grid and of seeds in a run."""
 LONGEST = 150
 """Longest folder name in characters. A longer name is cut, and a hash keeps it unique."""
 
@@ -45,10 +48,13 @@ def read(path: Path) -> list[RunSpec]:
     """
     try:
         table = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"grid {path} can't be read: {error}") from error
     try:
-        specs = {spec.name: spec for block in _blocks(table) for spec in _specs(block)}
+        specs: dict[str, RunSpec] = {}
+        for block in _blocks(table):
+            specs.update((spec.name, spec) for spec in _specs(block))
+            _check_runs(len(specs))
     except ValueError as error:
         raise InputError(f"grid {path}: {error}") from error
     return list(specs.values())
@@ -72,10 +78,17 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     counts = {key: _count(key, block.get(key, default)) for key, default in COUNTS.items()}
     seeds = _seeds(block.get("seeds", 5))
     alternatives = _alternatives(_options(block))
-    for env, algo in itertools.product(_names(block, "envs"), _names(block, "algos")):
+    envs, algos = _names(block, "envs"), _names(block, "algos")
+    _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
+    for env, algo in itertools.product(envs, algos):
         for values in itertools.product(*alternatives.values()):
             options = dict(zip(alternatives, values, strict=True))
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
+
+
+def _check_runs(count: int) -> None:
+    if count > MOST_RUNS:
+        raise InputError(f"it has more than {MOST_RUNS} runs; split it over several grids")
 
 
 def _names(block: dict[str, Any], key: str) -> list[str]:
@@ -99,7 +112,10 @@ def _count(key: str, value: Any) -> int:
 def _seeds(value: Any) -> tuple[int, ...]:
     if isinstance(value, list) and all(map(_is_integer, value)):
         return tuple(value)
-    return tuple(range(_count("seeds", value)))
+    count = _count("seeds", value)
+    if count > MOST_SEEDS:
+        raise InputError(f"seeds must be at most {MOST_SEEDS}; split them over several runs")
+    return tuple(range(count))
 
 
 def _options(block: dict[str, Any]) -> dict[str, Any]:

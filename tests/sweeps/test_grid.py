@@ -11,6 +11,9 @@ seeds = 2
 steps = 400
 """
 
+PRODUCT = "\n".join(f"x{number} = {list(range(9))}" for number in range(9))
+"""Options with 9^9 combinations."""
+
 
 def read(tmp_path, text):
     path = tmp_path / "grid.toml"
@@ -83,6 +86,14 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
         ("envs = 'e'\nalgos = 'a'\n[options]\nx = []", "option x"),
         ("envs = 'e'\nalgos = 'a'\n[options]\nx = [1, 1]", "option x"),
         ("envs = 'e'\nalgos = 'a'\n[options]\nhidden_sizes = [16, 32]", r"write it as \[\[256, 256\]\]"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = 1000000000", "seeds must be at most 65536"),
+        (f"envs = 'e'\nalgos = 'a'\nseeds = {'9' * 5000}", "can't be read"),
+        (f"envs = 'e'\nalgos = {'[' * 5000}", "can't be read"),
+        ("envs = 'e'\nalgos = 'a'\n[options]\n" + PRODUCT, "more than 10000 runs"),
+        (
+            "\n".join(f"[[runs]]\nenvs = 'e{n}'\nalgos = 'a'\noptions.x = {list(range(9999))}" for n in range(2)),
+            "more than 10000",
+        ),
         ("[[runs]]\nenvs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'"),
     ],
 )
