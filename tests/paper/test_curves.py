@@ -14,7 +14,7 @@ def files(tmp_path_factory):
     scores = [[0.2, 1.0], [0.4, 0.6]]
     folders = [
         write_run(root / "a", TABLETOP, "fbrl", scores, metrics={"continuing/reward": 0.004}),
-        write_run(root / "b", KITCHEN, "oracle", [[100.0, 300.0]], steps=(10, 40), metrics={"continuing/reward": 0.0}),
+        write_run(root / "b", KITCHEN, "oracle", [[100.0, 300.0]], steps=(20, 40), metrics={"continuing/reward": 0.0}),
     ]
     return write_curves(folders, root / "new" / "out")
 
@@ -33,7 +33,7 @@ def test_the_text_has_crossings_and_areas(files):
         "| tabletop_organization | fbrl | 2 | 20 | 20 | 0.86M | - | 2.07M | 0.550 (0.035) | 0.0040 (0.0000) | 0.005 |"
     )
     assert f"{line} 0.800 (0.141) | 0.94 |" in text
-    assert "| - | - | - | - | 250.0 (0.0) | 0.0000 (0.0000) | - | 300.0 (0.0) | 1203.88 |" in text
+    assert "| - | - | - | - | 200.0 (0.0) | 0.0000 (0.0000) | - | 300.0 (0.0) | 1203.88 |" in text
 
 
 def test_the_picture_shows_the_methods_that_were_run(files):
