@@ -14,7 +14,7 @@ BAD: dict[str, tuple] = {
     "options": (None, [], {"x": 1}, {"name": "x"}, {"sac": 1}, {"discount": 2}, {"hidden_sizes": [0]}, {"hidden_sizes": DIGITS},
                 {"precision": "fp4"}, {"batch_size": 1e308}, {"learning_rate": None}, {"hidden_sizes": [8]}),
     "seeds": ([], None, 5, ["0"], [0, 0], [-1], [DIGITS], [0.5], [[0]], {"0": 1}, [0], [0, 1, 2], "01", list(range(10**5))),
-    "steps": (0, -120, None, "120", 1.5, DIGITS, 121, True, [120], 10**15, 80),
+    "steps": (0, -120, None, "120", 1.5, DIGITS, 121, True, [120], 10**15, 40),
     "eval_every": (0, -1, None, "40", DIGITS, 7, 1.5),
     "eval_episodes": (0, -1, None, DIGITS, "2", 10**12),
     "checkpoint_every": (0, None, "x", -1),

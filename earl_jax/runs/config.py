@@ -20,6 +20,8 @@ MOST_SEEDS = 2**16
 EPISODES = Interval("[1, 100000]")
 """The valid numbers of episodes of an evaluation."""
 SEED = Interval(f"[0, {2**32 - 1}]")
+RESERVED = frozenset({"env", "name"})
+"""Names that no option has: parameters of the functions that take options by name."""
 DEEPEST = 8
 """Levels of lists and dictionaries in an option."""
 
@@ -60,6 +62,9 @@ class RunConfig:
         for field in ("env_class", "algo_class"):
             if not isinstance(getattr(self, field), str | None):
                 raise InputError(f"{field} must be text or null, not {brief(getattr(self, field))}")
+        reserved = RESERVED & {*self.env_options, *self.options}
+        if reserved:
+            raise InputError(f"there is no option {min(reserved)!r}")
         self._check_seeds_and_lengths()
 
     def _check_seeds_and_lengths(self) -> None:
@@ -98,6 +103,8 @@ class RunConfig:
             InputError: an option is outside its interval, or a length or the number of seeds is invalid.
         """
         _check_count(seeds)
+        require("eval_every", eval_every, COUNT["interval"])
+        require("steps", steps, COUNT["interval"])
         task, setting = split_setting(env, setting)
         for owner, options in (
             (task.name, task),

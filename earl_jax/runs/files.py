@@ -22,6 +22,10 @@ NOT_REGULAR = {errno.ELOOP, errno.EMLINK, errno.ENOTDIR, errno.EISDIR, errno.ENX
 """Errors of opening a link or a special file, which depend on the system."""
 
 
+_UNLOCKED: set[Path] = set()
+"""Folders without locks that a warning has named."""
+
+
 class RunWarning(UserWarning):
     """A warning about the files of a run, which commands print as one line."""
 
@@ -212,8 +216,10 @@ def _lock(number: int, path: Path) -> None:
     except OSError as error:
         if error.errno not in WITHOUT_LOCKS:
             raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
-        message = f"{path} is on a file system without locks: make sure that no other process writes to it"
-        warnings.warn(message, UnlockedWarning, stacklevel=4)
+        if path not in _UNLOCKED:
+            _UNLOCKED.add(path)
+            message = f"{path} is on a file system without locks: make sure that no other process writes to it"
+            warnings.warn(message, UnlockedWarning, stacklevel=4)
 
 
 def inside(folder: Path, name: str) -> Path:

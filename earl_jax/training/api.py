@@ -14,7 +14,7 @@ from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
-from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.logging import Log, check_logs, require_libraries
@@ -229,9 +229,9 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     fields = {field.name for field in dataclasses.fields(make(env))}
     task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
     setting = setting_of(name, **setting_options)
-    reserved = {"env", "name"} & set(rest)  # parameters of the functions that take options by name
+    reserved = RESERVED & set(rest)
     if reserved:
-        raise InputError(f"there is no option {reserved.pop()!r}")
+        raise InputError(f"there is no option {min(reserved)!r}")
     return setting.wrap(task), setting, rest
 
 

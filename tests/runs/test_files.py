@@ -6,6 +6,7 @@ import io
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,10 @@ def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatc
     monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(getattr(errno, code), code)))
     with pytest.warns(UnlockedWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
         write_atomically(tmp_path / "config.json", "new")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the folder is named once
+        with locked(tmp_path):
+            pass
 
 
 def test_another_error_of_a_lock_is_no_permission_to_write(tmp_path, monkeypatch):
