@@ -144,9 +144,11 @@ def _run_and_exit(action: Callable[[], object], cwd: Path, texts: Sequence[Path]
     except BaseException:
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+        try:
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:  # an error of a full disk must not lead to the ordinary exit, which removes the harness's own files
+            os._exit(code)
 
 
 def spawned(arguments: Sequence[str], cwd: Path, environment: dict[str, str]) -> Command:

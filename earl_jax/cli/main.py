@@ -28,6 +28,8 @@ COMMANDS = {
     "quickstart": quickstart.quickstart,
 }
 TRACEBACK = "--traceback"
+LONGEST = 1800
+"""Characters of an error line at most; a path in it can have thousands."""
 DESCRIPTION = f"{__doc__}\n\nWith {TRACEBACK}, invalid input prints a traceback instead of one line."
 DEFAULT_FORMAT = warnings.formatwarning
 
@@ -53,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
     except Exception as error:
         if not is_input_error(error) or TRACEBACK in arguments:
             raise
-        print(f"earl-jax: {error}", file=sys.stderr)
+        print(f"earl-jax: {str(error)[:LONGEST]}", file=sys.stderr)
         raise SystemExit(2) from None
 
 
