@@ -6,6 +6,7 @@ failed. The cases of the class `recordings` and others read hostile files, so ru
 
 import argparse
 import os
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -26,6 +27,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="only every n-th of these cases")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets background commands ignore it
     with tempfile.TemporaryDirectory(prefix="attacks-") as name:
         root = Path(name)
         runner.self_test(root)
