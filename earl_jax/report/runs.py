@@ -82,6 +82,10 @@ def read(path: Path) -> Curves:
         ValueError: the folder holds no run, or a run without an evaluation, or rows of its metrics are missing.
     """
     folder = RunFolder.open(path)
+    try:
+        folder.config.build_env()
+    except InputError as error:  # it names the choices, but not the run
+        raise InputError(f"{path}: {error}") from error
     rows = folder.rows()
     if not rows:
         raise InputError(f"{path} has no evaluation yet")

@@ -77,3 +77,10 @@ def test_tables_say_how_many_seeds_have_diverged(tmp_path):
     assert row["diverged"] == 1
     assert f"| {row['seeds']}, 1 of {row['seeds']} diverged |" in tables.markdown([row])
     assert "diverged" not in tables.markdown(tables.tabulate([write_three_evaluations(tmp_path / "b")]))
+
+
+def test_a_task_that_cannot_be_built_is_an_error_that_names_the_run(tmp_path):
+    folder = write_three_evaluations(tmp_path / "a")
+    (folder / "config.json").write_text((folder / "config.json").read_text().replace(TABLETOP, "maze"))
+    with pytest.raises(ValueError, match=f"{folder}: unknown env 'maze'"):
+        tables.tabulate([folder])
