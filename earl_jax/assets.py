@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from earl_jax.arrays import npz
-from earl_jax.arrays.plain import read_bytes
+from earl_jax.arrays.content import read_bytes
 from earl_jax.errors import InputError
 
 DIRECTIONS = ("forward", "backward")

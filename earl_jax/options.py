@@ -37,13 +37,13 @@ class Interval(NamedTuple):
         return bool((above & below).all())
 
 
-def within(interval: str) -> dict[str, Interval]:
+COUNT = Interval(f"[1, {LARGEST_INT}]")
+"""The valid numbers of steps or transitions."""
+
+
+def within(interval: str | Interval) -> dict[str, Interval]:
     """Return the metadata of a field whose values lie in `interval`, such as `[0, 1)`."""
-    return {"interval": Interval(interval)}
-
-
-COUNT = within(f"[1, {LARGEST_INT}]")
-"""The metadata of a field that counts steps or transitions."""
+    return {"interval": Interval(interval) if isinstance(interval, str) else interval}
 
 
 def require(name: str, value: Any, interval: Interval) -> None:

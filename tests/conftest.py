@@ -1,6 +1,5 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
-import functools
 import gc
 import os
 from pathlib import Path
@@ -18,7 +17,7 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
-from earl_jax.training import runner, train
+from earl_jax.training import runner, select_seed, train
 from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import per_lane
@@ -127,12 +126,7 @@ def run_whole(problem, method, state, steps, explore=False, compiler_options=Non
 
 def take_lane(tree, lane):
     """Return `lane`, an index or a slice, of a tree of arrays with a leading lane axis."""
-    return _take(tree, lane) if isinstance(lane, int) else jax.tree.map(lambda leaf: leaf[lane], tree)
-
-
-@functools.partial(jax.jit, static_argnums=1)
-def _take(tree, lane):
-    return jax.tree.map(lambda leaf: leaf[lane], tree)
+    return select_seed(tree, lane) if isinstance(lane, int) else jax.tree.map(lambda leaf: leaf[lane], tree)
 
 
 def to_numpy(leaf):

@@ -3,6 +3,7 @@
 import csv
 import os
 import platform
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,15 +43,24 @@ def _summed(kind: str, rows: list[Row]) -> dict[str, Any]:
 def markdown(rows: Sequence[Row], command: str) -> str:
     """Return the table of the classes, and the failed cases."""
     lines = [
-        "# Attacks survived", "", f"`{command}`, {_machine()}.", "",
+        "# Attacks survived", "", _wrapped(f"`{command}`, {_machine()}."), "",
         "| class | tried | survived | how | s | peak MB |", "| --- | --- | --- | --- | --- | --- |",
         *("| {class} | {tried} | {survived} | {how} | {seconds} | {peak_mb} |".format(**row) for row in summary(rows)),
     ]  # fmt: skip
     failed = [row for row in rows if row["verdict"] == "failed"]
     if failed:
         lines += ["", "Failed:", ""]
-        lines += [f"- {row['class']}: {row['case']}. Expected: {row['expected']}. {row['how'][:300]}" for row in failed]
+        lines += [
+            _wrapped(f"- {row['class']}: {row['case']}. Expected: {row['expected']}. {row['how'][:300]}")
+            for row in failed
+        ]
     return "\n".join(lines) + "\n"
+
+
+def _wrapped(text: str) -> str:
+    """Return a paragraph or an item of a list in lines of less than 100 columns."""
+    indent = "  " if text.startswith("- ") else ""
+    return textwrap.fill(text, 99, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _machine() -> str:

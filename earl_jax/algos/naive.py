@@ -7,7 +7,7 @@ from flax import struct
 
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
-from earl_jax.options import COUNT
+from earl_jax.options import COUNT, within
 
 
 class Naive(Method):
@@ -17,7 +17,7 @@ class Naive(Method):
     reward rate of one reward in 30.7 steps on tabletop requires it.
     """
 
-    episode_length: int = struct.field(pytree_node=False, default=1000, metadata=COUNT)
+    episode_length: int = struct.field(pytree_node=False, default=1000, metadata=within(COUNT))
     """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
 
     name: ClassVar[str] = "naive"

@@ -43,7 +43,7 @@ class VaPRL(Method):
     value_samples: int = struct.field(pytree_node=False, default=4, metadata=within("[1, 1024]"))
     """Number of actions over which a value is averaged (released code: 10)."""
 
-    refresh_every: int = struct.field(pytree_node=False, default=200, metadata=COUNT)
+    refresh_every: int = struct.field(pytree_node=False, default=200, metadata=within(COUNT))
     """Steps between refreshes of the value table."""
 
     name: ClassVar[str] = "vaprl"

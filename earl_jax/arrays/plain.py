@@ -2,33 +2,14 @@
 
 import math
 import re
-import stat
-from pathlib import Path
 
 import numpy as np
 
+from earl_jax.arrays.content import MAX_BYTES
 from earl_jax.errors import InputError
 
-MAX_BYTES = 512 << 20
-"""Size limit of a file, of the arrays in it, and of the float32 arrays made from them: millions of transitions."""
 MAX_AXES = 8
 ELEMENT_TYPE = re.compile(r"b1|[iu][1248]|f[248]")
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        ValueError: it is not a regular file, or larger than `MAX_BYTES`.
-        OSError: it cannot be read.
-    """
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError("not a regular file")
-    if status.st_size > MAX_BYTES:
-        raise InputError(f"larger than {MAX_BYTES >> 20} MiB, the limit")
-    with path.open("rb") as handle:
-        return handle.read(status.st_size)
 
 
 def shortened(text: object) -> str:

@@ -82,17 +82,14 @@ def resume(
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     """Print the final deployed score of `result` over its seeds."""
-    import numpy as np
-
-    from earl_jax.metrics.continuing import DIVERGED
+    from earl_jax.metrics.continuing import DIVERGED, count_diverged, diverged_text
     from earl_jax.metrics.statistics import summarise
     from earl_jax.runs.config import deployed_metric
 
     metric = deployed_metric(result.env)
     final = summarise(result.metrics[metric][:, -1])
-    diverged = int((result.metrics.get(DIVERGED, np.zeros((1, 1)))[:, -1] > 0).sum())
+    diverged = count_diverged(result.metrics)
     values = {"out": str(out), "steps": int(result.steps[-1]), metric: final._asdict(), DIVERGED: diverged}
     text = f"{out}: {metric} {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
-    if diverged:
-        text += f", {diverged} of {final.seeds} diverged"
+    text += diverged_text(diverged, final.seeds)
     emit(values, as_json, text)

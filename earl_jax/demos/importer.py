@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from earl_jax.arrays import npz
-from earl_jax.arrays.plain import MAX_BYTES, read_bytes
+from earl_jax.arrays.content import MAX_BYTES, read_bytes
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.demos import pickled
 from earl_jax.errors import InputError

@@ -55,7 +55,7 @@ class Env(abc.ABC):
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
         for field in ("train_horizon", "eval_horizon"):
-            options.require(field, getattr(self, field), options.COUNT["interval"])
+            options.require(field, getattr(self, field), options.COUNT)
 
     def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
         """Raise a ValueError if the option `field` is not one of `choices`."""

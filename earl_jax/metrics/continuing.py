@@ -1,13 +1,31 @@
 """Continuing evaluation: the reward of a lifetime, and the number of interventions in it."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from earl_jax.envs import State
 
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
+
+
+def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
+    """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
+
+    Runs of earlier versions show it by their loss alone.
+    """
+    marks = [metrics[DIVERGED][:, -1] > 0] if DIVERGED in metrics else []
+    marks += [~np.isfinite(metrics["critic_loss"][:, -1])] if "critic_loss" in metrics else []
+    return int(np.any(marks, axis=0).sum())
+
+
+def diverged_text(diverged: int, seeds: int) -> str:
+    """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
+    return f", {diverged} of {seeds} diverged" if diverged else ""
 
 
 class Counters(struct.PyTreeNode):

@@ -181,7 +181,7 @@ def reproduce(
     result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
     for option, value in (("seeds", seeds), ("steps", steps)):
         if value is not None:
-            require(option, value, COUNT["interval"])
+            require(option, value, COUNT)
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     for task in tasks:
         if task not in result.tasks:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.continuing import diverged_text
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE, PublishedScore, published_fault
-from earl_jax.report.runs import diverged_text, read_methods
+from earl_jax.report.runs import read_methods
 from earl_jax.report.style import colours, method_order, new_figure, save, task_title
 from earl_jax.report.tables import markdown_table, write
 

@@ -73,7 +73,7 @@ class Continuing(Setting):
     a new goal. So `earl-jax reproduce table2` reads C(A) from deployment runs.
     """
 
-    goal_change: int | None = dataclasses.field(default=None, metadata=COUNT)
+    goal_change: int | None = dataclasses.field(default=None, metadata=within(COUNT))
     """Steps between goal changes; None for the task's own."""
 
     name: ClassVar[str] = "continuing"

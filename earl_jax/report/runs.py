@@ -8,7 +8,7 @@ import numpy as np
 
 from earl_jax.envs import make
 from earl_jax.errors import InputError
-from earl_jax.metrics.continuing import DIVERGED
+from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
@@ -30,9 +30,8 @@ class Curves(NamedTuple):
 
     @property
     def diverged(self) -> int:
-        """The number of seeds whose learner has diverged; runs of earlier versions show it by their loss alone."""
-        last = {name: values[:, -1] for name, values in self.metrics.items() if name in (DIVERGED, "critic_loss")}
-        return int(sum((last.get(DIVERGED, 0) > 0) | ~np.isfinite(last.get("critic_loss", np.zeros(self.seeds)))))
+        """The number of seeds whose learner has diverged."""
+        return count_diverged(self.metrics)
 
     @property
     def seeds(self) -> int:
@@ -167,11 +166,6 @@ def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
             names = [label(algo, changed, options) if changed else algo for changed in options]
             groups += [MethodRuns(env, algo, name, curves) for name, curves in zip(names, peers, strict=True)]
     return groups
-
-
-def diverged_text(diverged: int, seeds: int) -> str:
-    """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
-    return f", {diverged} of {seeds} diverged" if diverged else ""
 
 
 def options_text(options: dict[str, Any]) -> str:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.statistics import summarise
 from earl_jax.report.published import LEVELS, published_score
-from earl_jax.report.runs import Curves, diverged_text, labels, options_text, read_all
+from earl_jax.report.runs import Curves, labels, options_text, read_all
 
 WINDOW = 10
 """Evaluations in the trailing mean from which crossings are read."""

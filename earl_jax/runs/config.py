@@ -79,7 +79,7 @@ class RunConfig:
             raise InputError(f"seeds must be at least one and distinct, not {brief(list(self.seeds))}")
         require("seeds", list(self.seeds), SEED)
         for field in ("steps", "eval_every", "checkpoint_every"):
-            require(field, getattr(self, field), COUNT["interval"])
+            require(field, getattr(self, field), COUNT)
         require("eval_episodes", self.eval_episodes, EPISODES)
         if self.steps % self.eval_every:
             raise InputError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
@@ -103,8 +103,7 @@ class RunConfig:
             InputError: an option is outside its interval, or a length or the number of seeds is invalid.
         """
         _check_count(seeds)
-        require("eval_every", eval_every, COUNT["interval"])
-        require("steps", steps, COUNT["interval"])
+        require("eval_every", eval_every, COUNT)
         task, setting = split_setting(env, setting)
         for owner, options in (
             (task.name, task),

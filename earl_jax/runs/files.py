@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
+from earl_jax.arrays import content
 from earl_jax.errors import InputError
 
 T = TypeVar("T")
@@ -177,11 +178,10 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
     Raises:
         ValueError: it is not a regular file, or has more than `limit` bytes.
     """
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path} is not a regular file")
-    if limit is not None and path.stat().st_size > limit:
-        raise InputError(f"{path} has more than {limit / 1e6:,.0f} MB")
-    return read_again(path.read_bytes)
+    try:
+        return read_again(lambda: content.read_bytes(path, limit))
+    except InputError as error:
+        raise InputError(f"{path} is {error}") from error
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
 from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
-from earl_jax.runs.table import COLUMNS, Table, cells, complete_lines, csv_text
+from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
 
 LARGEST_CONFIG = 1 << 24
 """Bytes of a config.json."""
@@ -155,10 +155,9 @@ class RunFolder:
     def append(self, rows: list[Row]) -> None:
         """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
         try:
-            lines = complete_lines(self.metrics)
-            text = csv_text(rows, cells(lines[0]) if lines else [])
             with opened(self.path) as folder:
-                folder.append(METRICS, text)
+                columns = columns_of(self.metrics) if folder.require(METRICS) else []
+                folder.append(METRICS, csv_text(rows, columns))
         except OSError as error:
             cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from earl_jax.arrays import npz
-from earl_jax.arrays.plain import read_bytes
+from earl_jax.arrays.content import read_bytes
 from earl_jax.errors import InputError
 from earl_jax.runs.files import write_atomically
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.files import read_bytes
+from earl_jax.runs.files import read_again, read_bytes
 
 KEYS = {"step", "seed"}
 COLUMNS = {
@@ -56,6 +56,17 @@ def table_text(path: Path) -> str:
 def complete_lines(path: Path) -> list[str]:
     """Return the lines of the table at `path` that end, without blank ones."""
     return [line for line in table_text(path).split("\n")[:-1] if line.strip()]
+
+
+def columns_of(path: Path) -> list[str]:
+    """Return the columns of the table at `path`, of which only the start is read; [] without a complete header."""
+
+    def first_line() -> str:
+        with path.open(encoding="utf-8-sig", errors="replace") as handle:
+            return next((line for line in handle if line.strip()), "")
+
+    line = read_again(first_line)
+    return cells(line) if line.endswith("\n") else []
 
 
 def cells(line: str) -> list[str]:

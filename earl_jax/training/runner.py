@@ -149,25 +149,26 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> Trai
             stack.enter_context(run.logged(step))
         bar = stack.enter_context(_progress(plan, runs, step, progress))
         bar.message(str(plan.memory))
-        return _train_to_end(plan, method, runs, state, bar, stop)
+        return _train_to_end(plan, method, runs, state, step, bar, stop)
 
 
 def _train_to_end(
-    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, bar: Progress, stop: StopRequest
+    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress, stop: StopRequest
 ) -> TrainState:
-    step = int(gathered(state.step))
+    """Return the final state, trained from `step`. Errors as `run_program`."""
     while step < plan.steps:
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))
         if step > previous and step % plan.problem.protocol.eval_every == 0:
             state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
             _record(runs, step, gathered(metrics), bar)
-            _save_policies(runs, state)
-        stopped = stop.number is not None and step < plan.steps
+            _save_policies(runs, state, step)
+        signal_number = stop.number if step < plan.steps else None
         if step:
-            _save_checkpoints(runs, state, [stopped or run.config.checkpoint_due(step) for run in runs])
-        if stop.number is not None and stopped:
-            raise Stopped(stop.number, step, [run.folder.path for run in runs if run.folder])
+            due = [signal_number is not None or run.config.checkpoint_due(step) for run in runs]
+            _save_checkpoints(runs, state, due)
+        if signal_number is not None:
+            raise Stopped(signal_number, step, [run.folder.path for run in runs if run.folder])
     return state
 
 
@@ -202,12 +203,11 @@ def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar:
     bar.report(step, list(itertools.chain(*rows)))
 
 
-def _save_policies(runs: Sequence[Run], state: TrainState) -> None:
+def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
     """Write the task actors of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
     actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.actor))
-    step = int(gathered(state.step))
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():
             save_policies(

@@ -114,7 +114,7 @@ def valid(protocol):
     return pickle.dumps(content, protocol)
 
 
-def accepted_only_with_numpys_result(data):
+def assert_accepted_only_with_numpys_result(data):
     message = ""
     try:
         pickled.load(data)
@@ -138,7 +138,7 @@ def test_changed_bytes_are_refused_or_read_as_numpy_reads_them(protocol, changes
     for where, length, text in changes:
         offset = int(where * len(data))
         data = data[:offset] + text + data[offset + length :]
-    accepted_only_with_numpys_result(data)
+    assert_accepted_only_with_numpys_result(data)
 
 
 OTHER_OPCODES = [code.code.encode("latin1") for code in pickletools.opcodes]
@@ -160,11 +160,11 @@ def test_changed_opcodes_are_refused_or_read_as_numpy_reads_them(protocol, chang
     for where, length, inserted in changes:
         start = int(where * len(parts))
         parts = [*parts[:start], *inserted, *parts[start + length :]]
-    accepted_only_with_numpys_result(b"".join(parts))
+    assert_accepted_only_with_numpys_result(b"".join(parts))
 
 
 @FUZZ
 @given(st.lists(st.sampled_from(POOL), max_size=40))
 @example([b"}", b"."])
 def test_random_opcodes_are_refused_or_read_as_numpy_reads_them(parts):
-    accepted_only_with_numpys_result(b"".join([*parts, b"."]))
+    assert_accepted_only_with_numpys_result(b"".join([*parts, b"."]))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.continuing import DIVERGED
+from earl_jax.metrics.continuing import DIVERGED, diverged_text
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.html.runs import Line
@@ -19,7 +19,6 @@ from earl_jax.report.published import (
     published_fault,
     published_score,
 )
-from earl_jax.report.runs import diverged_text
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW, row_of
 
