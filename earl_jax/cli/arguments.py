@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from earl_jax.errors import InputError
+from earl_jax.time_limit import TimeLimit
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
@@ -25,6 +26,14 @@ Hosts = Annotated[
         help="Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER."
     ),
 ]
+Minutes = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="MINUTES",
+        help="Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "
+        "runs out, with a checkpoint and exit code 0. By default there is none.",
+    ),
+]
 Logs = Annotated[
     tuple[Literal["tensorboard", "wandb"], ...],
     tyro.conf.arg(help="Loggers to use besides metrics.csv. A resumed run uses the same ones."),
@@ -32,6 +41,19 @@ Logs = Annotated[
 Slurm = Annotated[
     tuple[str, ...], tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ...")
 ]
+
+
+def parse_minutes(text: str | None) -> TimeLimit | None:
+    """Return the time limit of `--minutes`, from now on.
+
+    Raises:
+        ValueError: `text` is not a positive finite number.
+    """
+    try:
+        minutes = None if text is None else float(text)
+    except ValueError:
+        minutes = text
+    return TimeLimit.of(minutes)
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str) -> None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import Devices, Positional, Set, parse_options, print_line
+from earl_jax.cli.arguments import Devices, Minutes, Positional, Set, parse_minutes, parse_options, print_line
 
 
 def reproduce(
@@ -15,6 +15,7 @@ def reproduce(
     steps: int | None = None,
     max_lanes: int | None = None,
     devices: Devices = None,
+    minutes: Minutes = None,
     set: Set = (),
 ) -> None:
     """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
@@ -28,6 +29,7 @@ def reproduce(
         steps: Training steps of each seed. By default those of the scale.
         max_lanes: Largest number of lanes (runs x seeds) in one program.
     """
+    limit = parse_minutes(minutes)
     from earl_jax.paper import reproduce as paper
 
     paths = paper.reproduce(
@@ -40,6 +42,7 @@ def reproduce(
         options=parse_options(set),
         max_lanes=max_lanes,
         devices=devices,
+        minutes=limit,
         emit=print_line,
     )
     for path in paths:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from earl_jax.cli.arguments import JSON, Devices, Logs, Positional, Slurm, emit, print_line
+from earl_jax.cli.arguments import JSON, Devices, Logs, Minutes, Positional, Slurm, emit, parse_minutes, print_line
 
 
 def sweep(
@@ -13,6 +13,7 @@ def sweep(
     max_lanes: int | None = None,
     slurm: Slurm = (),
     devices: Devices = None,
+    minutes: Minutes = None,
     log: Logs = (),
     dry_run: bool = False,
     json: JSON = False,
@@ -26,6 +27,7 @@ def sweep(
         max_lanes: Largest number of lanes (runs x seeds) in one program.
         dry_run: Print the programs with their lanes, folders and memory, and start nothing.
     """
+    limit = parse_minutes(minutes)
     from earl_jax.sweeps import launcher as launchers
 
     if dry_run:
@@ -33,7 +35,7 @@ def sweep(
         emit(_with_earlier_keys(plan), json, launchers.describe(plan))
         return
     lines: list[str] = []
-    failed = launchers.sweep(
+    outcome = launchers.sweep(
         grid,
         out,
         launcher,
@@ -42,10 +44,14 @@ def sweep(
         devices=devices,
         emit=lines.append if json else print_line,
         logs=log,
+        minutes=limit,
     )
     if json:
-        emit({"out": str(out), "failed": failed, "lines": lines}, json, "")
-    if failed:
+        values = {"out": str(out), "failed": outcome.failed, "lines": lines, "stopped": bool(outcome.unfinished)}
+        if outcome.unfinished:
+            values |= {"unfinished": outcome.unfinished, "resume": "repeat the command"}
+        emit(values, json, "")
+    if outcome.failed:
         raise SystemExit(1)
 
 

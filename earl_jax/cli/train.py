@@ -3,7 +3,19 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from earl_jax.cli.arguments import JSON, Devices, Hosts, Logs, Physics, Positional, Set, emit, parse_options
+from earl_jax.cli.arguments import (
+    JSON,
+    Devices,
+    Hosts,
+    Logs,
+    Minutes,
+    Physics,
+    Positional,
+    Set,
+    emit,
+    parse_minutes,
+    parse_options,
+)
 
 
 def train(
@@ -19,6 +31,7 @@ def train(
     physics: Physics = None,
     devices: Devices = None,
     hosts: Hosts = None,
+    minutes: Minutes = None,
     log: Logs = (),
     overwrite: bool = False,
     set: Set = (),
@@ -38,6 +51,7 @@ def train(
         setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
+    limit = parse_minutes(minutes)
     from earl_jax import algos, envs
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
@@ -59,12 +73,18 @@ def train(
         overwrite=overwrite,
         progress=True,
         devices=devices,
+        minutes=limit,
     )
     _emit_result(result, out, json)
 
 
 def resume(
-    folder: Positional[Path], steps: int | None = None, devices: Devices = None, hosts: Hosts = None, json: JSON = False
+    folder: Positional[Path],
+    steps: int | None = None,
+    devices: Devices = None,
+    hosts: Hosts = None,
+    minutes: Minutes = None,
+    json: JSON = False,
 ) -> None:
     """Resume a run from its newest checkpoint. On a CPU the result is bit-identical to that of an uninterrupted run.
 
@@ -72,24 +92,41 @@ def resume(
         folder: Run folder.
         steps: New length of the run. By default the run keeps its length.
     """
+    limit = parse_minutes(minutes)
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    result = api.resume(folder, steps=steps, progress=True, devices=devices)
+    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit)
     _emit_result(result, folder, json)
 
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
-    """Print the final deployed score of `result` over its seeds."""
+    """Print the deployed score of `result` over its seeds, and how to continue it after a time limit.
+
+    Before the first evaluation there is no score.
+    """
+    from earl_jax.training.stopping import resume_command
+
+    values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
+    values = {"out": str(out), **values, "stopped": not result.finished}
+    if not result.finished:
+        command = resume_command(out)
+        values |= {"step": result.step, "resume": command}
+        text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
+        text += f"continue with: {command}"
+    emit(values, as_json, f"{out}: {text}")
+
+
+def _score(result: Any) -> tuple[dict[str, Any], str]:
+    """Return the newest deployed score of `result` over its seeds, as JSON values and as text."""
     from earl_jax.metrics.continuing import DIVERGED, count_diverged, diverged_text
     from earl_jax.metrics.statistics import summarise
     from earl_jax.runs.config import deployed_metric
 
     metric = deployed_metric(result.env)
-    final = summarise(result.metrics[metric][:, -1])
+    score = summarise(result.metrics[metric][:, -1])
     diverged = count_diverged(result.metrics)
-    values = {"out": str(out), "steps": int(result.steps[-1]), metric: final._asdict(), DIVERGED: diverged}
-    text = f"{out}: {metric} {final.mean:.3f} (stderr {final.stderr:.3f}) over {final.seeds} seeds"
-    text += diverged_text(diverged, final.seeds)
-    emit(values, as_json, text)
+    values = {"steps": int(result.steps[-1]), metric: score._asdict(), DIVERGED: diverged}
+    text = f"{metric} {score.mean:.3f} (stderr {score.stderr:.3f}) over {score.seeds} seeds"
+    return values, text + diverged_text(diverged, score.seeds)

@@ -26,6 +26,7 @@ from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
+from earl_jax.time_limit import TimeLimit
 from earl_jax.training import evaluate, load_lanes
 
 ROBUSTNESS_EPISODES = 100
@@ -160,6 +161,7 @@ def reproduce(
     max_lanes: int | None = None,
     devices: int | None = None,
     emit: Callable[[str], None] = print,
+    minutes: float | TimeLimit | None = None,
 ) -> list[Path]:
     """Return the files of table or figure `name` at `scale`, after training the runs that are not finished yet.
 
@@ -174,10 +176,13 @@ def reproduce(
         max_lanes: lanes of the largest program.
         devices: number of devices that share the lanes of a program.
         emit: is called with a line of text for each run.
+        minutes: a limit of wall-clock time from this call on, as in `sweep`. If it leaves runs unfinished, nothing is
+            written, `emit` receives their names, and no file is returned.
 
     Raises:
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
     """
+    limit = TimeLimit.of(minutes)
     result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
     for option, value in (("seeds", seeds), ("steps", steps)):
         if value is not None:
@@ -191,7 +196,10 @@ def reproduce(
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, grid_text(blocks, chosen, options or {}))
-    sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit)
+    unfinished = sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit, minutes=limit).unfinished
+    if unfinished:
+        emit(f"{name} is not written; unfinished runs: {', '.join(unfinished)}")
+        return []
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:

@@ -22,6 +22,11 @@ def gathered(tree: Any) -> Any:
     return jax.tree.map(gather, tree)
 
 
+def of_first_host(flag: bool) -> bool:
+    """Return the `flag` of the first host; every host must call this."""
+    return flag if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(flag)))
+
+
 def join_hosts(hosts: str | None) -> None:
     """Join this process with the others that run the same program; None does nothing.
 

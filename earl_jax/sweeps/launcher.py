@@ -10,9 +10,10 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
+from earl_jax.time_limit import TimeLimit
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 TIED = "--end-with-stdin"
@@ -21,7 +22,16 @@ LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
 RETRIES = 100
 """How often a job that reaches its time limit returns to the queue."""
+ENDS = ("done", "failed", "stopped")
+"""States in which a worker leaves a run; it is stopped by the time limit."""
 EmitLine = Callable[[str], None]
+
+
+class Outcome(NamedTuple):
+    """The number of `failed` runs of a sweep, and the names of the runs that its time limit left `unfinished`."""
+
+    failed: int
+    unfinished: tuple[str, ...] = ()
 
 
 def sweep(
@@ -34,8 +44,9 @@ def sweep(
     devices: int | None = None,
     emit: EmitLine = print,
     logs: Sequence[str] = (),
-) -> int:
-    """Return the number of failed runs of a grid, after training the unfinished ones (local) or submitting them (slurm).
+    minutes: float | TimeLimit | None = None,
+) -> Outcome:
+    """Return the outcome of a grid, after training its unfinished runs (local) or submitting them (slurm).
 
     Args:
         grid: a TOML file (docs/sweeps.md).
@@ -46,22 +57,27 @@ def sweep(
         devices: the number of devices that share the lanes of a program group.
         emit: receives a line for each change of a run's state, and a summary.
         logs: loggers that new runs use besides metrics.csv: `tensorboard`, `wandb`.
+        minutes: a limit of wall-clock time of the whole sweep, from this call on (local only). Runs in progress end after
+            the chunk of steps in which it runs out, with a checkpoint; groups that have not started are left.
 
     Raises:
         ValueError: the grid, the folder or an option is invalid; nothing has started.
     """
+    limit = TimeLimit.of(minutes)
     parameters = _sbatch_parameters(slurm)
     if launcher not in LAUNCHERS:
         raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if parameters and launcher != "slurm":
         raise InputError("--slurm options go with --launcher slurm")
+    if limit and launcher == "slurm":
+        raise InputError("--minutes goes with --launcher local; with slurm, --slurm time=MINUTES limits each job")
     executor = _slurm_executor(out, parameters) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     unfinished = {name for group in plan["groups"] for name in group["runs"]}
     for name in plan["runs"]:
         if name not in unfinished:
             emit(f"done       {name}  (before)")
-    return LAUNCHERS[launcher]({**plan, "devices": devices, "logs": list(logs)}, emit, executor)
+    return LAUNCHERS[launcher]({**plan, "devices": devices, "logs": list(logs), "limit": limit}, emit, executor)
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
@@ -166,8 +182,11 @@ class ForwardedSignal:
 def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> Iterator[dict[str, Any]]:
     """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
-    The worker ends when this process ends, for whatever reason. It receives the signals of `stop`.
+    The worker ends when this process ends, for whatever reason. It receives the signals of `stop`. If the time limit of the
+    task has passed, there is no worker and no event.
     """
+    if task.get("limit") and task["limit"].passed:
+        return
     worker = subprocess.Popen(
         [*WORKER, "work", TIED],
         stdin=subprocess.PIPE,
@@ -188,7 +207,7 @@ def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> 
             if event is None:
                 print(line, end="", file=sys.stderr)
                 continue
-            if event["state"] in ("done", "failed"):
+            if event["state"] in ENDS:
                 unfinished.discard(event["run"])
             yield event
     code = worker.returncode
@@ -213,42 +232,58 @@ def worker_tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
             "out": plan["out"],
             "devices": plan.get("devices"),
             "logs": plan.get("logs", []),
+            "limit": plan.get("limit"),
             "runs": {name: plan["runs"][name]["config"] for name in group["runs"]},
         }
         for group in plan["groups"]
     ]
 
 
-def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> int:
-    """Train the program groups of `plan` one after another and return the number of failed runs."""
+def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> Outcome:
+    """Train the program groups of `plan` one after another and return the outcome."""
     last_states: dict[str, str] = {}
     with ForwardedSignal() as stop:
         for task in worker_tasks(plan):
             for event in worker_events(task, stop):
                 state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
                 last_states[event["run"]] = state
-                details = f"  from step {event['step']}" if event.get("step") else f"  {event.get('why', '')}".rstrip()
-                emit(f"{state:<10} {event['run']}{details}")
+                emit(f"{state:<10} {event['run']}{_details(event)}")
             if stop.signal:
                 emit("stopped; repeat the command to continue")
                 raise SystemExit(128 + stop.signal)
-    count = Counter(last_states.values())
-    before = len(plan["runs"]) - len(last_states)
-    emit(f"{len(plan['runs'])} runs: {before} done before, {count['done']} done now, {count['failed']} failed")
-    return count["failed"]
+    return _summarise(plan, last_states, emit)
 
 
-def _submit_to_slurm(plan: dict[str, Any], emit: EmitLine, executor: Any) -> int:
-    """Submit an array job with one task for each program group of `plan` and return 0."""
+def _details(event: dict[str, Any]) -> str:
+    """Return what a line says about `event` after the name of its run: the step, or the cause of a failure."""
+    if event.get("step"):
+        return f"  {'at' if event['state'] == 'stopped' else 'from'} step {event['step']}"
+    return f"  {event.get('why', '')}".rstrip()
+
+
+def _summarise(plan: dict[str, Any], last_states: dict[str, str], emit: EmitLine) -> Outcome:
+    """Return the outcome of the runs of `plan` with their `last_states`, and emit it as one line."""
+    count, names = Counter(last_states.values()), [name for group in plan["groups"] for name in group["runs"]]
+    unfinished = tuple(name for name in names if last_states.get(name) not in ("done", "failed"))
+    before = len(plan["runs"]) - len(names)
+    line = f"{len(plan['runs'])} runs: {before} done before, {count['done']} done now, {count['failed']} failed"
+    if unfinished:
+        line += f", {len(unfinished)} unfinished after {plan['limit']}; repeat the command to continue"
+    emit(line)
+    return Outcome(count["failed"], unfinished)
+
+
+def _submit_to_slurm(plan: dict[str, Any], emit: EmitLine, executor: Any) -> Outcome:
+    """Submit an array job with one task for each program group of `plan`, and return that none has failed."""
     jobs = executor.map_array(GroupJob(), worker_tasks(plan)) if plan["groups"] else []
     for job, group in zip(jobs, plan["groups"], strict=True):
         for name in group["runs"]:
             emit(f"submitted  {name}  job {job.job_id}")
     emit(f"{len(jobs)} jobs; logs in {Path(plan['out']) / LOGS}; repeat the command later to submit unfinished runs")
-    return 0
+    return Outcome(failed=0)
 
 
-LAUNCHERS: dict[str, Callable[..., int]] = {"local": _run_locally, "slurm": _submit_to_slurm}
+LAUNCHERS: dict[str, Callable[..., Outcome]] = {"local": _run_locally, "slurm": _submit_to_slurm}
 
 
 def _slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:

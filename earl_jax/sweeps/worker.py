@@ -19,11 +19,12 @@ from earl_jax.runs.files import inside
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.sweeps.planner import PlannedRun, open_folder, plan, program_groups
+from earl_jax.time_limit import TimeLimit
 from earl_jax.training.runner import Run, plan_runs, run_program
 
 SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
 Emit = Callable[..., None]
-"""Receives an event as `emit(name, state, **details)`; the states are started, resumed, done and failed."""
+"""Receives an event as `emit(name, state, **details)`; the states are started, resumed, done, stopped and failed."""
 
 
 @contextlib.contextmanager
@@ -54,10 +55,12 @@ def work(
     progress: bool = True,
     devices: int | None = None,
     logs: Sequence[str] = (),
+    limit: TimeLimit | None = None,
 ) -> bool:
-    """Train the runs `configs`, by name in the sweep at `out`, and return whether all of them are finished.
+    """Train the runs `configs`, by name in the sweep at `out`, and return whether none of them has failed.
 
-    The runs are grouped again by the steps of their newest checkpoints. `emit` receives every event.
+    The runs are grouped again by the steps of their newest checkpoints. `emit` receives every event. Runs end early, as
+    `stopped`, when the `limit` passes; groups that have not started by then are left.
     """
     planned: list[PlannedRun] = []
     succeeded = True
@@ -74,24 +77,33 @@ def work(
             if entry.finished:
                 emit(entry.name, "done")
         for group in program_groups(planned):
-            succeeded &= _train_group(group, emit, progress, devices)
+            if not (limit and limit.passed):
+                succeeded &= _train_group(group, emit, progress, devices, limit)
+                continue
+            for entry in group:
+                emit(entry.name, "stopped", step=entry.step)
     return succeeded
 
 
-def _train_group(group: list[PlannedRun], emit: Emit, progress: bool, devices: int | None) -> bool:
+def _train_group(
+    group: list[PlannedRun], emit: Emit, progress: bool, devices: int | None, limit: TimeLimit | None
+) -> bool:
     """Train all runs of `group` in one program and return whether it succeeded."""
     for entry in group:
         emit(entry.name, "resumed" if entry.step else "started", step=entry.step)
     try:
         runs = [entry.run for entry in group]
-        run_program(plan_runs(runs, devices), runs, progress)
+        step = int(run_program(plan_runs(runs, devices), runs, progress, limit).step)
     except Exception as error:  # the next group may still succeed
         cause = _cause(error)
         for entry in group:
             emit(entry.name, "failed", why=cause)
         return False
     for entry in group:
-        emit(entry.name, "done")
+        if step < entry.run.config.steps:
+            emit(entry.name, "stopped", step=step)
+        else:
+            emit(entry.name, "done")
     return True
 
 
@@ -116,7 +128,14 @@ def serve(task: str) -> int:
     def emit(name: str, state: str, **details: Any) -> None:
         print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
-    succeeded = work(Path(fields["out"]), configs, emit, devices=fields.get("devices"), logs=fields.get("logs", ()))
+    succeeded = work(
+        Path(fields["out"]),
+        configs,
+        emit,
+        devices=fields.get("devices"),
+        logs=fields.get("logs", ()),
+        limit=TimeLimit(*fields["limit"]) if fields.get("limit") else None,
+    )
     return 0 if succeeded else 1
 
 

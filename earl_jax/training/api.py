@@ -16,8 +16,9 @@ from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import first_host
+from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs, require_libraries
+from earl_jax.time_limit import TimeLimit
 from earl_jax.training.plan import Plan
 from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
@@ -29,7 +30,10 @@ RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": 
 
 @dataclasses.dataclass
 class Result:
-    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`."""
+    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`.
+
+    After a time limit they end early (`finished` is False). Before the first evaluation, `metrics` is empty.
+    """
 
     config: RunConfig
     env: Env
@@ -45,8 +49,24 @@ class Result:
         raise AttributeError(f"Result has no attribute {name!r}")
 
     @property
+    def step(self) -> int:
+        """The steps that each seed was trained."""
+        return int(gathered(self.train_state.step))
+
+    @property
+    def finished(self) -> bool:
+        """Whether training reached its last step, rather than a time limit."""
+        return self.step >= self.config.steps
+
+    @property
     def scores(self) -> Scores:
-        """The paper's scores of the lifetimes: J_D, D(A), C(A)."""
+        """The paper's scores of the lifetimes: J_D, D(A), C(A).
+
+        Raises:
+            ValueError: training ended before the first evaluation.
+        """
+        if not len(self.steps):
+            raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
         return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
 
     def policy(self, seed: int = 0) -> Policy:
@@ -88,6 +108,7 @@ def train(
     overwrite: bool = False,
     progress: bool = False,
     devices: int | None = None,
+    minutes: float | TimeLimit | None = None,
     **options: Any,
 ) -> Result:
     """Return the curves and the final state of `algo` on `env`, all seeds in one jitted program.
@@ -110,11 +131,15 @@ def train(
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes; by default one, or the devices of all hosts if jax runs on
             several.
+        minutes: a limit of wall-clock time from this call on, compilation included. Training ends after the chunk of
+            steps in which it runs out, at least one, and returns the `Result` so far; with `out`, a checkpoint of that
+            step is saved, and `resume` continues it.
         options: hyper-parameters by name; a list has a value for each lane.
 
     Raises:
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
+    limit = TimeLimit.of(minutes)
     task, method, resolved = _resolve_objects(env, algo, setting, options)
     config = RunConfig.from_objects(
         task,
@@ -130,7 +155,7 @@ def train(
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
-    return _execute(plan, run, progress)
+    return _execute(plan, run, progress, limit)
 
 
 def _resolve_objects(
@@ -152,6 +177,7 @@ def resume(
     steps: int | None = None,
     progress: bool = False,
     devices: int | None = None,
+    minutes: float | TimeLimit | None = None,
 ) -> Result:
     """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
@@ -165,11 +191,13 @@ def resume(
         steps: a new length of the run.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
+        minutes: a limit of wall-clock time, as in `train`; it counts from this call on.
 
     Raises:
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's objects
             must be registered or passed.
     """
+    limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
     opened.require_rows()  # rather than after the training
     check_logs(opened.logs)
@@ -179,12 +207,12 @@ def resume(
     run = Run.resolve(config, wrapped, algo)
     plan = plan_runs([run], devices)  # before config.json is changed, so that a failure leaves it as it was
     run.folder = opened if steps is None else opened.extended(steps)
-    return _execute(plan, run, progress)
+    return _execute(plan, run, progress, limit)
 
 
-def _execute(plan: Plan, run: Run, progress: bool) -> Result:
+def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
-        train_state = run_program(plan, [run], progress)
+        train_state = run_program(plan, [run], progress, limit)
     steps, metrics = run.config.curves(run.rows)
     return Result(
         config=run.config,

@@ -25,6 +25,7 @@ from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
+from earl_jax.time_limit import TimeLimit
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
@@ -132,17 +133,18 @@ def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
     return prepare(problem, mix_methods([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
-def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> TrainState:
+def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: TimeLimit | None = None) -> TrainState:
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
     Each run's metrics are added to its `rows` and to its folder, which also receives checkpoints of the run's lanes.
+    With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a checkpoint.
 
     Raises:
         Stopped: SIGINT or SIGTERM arrived; the runs with a folder have a checkpoint of the last complete chunk.
     """
     keep_programs()
     method = placed(mix_methods([run.method for run in runs]), plan.mesh)
-    with StopRequest() as stop, contextlib.ExitStack() as stack:
+    with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
         state = _restore_or_init(plan, method, runs)
         step = int(gathered(state.step))
         for run in runs:
@@ -155,7 +157,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False) -> Trai
 def _train_to_end(
     plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress, stop: StopRequest
 ) -> TrainState:
-    """Return the final state, trained from `step`. Errors as `run_program`."""
+    """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
     while step < plan.steps:
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))
@@ -163,27 +165,34 @@ def _train_to_end(
             state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
             _record(runs, step, gathered(metrics), bar)
             _save_policies(runs, state, step)
-        signal_number = stop.number if step < plan.steps else None
+            stop.check_time()
+        stopping = stop.requested and step < plan.steps
         if step:
-            due = [signal_number is not None or run.config.checkpoint_due(step) for run in runs]
+            due = [stopping or run.config.checkpoint_due(step) for run in runs]
             _save_checkpoints(runs, state, due)
-        if signal_number is not None:
-            raise Stopped(signal_number, step, [run.folder.path for run in runs if run.folder])
+        if stopping and stop.number is not None:
+            raise Stopped(stop.number, step, [run.folder.path for run in runs if run.folder])
+        if stopping:
+            break
     return state
 
 
 def _train_to_evaluation(
     plan: Plan, method: Method, state: TrainState, step: int, bar: Progress, stop: StopRequest
 ) -> TrainState:
-    """Return the state at the next evaluation, or after the chunk in which a signal arrived."""
+    """Return the state at the next evaluation, or after the chunk in which a signal arrived or the time ran out.
+
+    A time limit lets at least one chunk run, so that repeated commands come to an end.
+    """
     for span in plan.spans(step):
         for _ in range(span.chunks):
-            if stop.number is not None:
+            if stop.requested:
                 return state
             start_time = time.perf_counter()
             state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
             state.step.block_until_ready()
             bar.advance(plan.chunk, time.perf_counter() - start_time)
+            stop.check_time()
     return state
 
 

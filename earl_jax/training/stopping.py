@@ -1,5 +1,9 @@
-"""Stopping by a signal: training finishes its chunk, saves a checkpoint, and raises `Stopped`."""
+"""Stopping before the last step, by a signal or a time limit: training finishes its chunk and saves a checkpoint.
 
+After a signal it raises `Stopped`; after the end of its minutes it returns the state that it has.
+"""
+
+import shlex
 import signal
 import threading
 from collections.abc import Sequence
@@ -8,6 +12,14 @@ from typing import Any
 
 import jax
 
+from earl_jax.runs.hosts import of_first_host
+from earl_jax.time_limit import TimeLimit
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command that continues the run in `folder`."""
+    return shlex.join(["earl-jax", "resume", str(folder)])
+
 
 class Stopped(KeyboardInterrupt):
     """Training was stopped by the signal `number` at `step`; its state is saved in `folders`."""
@@ -15,7 +27,7 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, number: int, step: int, folders: Sequence[Path]):
         self.number, self.step, self.folders = number, step, list(folders)
         name = signal.Signals(number).name
-        remedy = "".join(f"; resume with: earl-jax resume {folder}" for folder in folders[:1])
+        remedy = "".join(f"; resume with: {resume_command(folder)}" for folder in folders[:1])
         super().__init__(f"stopped at step {step} by {name}{remedy}")
 
     @property
@@ -27,12 +39,24 @@ class Stopped(KeyboardInterrupt):
 class StopRequest:
     """A context that records SIGINT and SIGTERM instead of their default actions; a second signal acts at once.
 
-    Handlers that others have installed stay. Several hosts would have to stop at the same step, so they are not stopped.
+    Handlers that others have installed stay. Several hosts have to stop at the same step, so signals do not stop them,
+    and the clock of the first host counts for all.
     """
 
-    def __init__(self):
+    def __init__(self, limit: TimeLimit | None = None):
         self.number: int | None = None
+        self._limit, self._timed_out = limit, False
         self._earlier: dict[int, Any] = {}
+
+    @property
+    def requested(self) -> bool:
+        """Whether a signal has arrived, or the last `check_time` was after the end of the limit."""
+        return self.number is not None or self._timed_out
+
+    def check_time(self) -> None:
+        """Request a stop if the limit has passed; every host must call this after the same steps."""
+        if self._limit is not None:
+            self._timed_out = of_first_host(self._limit.passed)
 
     def __enter__(self) -> "StopRequest":
         if threading.current_thread() is threading.main_thread() and jax.process_count() == 1:

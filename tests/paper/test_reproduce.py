@@ -6,6 +6,7 @@ from earl_jax.cli.main import main
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import reproduce, tasks
 from earl_jax.sweeps import grid
+from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.planner import plan
 from tests.conftest import CACHE
 from tests.report.run_files import read_csv
@@ -90,6 +91,20 @@ def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
     assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14)]
 
 
+def test_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):
+    lines, limits = [], []
+
+    def stop(*_, minutes, **__):
+        limits.append(minutes)
+        return Outcome(failed=0, unfinished=("tabletop_organization/fbrl/x",))
+
+    monkeypatch.setattr(reproduce, "sweep", stop)
+    assert reproduce.reproduce("table1", out=tmp_path / "out", emit=lines.append, minutes=5) == []
+    assert limits[0].minutes == 5
+    assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]
+    assert not (tmp_path / "out/table1").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -98,6 +113,7 @@ def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
+        ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
         ({"name": "table1", "seeds": 0}, r"seeds must lie in \[1, 2147483647\], not 0"),
     ],
 )

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -117,7 +118,7 @@ def fake_worker(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("fake_worker")
 def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, capsys):
     lines = []
-    assert launcher.sweep(grid, tmp_path, emit=lines.append) == 3
+    assert launcher.sweep(grid, tmp_path, emit=lines.append) == (3, ())
     assert lines == [
         "done       f  (before)",
         "done       b",
@@ -198,7 +199,7 @@ def test_a_slurm_array_has_one_task_per_program_group(grid, cluster):
     grid.write_text(GRID.replace("steps = 800", "steps = 120"))
     out, lines = cluster / "out", []
     arguments = {"launcher": "slurm", "max_lanes": 2, "slurm": ("time=30", "partition=fast"), "emit": lines.append}
-    assert launcher.sweep(grid, out, **arguments) == 0
+    assert launcher.sweep(grid, out, **arguments) == (0, ())
     assert [line.rsplit("  ", 1)[1] for line in lines[:2]] == ["job 7_0", "job 7_1"]
     script = (cluster / "submitted.sh").read_text()
     for option in ("--array=0-1", "--time=30", "--partition=fast", "--job-name=earl-jax"):
@@ -210,7 +211,7 @@ def test_a_slurm_array_has_one_task_per_program_group(grid, cluster):
     assert log.count('"state": "done"') == log.count("Job completed successfully") == 2, log
     assert len(read_tables(out)) == 2
     lines.clear()
-    assert launcher.sweep(grid, out, **arguments) == 0
+    assert launcher.sweep(grid, out, **arguments) == (0, ())
     assert [line[:4] for line in lines[:2]] == ["done", "done"]
     assert lines[2].startswith("0 jobs")
 
@@ -244,6 +245,11 @@ def test_missing_slurm_or_unknown_launcher_is_refused(grid, tmp_path, monkeypatc
         launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
     with pytest.raises(ValueError, match="choose from local, slurm"):
         launcher.sweep(grid, tmp_path / "out", "cloud")
+
+
+def test_minutes_of_a_slurm_sweep_are_refused(grid, tmp_path):
+    with pytest.raises(ValueError, match="--slurm time=MINUTES limits each job"):
+        launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",), minutes=5)
 
 
 SLOW_WORKER = """
@@ -283,6 +289,45 @@ def test_a_stopped_sweep_lets_its_worker_save_and_starts_no_other_group(grid, tm
     ]
     assert "saved" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+STOPPING_WORKER = """
+import json, sys
+if sys.argv[1] == "plan":
+    groups = [{"runs": names, "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for names in (["a", "b"], ["c"])]
+    print(json.dumps({"out": sys.argv[4], "runs": {name: {"step": 0, "config": {}} for name in "abcd"}, "groups": groups}))
+    sys.exit()
+minutes, ends_at = json.loads(sys.stdin.readline())["limit"]
+for run, event in [("a", {"state": "done"}), ("b", {"state": "started"}), ("b", {"state": "stopped", "step": ends_at})]:
+    print(json.dumps({"run": run, **event}), flush=True)
+"""
+
+
+def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, monkeypatch, capsys):
+    script, now = tmp_path / "worker.py", [1000.0]
+    script.write_text(STOPPING_WORKER)
+    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+    monkeypatch.setattr("earl_jax.time_limit.time", SimpleNamespace(time=lambda: now[0]))
+    lines = []
+
+    def emit(line):
+        lines.append(line)
+        now[0] += 200 * line.startswith("stopped")
+
+    assert launcher.sweep(grid, tmp_path, emit=emit, minutes=2) == (0, ("b", "c"))
+    assert lines == [
+        "done       d  (before)",
+        "done       a",
+        "started    b",
+        "stopped    b  at step 1120.0",
+        "4 runs: 1 done before, 1 done now, 0 failed, 2 unfinished after 2 minutes; repeat the command to continue",
+    ]
+    monkeypatch.undo()
+    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--minutes", "1e-9", "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b", "c"])
+    assert printed["resume"] == "repeat the command"
 
 
 def test_slurm_logs_are_not_written_through_a_link(grid, tmp_path):

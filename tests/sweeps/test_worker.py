@@ -88,6 +88,28 @@ def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
     assert_equal_runs(out, separate_folders)
 
 
+def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, grid, separate_folders):
+    out, configs = tmp_path / "out", {}
+    for name, run in planner.plan(grid, out)["runs"].items():
+        configs[name] = worker.parse_config(run["config"])
+
+    class Limit:
+        """Passes before the second group, or within the first one."""
+
+        answers = iter([False, True])
+        passed = property(lambda self: next(self.answers, True))
+
+    events = []
+    arguments = {"progress": False, "limit": Limit()}
+    assert worker.work(out, configs, lambda name, state, **details: events.append((state, details)), **arguments)
+    assert events == [("started", {"step": 0})] * 2 + [("stopped", {"step": 20})] * 2
+    events.clear()
+    assert worker.work(out, configs, lambda name, state, **details: events.append((state, details)), **arguments)
+    assert events == [("stopped", {"step": 20})] * 2
+    assert work(planner.plan(grid, out), out)[0]
+    assert_equal_runs(out, separate_folders)
+
+
 def test_a_folder_has_at_most_one_worker(tmp_path, grid):
     plan = planner.plan(grid, tmp_path)
     plan["runs"] = {NAMES[0]: plan["runs"][NAMES[0]]}

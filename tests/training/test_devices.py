@@ -81,12 +81,12 @@ def free_port():
         return listener.getsockname()[1]
 
 
-def run_on_two_hosts(*arguments):
+def run_on_two_hosts(*arguments, minutes=("60", "60")):
     address = f"localhost:{free_port()}"
     env = {**os.environ, "EARL_JAX_CACHE": str(CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
     hosts = [
         subprocess.Popen(
-            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}"],
+            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}", "--minutes", minutes[number]],
             env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
         for number in range(2)
@@ -107,9 +107,12 @@ def test_two_hosts_write_one_run_and_resume_it(tmp_path):
     lengths = ["--seeds", "4", "--steps", "40", "--eval-every", "40", "--checkpoint-every", "40"]
     out = ["--out", str(tmp_path / "two_hosts"), "--set", *pairs]
     run_on_two_hosts("train", "tabletop_organization", "--algo", "naive", *lengths, *out)
-    run_on_two_hosts("resume", str(tmp_path / "two_hosts"), "--steps", "80")
+    resume = ["resume", str(tmp_path / "two_hosts"), "--steps", "120"]
+    run_on_two_hosts(*resume, minutes=("1e-9", "60"))  # the clock of the first host counts
+    assert sorted(path.name for path in (tmp_path / "two_hosts/checkpoints").iterdir())[-1] == "000000080"
+    run_on_two_hosts(*resume, minutes=("60", "1e-9"))
     one_host = tmp_path / "one_host"
-    earl_jax.train("tabletop_organization", "naive", seeds=4, steps=80, eval_every=40, out=one_host, **options)
+    earl_jax.train("tabletop_organization", "naive", seeds=4, steps=120, eval_every=40, out=one_host, **options)
     rows, expected = (RunFolder.open(path).rows() for path in (tmp_path / "two_hosts", one_host))
     assert [(row["step"], row["seed"]) for row in rows] == [(row["step"], row["seed"]) for row in expected]
     for row, expected_row in zip(rows, expected, strict=True):

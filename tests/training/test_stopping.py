@@ -1,12 +1,16 @@
-"""SIGINT and SIGTERM end training after a chunk, with a checkpoint from which it continues bit-identically."""
+"""Signals and time limits end training after a chunk, with a checkpoint from which it continues bit-identically."""
 
+import json
 import os
 import signal
+import time
 
 import pytest
 
 from earl_jax import cli, resume
 from earl_jax.runs.progress import Progress
+from earl_jax.time_limit import TimeLimit
+from earl_jax.training import runner
 from earl_jax.training.stopping import Stopped, StopRequest
 from tests.conftest import tiny_train
 
@@ -31,17 +35,32 @@ def whole(tmp_path_factory):
     return folder
 
 
-def send_after(monkeypatch, chunks, number):
-    """Send the signal `number` to this process once, after `chunks` chunks."""
+def call_after(monkeypatch, chunks, action):
+    """Call `action` once, after `chunks` chunks."""
     advance, calls = Progress.advance, []
 
-    def advance_and_send(self, steps, seconds):
+    def advance_and_call(self, steps, seconds):
         advance(self, steps, seconds)
         calls.append(steps)
         if len(calls) == chunks:
-            os.kill(os.getpid(), number)
+            action()
 
-    monkeypatch.setattr(Progress, "advance", advance_and_send)
+    monkeypatch.setattr(Progress, "advance", advance_and_call)
+
+
+def send_after(monkeypatch, chunks, number):
+    """Send the signal `number` to this process once, after `chunks` chunks."""
+    call_after(monkeypatch, chunks, lambda: os.kill(os.getpid(), number))
+
+
+def let_an_hour_pass_after(monkeypatch, chunks):
+    """Put the clock forward by an hour once, after `chunks` chunks."""
+    call_after(monkeypatch, chunks, lambda: put_clock_forward(monkeypatch))
+
+
+def put_clock_forward(monkeypatch):
+    later = time.time() + 3600
+    monkeypatch.setattr(time, "time", lambda: later)
 
 
 @pytest.mark.parametrize("number", HANDLERS)
@@ -92,3 +111,90 @@ def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal
         cli.main(["resume", "anywhere"])
     assert exit_info.value.code == code
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_run_whose_minutes_run_out_continues_bit_identically(whole, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        let_an_hour_pass_after(patch, PLACES["within_an_interval"])
+        result = tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=30)
+    assert (result.step, result.finished, result.steps.tolist()) == (60, False, [40])
+    assert (folder / "checkpoints/000000060").is_dir()
+    assert resume(folder, minutes=30).finished
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    assert (folder / "policies.npz").read_bytes() == (whole / "policies.npz").read_bytes()
+
+
+def test_every_command_trains_a_chunk_even_if_its_start_takes_all_of_its_minutes(whole, tmp_path):
+    folder, steps = tmp_path / "run", []
+    result = tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
+    while not result.finished:
+        steps.append(result.step)
+        result = resume(folder, minutes=1e-9)
+    assert steps == [20, 40, 60, 80, 100]
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monkeypatch):
+    evaluate = runner._evaluate
+
+    def evaluate_for_an_hour(*arguments):
+        put_clock_forward(monkeypatch)
+        return evaluate(*arguments)
+
+    monkeypatch.setattr(runner, "_evaluate", evaluate_for_an_hour)
+    assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).step == 40
+
+
+def test_a_run_whose_minutes_run_out_in_its_last_chunk_is_as_without_a_limit(whole, tmp_path, monkeypatch):
+    let_an_hour_pass_after(monkeypatch, 6)
+    assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).finished
+    for name in ("metrics.csv", "policies.npz"):
+        assert (tmp_path / "run" / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_a_run_without_a_folder_returns_what_it_has(monkeypatch):
+    let_an_hour_pass_after(monkeypatch, 3)
+    result = tiny_train("vaprl", minutes=30)
+    assert (result.step, result.finished, len(result.scores.final)) == (60, False, 2)
+    assert result.metrics["deployed/success"].shape == (2, 1)
+    monkeypatch.undo()
+    result = tiny_train("vaprl", minutes=1e-9)
+    assert (result.step, result.metrics) == (20, {})
+    with pytest.raises(ValueError, match="no evaluation yet"):
+        _ = result.scores
+
+
+def test_the_first_host_decides_about_the_time(monkeypatch):
+    answers = []
+    monkeypatch.setattr("earl_jax.training.stopping.of_first_host", lambda flag: answers.append(flag) or True)
+    stop = StopRequest(TimeLimit.of(30))
+    stop.check_time()
+    assert (answers, stop.requested) == ([False], True)
+
+
+def test_commands_print_how_to_continue(tmp_path, capsys):
+    folder = tmp_path / "a run"
+    tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
+    expected = {"out": str(folder), "stopped": True, "step": 40, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
+    cli.main(["resume", str(folder), "--minutes", "1e-9", "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert {name: printed[name] for name in expected} == expected
+    assert printed["deployed/success"]["seeds"] == 2
+    cli.main(["resume", str(folder), "--minutes", "1e-9"])
+    line = f"stopped at step 60 of 120, the minutes have run out; continue with: earl-jax resume '{folder}'"
+    assert capsys.readouterr().out.splitlines()[1] == line
+    cli.main(["resume", str(folder), "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["steps"], printed["stopped"]) == (120, False)
+
+
+@pytest.mark.parametrize("command", ["train", "resume", "sweep", "reproduce"])
+def test_invalid_minutes_are_one_line_before_anything_starts(command, tmp_path, capsys):
+    name = {"train": "tabletop_organization", "reproduce": "table1"}.get(command, "nowhere")
+    out = [] if command == "resume" else ["--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main([command, name, *out, "--minutes", "soon"])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err == "earl-jax: minutes must lie in (0, inf), not 'soon'\n"
+    assert not (tmp_path / "out").exists()
