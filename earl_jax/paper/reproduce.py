@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.options import COUNT, require
@@ -27,7 +25,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
 from earl_jax.time_limit import TimeLimit
-from earl_jax.training import evaluate, load_lanes
+from earl_jax.training import evaluate, load_visits
 
 ROBUSTNESS_EPISODES = 100
 Options = dict[str, Any]
@@ -96,13 +94,12 @@ def _horizon_block(env: str) -> Block:
 
 
 def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Draw figure 4 from the maps of visited positions in the checkpoints of `folders`."""
+    """Draw figure 4 from the maps of visited positions of `folders`, which need no checkpoints."""
     maps = []
     for folder in map(RunFolder.open, folders):
-        env, _, lanes = load_lanes(folder)
-        if lanes.visits is None or env.map_bounds is None:
+        env, visits = load_visits(folder)
+        if visits is None or env.map_bounds is None:
             continue
-        visits = np.asarray(lanes.visits)
         maps.append(
             VisitMap(
                 env=folder.config.env,

@@ -1,7 +1,8 @@
-"""The file policies.npz of a run folder: the task actors of all seeds at the newest evaluation, without a replay.
+"""The file policies.npz of a run folder: task actors and visited positions of all seeds at the newest evaluation.
 
-It holds `step`, `seeds` [N], `obs_size`, `action_size`, and the leaves of the actors [N, ...], named by their paths in
-the tree, such as `actor['params']['hidden_0']['kernel']`.
+It holds `step`, `seeds` [N], `obs_size`, `action_size`, the leaves of the actors [N, ...], named by their paths in the
+tree, such as `actor['params']['hidden_0']['kernel']`, and, where the task has a map, `visits` [N, B, B], int32. Files of
+earlier versions have no `visits`.
 """
 
 import io
@@ -18,13 +19,23 @@ from earl_jax.errors import InputError
 from earl_jax.runs.files import write_atomically
 
 
-def save_policies(path: Path, actors: Any, step: int, seeds: Sequence[int], obs_size: int, action_size: int) -> None:
-    """Write the tree `actors`, leaves [N, ...], and what is needed to use it, to `path`.
+def save_policies(
+    path: Path,
+    actors: Any,
+    step: int,
+    seeds: Sequence[int],
+    obs_size: int,
+    action_size: int,
+    visits: np.ndarray | None = None,
+) -> None:
+    """Write the tree `actors`, leaves [N, ...], what is needed to use it, and the maps `visits [N, B, B]` to `path`.
 
     Raises:
         OSError: the file could not be written; an older one is unchanged.
     """
     scalars = {"step": step, "seeds": list(seeds), "obs_size": obs_size, "action_size": action_size}
+    if visits is not None:
+        scalars["visits"] = visits
     buffer = io.BytesIO()
     np.savez(buffer, **{name: np.asarray(value) for name, value in scalars.items()}, **_named(actors))
     write_atomically(path, buffer.getvalue())
@@ -47,6 +58,21 @@ def load_policies(path: Path, like: Any) -> Any:
         if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype != leaf.dtype:
             raise InputError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
     return jax.tree.unflatten(jax.tree.structure(like), [arrays[name] for name in expected])
+
+
+def load_visits(path: Path, seeds: int) -> np.ndarray | None:
+    """Return the maps of visits at `path`, int [N, B, B] of N `seeds`, or None if the file has none.
+
+    Raises:
+        ValueError: the file is damaged, or its maps are not counts of N seeds on a square; the message names it.
+    """
+    visits = _read(path, ["visits"]).get("visits")
+    if visits is None:
+        return None
+    square = visits.ndim == 3 and visits.shape[1] == visits.shape[2] > 0
+    if not square or len(visits) != seeds or visits.dtype.kind not in "iu" or visits.min() < 0:
+        raise InputError(f"{path} does not belong to this run: visits are not counts [{seeds}, B, B]")
+    return visits
 
 
 def _named(actors: Any) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from earl_jax.algos.mixed import program_signature
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.contents import CHECKPOINTS, has_results
+from earl_jax.runs.contents import has_results
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
 from earl_jax.training.demo_rows import demo_rows
@@ -21,7 +22,7 @@ from earl_jax.training.state import Problem
 
 @dataclasses.dataclass(frozen=True)
 class PlannedRun:
-    """A run of a sweep: its `name` in the sweep, its objects, and the step of its newest checkpoint."""
+    """A run of a sweep: its `name` in the sweep, its objects, and the step from which it would continue."""
 
     name: str
     run: Run
@@ -111,11 +112,19 @@ def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
         )
         run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
-        if has_results(path):
-            open_folder(path, config)
+        step = _reached(open_folder(path, config)) if has_results(path) else 0
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error
-    return PlannedRun(name=spec.name, run=run, step=newest(path / CHECKPOINTS))
+    return PlannedRun(name=spec.name, run=run, step=step)
+
+
+def _reached(folder: RunFolder) -> int:
+    """Return the step of the newest checkpoint, or the last step of a finished run whose checkpoints were removed."""
+    step, steps = newest(folder.checkpoints), folder.config.steps
+    if step == 0 and policies_step(folder.policies) == steps:
+        rows = folder.rows()
+        return steps if rows and rows[-1]["step"] == steps else 0
+    return step
 
 
 def open_folder(path: Path, config: RunConfig) -> RunFolder:

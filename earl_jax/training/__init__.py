@@ -3,7 +3,7 @@
 from earl_jax.training.api import Result, resume, select_seed, split_options, train
 from earl_jax.training.evaluation import evaluate
 from earl_jax.training.lifetime import lifetime
-from earl_jax.training.loading import load_lanes, load_policies
+from earl_jax.training.loading import load_lanes, load_policies, load_visits
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import Problem
 
@@ -15,6 +15,7 @@ __all__ = [
     "lifetime",
     "load_lanes",
     "load_policies",
+    "load_visits",
     "resume",
     "select_seed",
     "split_options",

@@ -1,8 +1,9 @@
-"""The trained lanes and policies of a run folder."""
+"""The trained lanes, policies and maps of visits of a run folder."""
 
 import functools
 
 import jax
+import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
@@ -47,6 +48,27 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
     like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.actor)
     actor = policies.load_policies(folder.policies, like)
     return env, Policy(method.sac, actor, env.obs_size, env.action_size)
+
+
+def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
+    """Return the env of a run folder and the newest maps of visits [N, B, B] of its seeds, None where it has no map.
+
+    They are those of policies.npz or of the newest checkpoint, whichever is newer.
+
+    Raises:
+        ValueError: the folder has neither, or the newer one is damaged.
+    """
+    env = folder.config.build_env()
+    if env.map_bounds is None:
+        return env, None
+    saved, checkpoint = policies.policies_step(folder.policies), newest(folder.checkpoints)
+    if saved and saved >= checkpoint:
+        visits = policies.load_visits(folder.policies, len(folder.config.seeds))
+        if visits is not None:
+            return env, visits
+        if not checkpoint:
+            raise InputError(f"{folder.policies} of an earlier version has no map of visits, and no checkpoint is left")
+    return env, np.asarray(load_lanes(folder)[2].visits)
 
 
 def _shapes(folder: RunFolder) -> tuple[Env, Method, TrainState]:

@@ -213,10 +213,11 @@ def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar:
 
 
 def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
-    """Write the task actors of each run that has a folder."""
+    """Write the task actors and the maps of visits of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
     actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.actor))
+    visits = gathered(state.lanes.visits)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():
             save_policies(
@@ -226,6 +227,7 @@ def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
                 seeds=run.config.seeds,
                 obs_size=run.env.obs_size,
                 action_size=run.env.action_size,
+                visits=None if visits is None else visits[span],
             )
 
 

@@ -1,5 +1,7 @@
 """Every table and figure by one command, end to end at the smallest scale, and the runs that the larger scales plan."""
 
+import shutil
+
 import pytest
 
 from earl_jax.cli.main import main
@@ -58,6 +60,17 @@ def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys):
     assert PUBLISHED[name] in (folder / name / f"{name}.md").read_text()
     assert (folder / name / f"{name}.png").stat().st_size > 10_000
     assert len(read_csv(folder / name / f"{name}.csv")) >= 2
+
+
+@pytest.mark.parametrize("name", ["figure4", "figure5"])
+def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
+    """After the test above, which trains the runs."""
+    for checkpoints in folder.glob("runs/*/*/*/checkpoints"):
+        shutil.rmtree(checkpoints)
+    before = (folder / name / f"{name}.csv").read_text()
+    main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
+    assert "0 done now, 0 failed" in capsys.readouterr().out
+    assert (folder / name / f"{name}.csv").read_text() == before
 
 
 def test_the_full_scale_of_the_tables_is_that_of_the_paper(tmp_path):

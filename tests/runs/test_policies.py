@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from earl_jax.runs.policies import load_policies, policies_step, save_policies
+from earl_jax.runs.policies import load_policies, load_visits, policies_step, save_policies
 from tests.conftest import assert_equal_trees
 
 ACTORS = {"params": {"hidden_0": {"kernel": np.arange(12, dtype=np.float32).reshape(2, 3, 2)}}}
@@ -46,3 +46,38 @@ def test_pickled_arrays_are_not_read(file):
 def test_policies_of_another_run_are_refused(file, like):
     with pytest.raises(ValueError, match=r"does not belong to this run: actor\['params'\]"):
         load_policies(file, {"params": {"hidden_0": {"kernel": like}}})
+
+
+def save_visits(path, visits):
+    save_policies(path, ACTORS, step=40, seeds=(3, 7), obs_size=3, action_size=1, visits=visits)
+    return path
+
+
+def test_maps_of_visits_are_read_as_they_were_written(file):
+    assert load_visits(file, seeds=2) is None
+    visits = np.arange(32, dtype=np.int32).reshape(2, 4, 4)
+    save_visits(file, visits)
+    assert_equal_trees(load_visits(file, seeds=2), visits)
+    assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
+
+
+@pytest.mark.parametrize(
+    "visits",
+    [
+        np.zeros((3, 4, 4), int),
+        np.zeros((2, 4, 5), int),
+        np.zeros((2, 0, 0), int),
+        np.zeros((2, 4, 4)),
+        -np.ones((2, 4, 4), int),
+    ],
+)
+def test_maps_of_another_run_or_other_numbers_are_refused(file, visits):
+    with pytest.raises(
+        ValueError, match=r"policies\.npz does not belong to this run: visits are not counts \[2, B, B\]"
+    ):
+        load_visits(save_visits(file, visits), seeds=2)
+
+
+def test_maps_that_numpy_would_unpickle_are_refused(file):
+    with pytest.raises(ValueError, match="is damaged"):
+        load_visits(save_visits(file, np.array([object()], dtype=object)), seeds=2)

@@ -1,6 +1,7 @@
 """Tests of the worker: runs that share a program give the results that each gives alone, in separate folders."""
 
 import json
+import shutil
 
 import pytest
 
@@ -60,6 +61,11 @@ def test_two_methods_in_one_program_equal_separate_runs(tmp_path, grid, separate
     assert not finished["groups"]
     assert {run["step"] for run in finished["runs"].values()} == {120}
     assert work(finished, out) == (True, [(name, "done", {}) for name in NAMES])
+    for name in NAMES:
+        shutil.rmtree(out / name / "checkpoints")
+    assert planner.plan(grid, out) == finished
+    (out / NAMES[0] / "policies.npz").unlink()
+    assert [group["runs"] for group in planner.plan(grid, out)["groups"]] == [NAMES[:1]]
 
 
 def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(

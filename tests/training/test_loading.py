@@ -1,4 +1,4 @@
-"""The policies of a run folder: those of policies.npz or of a checkpoint, whichever is newer."""
+"""Policies and maps of visits of a run folder: those of policies.npz or of a checkpoint, whichever is newer."""
 
 import shutil
 
@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax.runs import policies
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import evaluate, load_policies, select_seed
+from earl_jax.training import evaluate, load_lanes, load_policies, load_visits, select_seed
 from tests.conftest import tiny_train
 
 
@@ -54,3 +54,28 @@ def test_a_folder_without_both_says_how_to_go_on(folder):
     shutil.rmtree(folder.checkpoints)
     with pytest.raises(ValueError, match="has no checkpoint yet; continue the run with"):
         load_policies(folder)
+
+
+def test_maps_of_visits_need_no_checkpoint(trained, folder):
+    env, visits = load_visits(folder)
+    np.testing.assert_array_equal(visits, load_lanes(folder)[2].visits)
+    assert visits.sum(axis=(1, 2)).tolist() == [120, 120]
+    assert env == trained[1].env
+    shutil.rmtree(folder.checkpoints)
+    np.testing.assert_array_equal(load_visits(folder)[1], visits)
+
+
+def test_the_maps_of_a_newer_checkpoint_or_beside_an_older_file_are_those_of_the_checkpoint(trained, folder):
+    visits, actor = load_visits(folder)[1], trained[1].policy(0).actor
+    actors = jax.tree.map(lambda leaf: np.zeros((2, *leaf.shape), leaf.dtype), actor)
+    others = {"seeds": [3, 7], "obs_size": 12, "action_size": 3}
+    policies.save_policies(folder.policies, actors, step=80, visits=visits + 1, **others)
+    np.testing.assert_array_equal(load_visits(folder)[1], visits)
+    policies.save_policies(folder.policies, actors, step=120, **others)  # as earlier versions wrote it
+    np.testing.assert_array_equal(load_visits(folder)[1], visits)
+    shutil.rmtree(folder.checkpoints)
+    with pytest.raises(ValueError, match=r"policies\.npz of an earlier version has no map of visits"):
+        load_visits(folder)
+    folder.policies.unlink()
+    with pytest.raises(ValueError, match="has no checkpoint yet"):
+        load_visits(folder)

@@ -1,4 +1,4 @@
-"""Pictures of a page: maps of visited positions from checkpoints, and rendered videos as data URIs."""
+"""Pictures of a page: maps of visited positions, and rendered videos as data URIs."""
 
 import base64
 import warnings
@@ -11,9 +11,10 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.runs import Line, Run
+from earl_jax.runs.contents import CHECKPOINTS, POLICIES
 from earl_jax.runs.files import DamagedWarning
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import load_lanes
+from earl_jax.training import load_visits
 
 FEW = 6
 """Fewer runs than this are named in a sentence; more are counted."""
@@ -44,9 +45,9 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
         return [], []
     line_maps, without, sentences = [], [], []
     for line in lines:
-        with_checkpoint = [run for run in line.runs if (run.path / "checkpoints").is_dir()]
-        without += [run.path for run in line.runs if run not in with_checkpoint]
-        run_maps, problems = _run_maps(line, with_checkpoint)
+        with_map = [run for run in line.runs if any((run.path / name).exists() for name in (POLICIES, CHECKPOINTS))]
+        without += [run.path for run in line.runs if run not in with_map]
+        run_maps, problems = _run_maps(line, with_map)
         sentences += problems
         if run_maps:
             visits = np.concatenate([run_map.visits for run_map in run_maps])
@@ -54,33 +55,31 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
     if without:
         named = line_maps and len(without) < FEW
         which = ", ".join(map(str, without)) if named else f"{len(without)} of these runs"
-        sentences.insert(0, f"Without a checkpoint there is no map of visited positions: {which}.")
+        sentences.insert(0, f"Without {POLICIES} or a checkpoint there is no map of visited positions: {which}.")
     return _drawn(line_maps), sentences
 
 
 def _run_maps(line: Line, runs: Sequence[Run]) -> tuple[list[VisitMap], list[str]]:
-    """Return the map of each run whose checkpoint can be read, and a sentence for each problem."""
+    """Return the map of each run that can be read, and a sentence for each problem."""
     run_maps, sentences = [], []
     for run in runs:
         try:
             run_map, damages = _load_map(line, run)
             run_maps.append(run_map)
             sentences += damages
-        except Exception as error:  # a checkpoint is data: any error in it is reported and affects nothing else
+        except Exception as error:  # the files are data: any error in them is reported and affects nothing else
             text = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
             sentences.append(f"No map of {line.group.label}: {text}.")
     return run_maps, sentences
 
 
 def _load_map(line: Line, run: Run) -> tuple[VisitMap, list[str]]:
-    """Return the map in a run's newest whole checkpoint, and a sentence for each newer one that is damaged."""
+    """Return the newest map of a run, and a sentence for each newer checkpoint that is damaged."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DamagedWarning)
-        env, _, lanes = load_lanes(RunFolder(run.path, run.config))
+        env, visits = load_visits(RunFolder(run.path, run.config))
     sentences = [f"{warning.message}." for warning in caught if issubclass(warning.category, DamagedWarning)]
-    visit_map = VisitMap(
-        line=line, visits=np.asarray(lanes.visits), map_bounds=np.asarray(env.map_bounds, float), unit=env.map_unit
-    )
+    visit_map = VisitMap(line, np.asarray(visits), np.asarray(env.map_bounds, float), env.map_unit)
     return visit_map, sentences
 
 

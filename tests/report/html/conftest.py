@@ -1,7 +1,6 @@
 """A page of four runs that can be read and three that cannot."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,12 +47,12 @@ def written(folders):
     from earl_jax.report.html.writing import write_page
 
     visits = np.random.default_rng(0).poisson(0.5, (3, 64, 64))
-    real = media.load_lanes
+    real = media.load_visits
 
     def load(folder):
         has_map = folder.path.name == "naive1"
-        return (make(TABLETOP), None, SimpleNamespace(visits=visits)) if has_map else real(folder)
+        return (make(TABLETOP), visits) if has_map else real(folder)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(media, "load_lanes", load)
+        patch.setattr(media, "load_visits", load)
         return write_page([folders], folders.parent / "page.html")

@@ -3,7 +3,6 @@
 import base64
 import os
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,8 +48,7 @@ def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
     (run / "checkpoints").mkdir()
     visits = np.zeros((2, 4, 4), int)
     visits[0, 3, 0], visits[1, 1, 1] = 3, 1
-    lanes = SimpleNamespace(visits=visits)
-    monkeypatch.setattr(media, "load_lanes", lambda folder: (make(TABLETOP), None, lanes))
+    monkeypatch.setattr(media, "load_visits", lambda folder: (make(TABLETOP), visits))
     lines, _ = gather([run])
     [drawn], sentences = maps(lines)
     assert sentences == []
@@ -64,7 +62,10 @@ def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
 
 def test_runs_without_a_checkpoint_have_no_map(tmp_path):
     lines, _ = gather([write_page_run(tmp_path / "run", "fbrl", rising(2, 1))])
-    assert maps(lines) == ([], ["Without a checkpoint there is no map of visited positions: 1 of these runs."])
+    assert maps(lines) == (
+        [],
+        ["Without policies.npz or a checkpoint there is no map of visited positions: 1 of these runs."],
+    )
 
 
 def test_tasks_without_a_map_have_no_sentence_about_it(tmp_path):
@@ -80,7 +81,7 @@ def test_a_checkpoint_that_cannot_be_read_is_reported(tmp_path, monkeypatch, err
     def load(folder):
         raise error
 
-    monkeypatch.setattr(media, "load_lanes", load)
+    monkeypatch.setattr(media, "load_visits", load)
     lines, _ = gather([run])
     cause = "it is damaged" if error.args else "KeyError"
     assert maps(lines) == ([], [f"No map of fbrl: {cause}."])
