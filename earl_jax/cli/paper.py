@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import Devices, Positional, Set, parse_options, print_line
+from earl_jax.cli.arguments import Devices, PerDevice, Positional, Set, parse_options, print_line
 
 
 def reproduce(
@@ -15,6 +15,7 @@ def reproduce(
     steps: int | None = None,
     max_lanes: int | None = None,
     devices: Devices = None,
+    per_device: PerDevice = None,
     set: Set = (),
 ) -> None:
     """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
@@ -40,6 +41,7 @@ def reproduce(
         options=parse_options(set),
         max_lanes=max_lanes,
         devices=devices,
+        per_device=per_device,
         emit=print_line,
     )
     for path in paths:

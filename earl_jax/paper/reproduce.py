@@ -26,6 +26,7 @@ from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
+from earl_jax.sweeps.per_device import PerDevice
 from earl_jax.training import evaluate, load_lanes
 
 ROBUSTNESS_EPISODES = 100
@@ -159,6 +160,7 @@ def reproduce(
     options: Options | None = None,
     max_lanes: int | None = None,
     devices: int | None = None,
+    per_device: PerDevice = None,
     emit: Callable[[str], None] = print,
 ) -> list[Path]:
     """Return the files of table or figure `name` at `scale`, after training the runs that are not finished yet.
@@ -173,6 +175,7 @@ def reproduce(
         options: of tasks or methods, for every run; a list holds alternatives.
         max_lanes: lanes of the largest program.
         devices: number of devices that share the lanes of a program.
+        per_device: number of programs that train on each GPU at a time, as `sweep` takes it.
         emit: is called with a line of text for each run.
 
     Raises:
@@ -191,7 +194,7 @@ def reproduce(
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, grid_text(blocks, chosen, options or {}))
-    sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit)
+    sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit)
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:

@@ -3,16 +3,16 @@
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.sweeps.per_device import ALONE, PerDevice, WorkerOptions, require_valid, worker_slots
+from earl_jax.sweeps.pool import ForwardedSignal, concurrent_events, relayed_lines
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 TIED = "--end-with-stdin"
@@ -32,6 +32,7 @@ def sweep(
     max_lanes: int | None = None,
     slurm: tuple[str, ...] = (),
     devices: int | None = None,
+    per_device: PerDevice = None,
     emit: EmitLine = print,
     logs: Sequence[str] = (),
 ) -> int:
@@ -40,10 +41,12 @@ def sweep(
     Args:
         grid: a TOML file (docs/sweeps.md).
         out: the parent folder of the run folders; the same call continues unfinished runs there.
-        launcher: `local`, one program group after another on this machine, or `slurm`, an array job with a task per group.
+        launcher: `local`, on this machine, or `slurm`, an array job with a task per program group.
         max_lanes: the largest number of lanes in a program group.
         slurm: name=value pairs for sbatch, including `time` (minutes).
         devices: the number of devices that share the lanes of a program group.
+        per_device: the number of program groups that train on each GPU of this machine at a time, or on a machine without
+            one; `auto` for the measured number. By default one group trains after another, on one GPU.
         emit: receives a line for each change of a run's state, and a summary.
         logs: loggers that new runs use besides metrics.csv: `tensorboard`, `wandb`.
 
@@ -55,13 +58,15 @@ def sweep(
         raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if parameters and launcher != "slurm":
         raise InputError("--slurm options go with --launcher slurm")
+    require_valid(per_device, launcher, devices)
     executor = _slurm_executor(out, parameters) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     unfinished = {name for group in plan["groups"] for name in group["runs"]}
     for name in plan["runs"]:
         if name not in unfinished:
             emit(f"done       {name}  (before)")
-    return LAUNCHERS[launcher]({**plan, "devices": devices, "logs": list(logs)}, emit, executor)
+    plan |= {"devices": devices, "per_device": per_device, "logs": list(logs)}
+    return LAUNCHERS[launcher](plan, emit, executor)
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
@@ -129,64 +134,35 @@ class GroupJob:
         return DelayedSubmission(self, task)
 
 
-class ForwardedSignal:
-    """A context in which SIGINT and SIGTERM stop a sweep: the worker saves its state and ends. A second signal ends both.
-
-    The worker has a session of its own, so that a terminal sends Ctrl-C to the launcher alone.
-    """
-
-    def __init__(self):
-        self.signal: int | None = None
-        self._worker: subprocess.Popen[str] | None = None
-        self._earlier: dict[int, Any] = {}
-
-    def __enter__(self) -> "ForwardedSignal":
-        if threading.current_thread() is threading.main_thread():
-            self._earlier = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._earlier.items():
-            signal.signal(number, handler)
-
-    def _stop(self, number: int, frame: object) -> None:
-        if self.signal is not None:
-            raise SystemExit(128 + number)
-        self.signal = number
-        if self._worker is not None:
-            self._worker.send_signal(number)
-
-    def pass_on_to(self, worker: subprocess.Popen[str]) -> None:
-        """Let `worker` receive the signal, also if it has arrived already."""
-        self._worker = worker
-        if self.signal is not None:
-            worker.send_signal(self.signal)
-
-
-def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> Iterator[dict[str, Any]]:
+def worker_events(
+    task: dict[str, Any], stop: ForwardedSignal | None = None, options: WorkerOptions = ALONE
+) -> Iterator[dict[str, Any]]:
     """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
     The worker ends when this process ends, for whatever reason. It receives the signals of `stop`.
     """
     worker = subprocess.Popen(
-        [*WORKER, "work", TIED],
+        [*WORKER, "work", TIED, *options.arguments],
+        env=options.environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if options.neighbours else None,
         text=True,
+        errors="replace",
         start_new_session=stop is not None,
     )
     if stop is not None:
         stop.pass_on_to(worker)
     assert worker.stdin is not None
     assert worker.stdout is not None
-    unfinished = set(task["runs"])
-    with worker:
+    unfinished, line = set(task["runs"]), json.dumps({**task, "progress": not options.neighbours}) + "\n"
+    with worker, relayed_lines(worker.stderr):
         with contextlib.suppress(BrokenPipeError):  # a worker that has ended already sends no events
-            os.write(worker.stdin.fileno(), (json.dumps(task) + "\n").encode())
+            os.write(worker.stdin.fileno(), line.encode())
         for line in worker.stdout:
             event = _parse_event(line)
             if event is None:
-                print(line, end="", file=sys.stderr)
+                sys.stderr.write(line)  # as a whole, because other workers write too
                 continue
             if event["state"] in ("done", "failed"):
                 unfinished.discard(event["run"])
@@ -220,18 +196,17 @@ def worker_tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> int:
-    """Train the program groups of `plan` one after another and return the number of failed runs."""
+    """Train the program groups of `plan`, as many at a time as there are slots, and return the number of failed runs."""
     last_states: dict[str, str] = {}
-    with ForwardedSignal() as stop:
-        for task in worker_tasks(plan):
-            for event in worker_events(task, stop):
-                state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
-                last_states[event["run"]] = state
-                details = f"  from step {event['step']}" if event.get("step") else f"  {event.get('why', '')}".rstrip()
-                emit(f"{state:<10} {event['run']}{details}")
-            if stop.signal:
-                emit("stopped; repeat the command to continue")
-                raise SystemExit(128 + stop.signal)
+    with ForwardedSignal() as stop, worker_slots(plan, emit) as slots, stop.ending_workers():
+        for event in concurrent_events(worker_tasks(plan), slots, stop, worker_events):
+            state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
+            last_states[event["run"]] = state
+            details = f"  from step {event['step']}" if event.get("step") else f"  {event.get('why', '')}".rstrip()
+            emit(f"{state:<10} {event['run']}{details}")
+    if stop.signal:
+        emit("stopped; repeat the command to continue")
+        raise SystemExit(128 + stop.signal)
     count = Counter(last_states.values())
     before = len(plan["runs"]) - len(last_states)
     emit(f"{len(plan['runs'])} runs: {before} done before, {count['done']} done now, {count['failed']} failed")

@@ -116,7 +116,14 @@ def serve(task: str) -> int:
     def emit(name: str, state: str, **details: Any) -> None:
         print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
-    succeeded = work(Path(fields["out"]), configs, emit, devices=fields.get("devices"), logs=fields.get("logs", ()))
+    succeeded = work(
+        Path(fields["out"]),
+        configs,
+        emit,
+        progress=fields.get("progress", True),
+        devices=fields.get("devices"),
+        logs=fields.get("logs", ()),
+    )
     return 0 if succeeded else 1
 
 

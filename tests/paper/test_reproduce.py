@@ -90,6 +90,14 @@ def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
     assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14)]
 
 
+def test_the_number_of_programs_on_a_gpu_reaches_the_sweep(tmp_path, monkeypatch):
+    given = {}
+    monkeypatch.setattr(reproduce, "sweep", lambda *paths, **options: given.update(options))
+    with pytest.raises(SystemExit):
+        main(["reproduce", "figure4", "--out", str(tmp_path), "--per-device", "auto"])
+    assert given["per_device"] == "auto"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
