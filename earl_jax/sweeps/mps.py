@@ -14,7 +14,7 @@ CONTROL = "nvidia-cuda-mps-control"
 SECONDS = 30
 """The longest time that a command to the daemon may take."""
 PATIENCE = 5
-"""Seconds that a daemon has to end after it was asked to."""
+"""Seconds that a daemon has to answer after its start, and to end after it was asked to."""
 LONGEST_SOCKET = 60
 """Characters of a temporary folder in which the daemon's sockets have names of a valid length."""
 GUARD = f'cat >/dev/null; echo quit | {CONTROL}; rm -rf -- "$1"'
@@ -60,14 +60,16 @@ def _daemon(folder: str, variables: dict[str, str]) -> Iterator[None]:
         env=environment,
         start_new_session=True,  # a terminal sends Ctrl-C to the launcher alone
     )
+    pid_file = Path(variables["CUDA_MPS_PIPE_DIRECTORY"]) / f"{CONTROL}.pid"
     try:
-        _start(environment)
+        _start(environment, pid_file)
         yield
     finally:
-        _stop(guard, Path(variables["CUDA_MPS_PIPE_DIRECTORY"]) / f"{CONTROL}.pid")
+        _stop(guard, pid_file)
 
 
-def _start(environment: Mapping[str, str]) -> None:
+def _start(environment: Mapping[str, str], pid_file: Path) -> None:
+    """Start the daemon and wait until it answers, or at least until it had time to and its process runs."""
     with tempfile.TemporaryFile() as messages:  # a pipe would stay open as long as the daemon
         try:
             code = subprocess.run(
@@ -85,9 +87,12 @@ def _start(environment: Mapping[str, str]) -> None:
         lines = messages.read().decode(errors="replace").strip().splitlines()
     if code:
         raise MpsError(lines[-1] if lines else f"{CONTROL} -d ended with code {code}")
-    deadline = time.monotonic() + SECONDS
+    deadline = time.monotonic() + PATIENCE
     while not _answers(environment):
         if time.monotonic() > deadline:
+            pid = _read_pid(pid_file)
+            if pid is not None and _is_alive(pid):
+                return
             raise MpsError(f"the daemon of {CONTROL} does not answer")
         time.sleep(0.1)
 

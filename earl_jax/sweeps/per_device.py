@@ -89,7 +89,7 @@ def _programs(per_device: int | Literal["auto"], plan: dict[str, Any], gpus: int
 def _summary(slots: list[Slot], gpus: int) -> str:
     """Return the number of programs and cores of `slots` as text."""
     programs = _counted(slots[0].per_device, "program") + " at a time"
-    host = f" on each of {_counted(gpus, 'GPU')}" if gpus else ""
+    host = f" on each of {gpus} GPUs" if gpus > 1 else " on the GPU" if gpus else ""
     return f"{programs}{host}, {_counted(len(slots[0].cores), 'core')} each"
 
 

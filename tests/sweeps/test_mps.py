@@ -69,3 +69,11 @@ def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
     while gpus.log[-1] != "quit" or folder.exists():
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def test_a_daemon_that_never_runs_is_no_mps(gpus, monkeypatch):
+    monkeypatch.setattr("earl_jax.sweeps.mps.PATIENCE", 0.1)
+    control = gpus.bin / "nvidia-cuda-mps-control"
+    control.write_text('#!/bin/sh\n[ "$1" = -d ]\n')
+    with pytest.raises(MpsError, match="does not answer"), mps():
+        pass
