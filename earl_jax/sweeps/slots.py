@@ -13,7 +13,7 @@ PER_DEVICE = "EARL_JAX_PER_DEVICE"
 """Variable of a worker: the number of programs that share its GPU, or the memory of a machine without one."""
 SHARED_FRACTION = 0.92
 """The part of a GPU's memory that several programs share; their CUDA contexts and MPS take some of the rest."""
-CUDA_PLUGINS = ("xla_cuda13", "xla_cuda12")
+CUDA_PLUGIN = "xla_cuda*"
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/gpus")
 SMI_SECONDS = 30
 
@@ -61,14 +61,9 @@ def own_cores() -> list[int]:
 
 def cuda_plugin() -> Path | None:
     """Return the folder of jax's installed CUDA plugin, without importing jax; None if there is none."""
-    for name in CUDA_PLUGINS:
-        try:
-            spec = importlib.util.find_spec(f"jax_plugins.{name}")
-        except ModuleNotFoundError:
-            return None
-        if spec is not None and spec.submodule_search_locations:
-            return Path(next(iter(spec.submodule_search_locations)))
-    return None
+    spec = importlib.util.find_spec("jax_plugins")
+    parents = spec.submodule_search_locations if spec is not None else None
+    return next((folder for parent in parents or [] for folder in sorted(Path(parent).glob(CUDA_PLUGIN))), None)
 
 
 def visible_gpus(environment: Mapping[str, str]) -> list[str]:
