@@ -13,14 +13,11 @@ from typing import Any
 from earl_jax.errors import InputError
 from earl_jax.sweeps.per_device import ALONE, PerDevice, WorkerOptions, require_valid, worker_slots
 from earl_jax.sweeps.pool import ForwardedSignal, concurrent_events, relayed_lines
+from earl_jax.sweeps.slurm import LOGS, sbatch_parameters, slurm_executor
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 TIED = "--end-with-stdin"
 """The worker's option to end as soon as its launcher does: stdin is a pipe that the launcher holds open."""
-LOGS = "slurm"
-"""Name of the folder, in that of the sweep, for submitit's scripts and logs."""
-RETRIES = 100
-"""How often a job that reaches its time limit returns to the queue."""
 EmitLine = Callable[[str], None]
 
 
@@ -53,13 +50,13 @@ def sweep(
     Raises:
         ValueError: the grid, the folder or an option is invalid; nothing has started.
     """
-    parameters = _sbatch_parameters(slurm)
+    parameters = sbatch_parameters(slurm)
     if launcher not in LAUNCHERS:
         raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if parameters and launcher != "slurm":
         raise InputError("--slurm options go with --launcher slurm")
     require_valid(per_device, launcher, devices)
-    executor = _slurm_executor(out, parameters) if launcher == "slurm" else None
+    executor = slurm_executor(out, parameters) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     unfinished = {name for group in plan["groups"] for name in group["runs"]}
     for name in plan["runs"]:
@@ -224,40 +221,3 @@ def _submit_to_slurm(plan: dict[str, Any], emit: EmitLine, executor: Any) -> int
 
 
 LAUNCHERS: dict[str, Callable[..., int]] = {"local": _run_locally, "slurm": _submit_to_slurm}
-
-
-def _slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
-    """Return submitit's executor with `parameters` of sbatch.
-
-    Raises:
-        ValueError: submitit or sbatch is missing, or a parameter is missing or unknown.
-    """
-    try:
-        import submitit
-    except ImportError:
-        raise InputError("--launcher slurm needs submitit: pip install 'earl-jax[slurm]'") from None
-    if "time" not in parameters:
-        raise InputError(
-            "--launcher slurm needs a time limit in minutes: --slurm time=600 partition=... gpus_per_node=1"
-        )
-    if (out / LOGS).is_symlink():
-        raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
-    try:
-        executor = submitit.SlurmExecutor(out.resolve() / LOGS, max_num_timeout=RETRIES)
-        executor.update_parameters(**{"job_name": "earl-jax", **parameters})
-    except RuntimeError as error:
-        raise InputError(f"{error}; use --launcher slurm on a machine that has sbatch") from None
-    except ValueError as error:
-        raise InputError(" ".join(str(error).split())) from None
-    return executor
-
-
-def _sbatch_parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value pairs as a dictionary, numbers as numbers."""
-    parameters: dict[str, Any] = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        if not equals or not name:
-            raise InputError(f"--slurm takes name=value, not {pair!r}")
-        parameters[name] = int(text) if text.lstrip("-").isdigit() else text
-    return parameters
