@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import subprocess
 import sys
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import redraw, run
+from benchmarks import per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
@@ -17,6 +18,7 @@ from benchmarks.peers.original import Door
 from benchmarks.peers.plan import Job, plan
 from benchmarks.peers.ratios import BARS, LANES, ratios
 from earl_jax.envs import make
+from earl_jax.sweeps.slots import make_slots
 
 
 class CodeJob(Job):
@@ -145,3 +147,41 @@ def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
     assert len(tables) == 4
     for path in tables:
         assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path
+
+
+class FakeProgram:
+    """A program that reports one rate after another."""
+
+    def __init__(self, algo, *rates):
+        self.algo, self._rates = algo, list(rates)
+
+    def run(self, seconds):
+        assert seconds == 5
+
+    def reply(self):
+        return {"steps_per_s": self._rates.pop(0)}
+
+
+def test_programs_at_once_are_compared_with_each_of_them_alone():
+    case = per_device.Case.parse("sawyer_door:naive,fbrl:2")
+    assert case.programs() == [("naive",), ("fbrl",), ("naive", "fbrl")]
+    whole, half = make_slots(1, [], range(8))[0], make_slots(2, [], range(8))[0]
+    alone = [([FakeProgram("naive", 900.0, 1100.0)], whole), ([FakeProgram("fbrl", 500.0, 500.0)], whole)]
+    together = [FakeProgram("naive", 800.0, 800.0), FakeProgram("fbrl", 400.0, 400.0)]
+    rows = per_device._rows(case, [*alone, (together, half)], seconds=5, count=2)
+    assert [row["steps_per_s_total"] for row in rows] == [1000.0, 500.0, 1200.0]
+    assert rows[-1]["gain"] == pytest.approx(0.8 + 0.8)
+    assert rows[-1]["wall_gain"] == pytest.approx((1 / 1000 + 1 / 500) * 400)
+    assert per_device.table_rows(rows) == ['    "sawyer_door": {(1, 8): 1000.0},']
+
+
+def test_a_program_that_ends_is_an_error_and_the_rows_of_one_method_make_the_table_of_auto(tmp_path):
+    row = {"env": "sawyer_peg", "algos": "naive+naive", "programs": 2, "cores_each": 4, "steps_per_s_total": 1900.0}
+    assert per_device.table_rows([row]) == ['    "sawyer_peg": {(2, 4): 950.0},']
+    assert per_device.Case.parse("sawyer_peg:naive:4,2").programs() == [("naive",), ("naive",) * 2, ("naive",) * 4]
+    program = per_device.Program.__new__(per_device.Program)
+    program.algo = "naive"
+    program._process = subprocess.Popen([sys.executable, "-c", "print('stray')"], stdout=subprocess.PIPE, text=True)
+    with pytest.raises(RuntimeError, match="program of naive ended with code 0"):
+        program.reply()
+    program._process.stdout.close()

@@ -20,6 +20,13 @@ Devices = Annotated[
     int | None,
     tyro.conf.arg(help="Number of devices that share the lanes. By default one, or all devices of several hosts."),
 ]
+PerDevice = Annotated[
+    int | Literal["auto"] | None,
+    tyro.conf.arg(
+        help="Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "
+        "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU."
+    ),
+]
 Hosts = Annotated[
     str | None,
     tyro.conf.arg(

@@ -8,7 +8,7 @@ from typing import Any
 
 import tyro
 
-from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train
+from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train, xla_flags
 from earl_jax.errors import is_input_error
 from earl_jax.runs.files import RunWarning
 
@@ -46,6 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     arguments = sys.argv[1:] if arguments is None else arguments
     given = [argument for argument in arguments if argument != TRACEBACK]
+    xla_flags.set_flags(given)
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=given, description=DESCRIPTION)
     except KeyboardInterrupt as interrupt:

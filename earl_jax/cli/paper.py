@@ -3,7 +3,16 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import Devices, Minutes, Positional, Set, parse_minutes, parse_options, print_line
+from earl_jax.cli.arguments import (
+    Devices,
+    Minutes,
+    PerDevice,
+    Positional,
+    Set,
+    parse_minutes,
+    parse_options,
+    print_line,
+)
 
 
 def reproduce(
@@ -15,6 +24,7 @@ def reproduce(
     steps: int | None = None,
     max_lanes: int | None = None,
     devices: Devices = None,
+    per_device: PerDevice = None,
     minutes: Minutes = None,
     set: Set = (),
 ) -> None:
@@ -42,6 +52,7 @@ def reproduce(
         options=parse_options(set),
         max_lanes=max_lanes,
         devices=devices,
+        per_device=per_device,
         minutes=limit,
         emit=print_line,
     )

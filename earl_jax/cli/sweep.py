@@ -3,7 +3,18 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from earl_jax.cli.arguments import JSON, Devices, Logs, Minutes, Positional, Slurm, emit, parse_minutes, print_line
+from earl_jax.cli.arguments import (
+    JSON,
+    Devices,
+    Logs,
+    Minutes,
+    PerDevice,
+    Positional,
+    Slurm,
+    emit,
+    parse_minutes,
+    print_line,
+)
 
 
 def sweep(
@@ -13,6 +24,7 @@ def sweep(
     max_lanes: int | None = None,
     slurm: Slurm = (),
     devices: Devices = None,
+    per_device: PerDevice = None,
     minutes: Minutes = None,
     log: Logs = (),
     dry_run: bool = False,
@@ -23,7 +35,7 @@ def sweep(
     Args:
         grid: TOML file of tasks, methods and options (docs/sweeps.md).
         out: Parent folder of the run folders, OUT/<task>/<method>/<options>.
-        launcher: local runs one program after another on this machine; slurm submits an array job through submitit.
+        launcher: local runs the programs on this machine; slurm submits an array job through submitit.
         max_lanes: Largest number of lanes (runs x seeds) in one program.
         dry_run: Print the programs with their lanes, folders and memory, and start nothing.
     """
@@ -42,6 +54,7 @@ def sweep(
         max_lanes=max_lanes,
         slurm=slurm,
         devices=devices,
+        per_device=per_device,
         emit=lines.append if json else print_line,
         logs=log,
         minutes=limit,

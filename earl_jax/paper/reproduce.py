@@ -24,6 +24,7 @@ from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
+from earl_jax.sweeps.per_device import PerDevice
 from earl_jax.time_limit import TimeLimit
 from earl_jax.training import evaluate, load_visits
 
@@ -157,6 +158,7 @@ def reproduce(
     options: Options | None = None,
     max_lanes: int | None = None,
     devices: int | None = None,
+    per_device: PerDevice = None,
     emit: Callable[[str], None] = print,
     minutes: float | TimeLimit | None = None,
 ) -> list[Path]:
@@ -172,6 +174,7 @@ def reproduce(
         options: of tasks or methods, for every run; a list holds alternatives.
         max_lanes: lanes of the largest program.
         devices: number of devices that share the lanes of a program.
+        per_device: number of programs that train on each GPU at a time, as `sweep` takes it.
         emit: is called with a line of text for each run.
         minutes: a limit of wall-clock time from this call on, as in `sweep`. If it leaves runs unfinished, nothing is
             written, `emit` receives their names, and no file is returned.
@@ -193,9 +196,11 @@ def reproduce(
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, grid_text(blocks, chosen, options or {}))
-    unfinished = sweep(file, out / "runs", max_lanes=max_lanes, devices=devices, emit=emit, minutes=limit).unfinished
-    if unfinished:
-        emit(f"{name} is not written; unfinished runs: {', '.join(unfinished)}")
+    outcome = sweep(
+        file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit, minutes=limit
+    )
+    if outcome.unfinished:
+        emit(f"{name} is not written; unfinished runs: {', '.join(outcome.unfinished)}")
         return []
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]

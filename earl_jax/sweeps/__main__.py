@@ -6,6 +6,7 @@ from the launcher, closes.
 """
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -18,6 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     task = sys.stdin.readline() if options.command == "work" else ""
     if options.end_with_stdin:
         end_with_pipe(sys.stdin.fileno())
+    if options.command == "work" and options.cores and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, options.cores)  # before jax and the physics count the cores
     from earl_jax.sweeps import worker  # it imports jax, which takes seconds
 
     try:
@@ -36,7 +39,9 @@ def _parser() -> argparse.ArgumentParser:
     planning.add_argument("grid", type=Path)
     planning.add_argument("--out", type=Path, required=True)
     planning.add_argument("--max-lanes", type=int)
-    for command in (planning, commands.add_parser("work")):
+    working = commands.add_parser("work")
+    working.add_argument("--cores", type=int, nargs="+", help="the only cores that the worker may use")
+    for command in (planning, working):
         command.add_argument("--end-with-stdin", action="store_true")
     return parser
 

@@ -3,25 +3,22 @@
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
+from earl_jax.sweeps.per_device import ALONE, PerDevice, WorkerOptions, require_valid, worker_slots
+from earl_jax.sweeps.pool import ForwardedSignal, concurrent_events, relayed_lines
+from earl_jax.sweeps.slurm import LOGS, sbatch_parameters, slurm_executor
 from earl_jax.time_limit import TimeLimit
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 TIED = "--end-with-stdin"
 """The worker's option to end as soon as its launcher does: stdin is a pipe that the launcher holds open."""
-LOGS = "slurm"
-"""Name of the folder, in that of the sweep, for submitit's scripts and logs."""
-RETRIES = 100
-"""How often a job that reaches its time limit returns to the queue."""
 ENDS = ("done", "failed", "stopped")
 """States in which a worker leaves a run; it is stopped by the time limit."""
 EmitLine = Callable[[str], None]
@@ -42,6 +39,7 @@ def sweep(
     max_lanes: int | None = None,
     slurm: tuple[str, ...] = (),
     devices: int | None = None,
+    per_device: PerDevice = None,
     emit: EmitLine = print,
     logs: Sequence[str] = (),
     minutes: float | TimeLimit | None = None,
@@ -51,10 +49,12 @@ def sweep(
     Args:
         grid: a TOML file (docs/sweeps.md).
         out: the parent folder of the run folders; the same call continues unfinished runs there.
-        launcher: `local`, one program group after another on this machine, or `slurm`, an array job with a task per group.
+        launcher: `local`, on this machine, or `slurm`, an array job with a task per program group.
         max_lanes: the largest number of lanes in a program group.
         slurm: name=value pairs for sbatch, including `time` (minutes).
         devices: the number of devices that share the lanes of a program group.
+        per_device: the number of program groups that train on each GPU of this machine at a time, or on a machine without
+            one; `auto` for the measured number. By default one group trains after another, on one GPU.
         emit: receives a line for each change of a run's state, and a summary.
         logs: loggers that new runs use besides metrics.csv: `tensorboard`, `wandb`.
         minutes: a limit of wall-clock time of the whole sweep, from this call on (local only). Runs in progress end after
@@ -64,20 +64,22 @@ def sweep(
         ValueError: the grid, the folder or an option is invalid; nothing has started.
     """
     limit = TimeLimit.of(minutes)
-    parameters = _sbatch_parameters(slurm)
+    parameters = sbatch_parameters(slurm)
     if launcher not in LAUNCHERS:
         raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if parameters and launcher != "slurm":
         raise InputError("--slurm options go with --launcher slurm")
     if limit and launcher == "slurm":
         raise InputError("--minutes goes with --launcher local; with slurm, --slurm time=MINUTES limits each job")
-    executor = _slurm_executor(out, parameters) if launcher == "slurm" else None
+    require_valid(per_device, launcher, devices)
+    executor = slurm_executor(out, parameters) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     unfinished = {name for group in plan["groups"] for name in group["runs"]}
     for name in plan["runs"]:
         if name not in unfinished:
             emit(f"done       {name}  (before)")
-    return LAUNCHERS[launcher]({**plan, "devices": devices, "logs": list(logs), "limit": limit}, emit, executor)
+    plan |= {"devices": devices, "per_device": per_device, "logs": list(logs), "limit": limit}
+    return LAUNCHERS[launcher](plan, emit, executor)
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
@@ -145,41 +147,9 @@ class GroupJob:
         return DelayedSubmission(self, task)
 
 
-class ForwardedSignal:
-    """A context in which SIGINT and SIGTERM stop a sweep: the worker saves its state and ends. A second signal ends both.
-
-    The worker has a session of its own, so that a terminal sends Ctrl-C to the launcher alone.
-    """
-
-    def __init__(self):
-        self.signal: int | None = None
-        self._worker: subprocess.Popen[str] | None = None
-        self._earlier: dict[int, Any] = {}
-
-    def __enter__(self) -> "ForwardedSignal":
-        if threading.current_thread() is threading.main_thread():
-            self._earlier = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._earlier.items():
-            signal.signal(number, handler)
-
-    def _stop(self, number: int, frame: object) -> None:
-        if self.signal is not None:
-            raise SystemExit(128 + number)
-        self.signal = number
-        if self._worker is not None:
-            self._worker.send_signal(number)
-
-    def pass_on_to(self, worker: subprocess.Popen[str]) -> None:
-        """Let `worker` receive the signal, also if it has arrived already."""
-        self._worker = worker
-        if self.signal is not None:
-            worker.send_signal(self.signal)
-
-
-def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> Iterator[dict[str, Any]]:
+def worker_events(
+    task: dict[str, Any], stop: ForwardedSignal | None = None, options: WorkerOptions = ALONE
+) -> Iterator[dict[str, Any]]:
     """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
     The worker ends when this process ends, for whatever reason. It receives the signals of `stop`. If the time limit of the
@@ -188,24 +158,27 @@ def worker_events(task: dict[str, Any], stop: ForwardedSignal | None = None) -> 
     if task.get("limit") and task["limit"].passed:
         return
     worker = subprocess.Popen(
-        [*WORKER, "work", TIED],
+        [*WORKER, "work", TIED, *options.arguments],
+        env=options.environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if options.neighbours else None,
         text=True,
+        errors="replace",
         start_new_session=stop is not None,
     )
     if stop is not None:
         stop.pass_on_to(worker)
     assert worker.stdin is not None
     assert worker.stdout is not None
-    unfinished = set(task["runs"])
-    with worker:
+    unfinished, line = set(task["runs"]), json.dumps({**task, "progress": not options.neighbours}) + "\n"
+    with worker, relayed_lines(worker.stderr):
         with contextlib.suppress(BrokenPipeError):  # a worker that has ended already sends no events
-            os.write(worker.stdin.fileno(), (json.dumps(task) + "\n").encode())
+            os.write(worker.stdin.fileno(), line.encode())
         for line in worker.stdout:
             event = _parse_event(line)
             if event is None:
-                print(line, end="", file=sys.stderr)
+                sys.stderr.write(line)  # as a whole, because other workers write too
                 continue
             if event["state"] in ENDS:
                 unfinished.discard(event["run"])
@@ -240,17 +213,16 @@ def worker_tasks(plan: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _run_locally(plan: dict[str, Any], emit: EmitLine, executor: None) -> Outcome:
-    """Train the program groups of `plan` one after another and return the outcome."""
+    """Train the program groups of `plan`, as many at a time as there are slots, and return the outcome."""
     last_states: dict[str, str] = {}
-    with ForwardedSignal() as stop:
-        for task in worker_tasks(plan):
-            for event in worker_events(task, stop):
-                state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
-                last_states[event["run"]] = state
-                emit(f"{state:<10} {event['run']}{_details(event)}")
-            if stop.signal:
-                emit("stopped; repeat the command to continue")
-                raise SystemExit(128 + stop.signal)
+    with ForwardedSignal() as stop, worker_slots(plan, emit) as slots, stop.ending_workers():
+        for event in concurrent_events(worker_tasks(plan), slots, stop, worker_events):
+            state = "stopped" if stop.signal and event["state"] == "failed" else event["state"]
+            last_states[event["run"]] = state
+            emit(f"{state:<10} {event['run']}{_details(event)}")
+    if stop.signal:
+        emit("stopped; repeat the command to continue")
+        raise SystemExit(128 + stop.signal)
     return _summarise(plan, last_states, emit)
 
 
@@ -284,40 +256,3 @@ def _submit_to_slurm(plan: dict[str, Any], emit: EmitLine, executor: Any) -> Out
 
 
 LAUNCHERS: dict[str, Callable[..., Outcome]] = {"local": _run_locally, "slurm": _submit_to_slurm}
-
-
-def _slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
-    """Return submitit's executor with `parameters` of sbatch.
-
-    Raises:
-        ValueError: submitit or sbatch is missing, or a parameter is missing or unknown.
-    """
-    try:
-        import submitit
-    except ImportError:
-        raise InputError("--launcher slurm needs submitit: pip install 'earl-jax[slurm]'") from None
-    if "time" not in parameters:
-        raise InputError(
-            "--launcher slurm needs a time limit in minutes: --slurm time=600 partition=... gpus_per_node=1"
-        )
-    if (out / LOGS).is_symlink():
-        raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
-    try:
-        executor = submitit.SlurmExecutor(out.resolve() / LOGS, max_num_timeout=RETRIES)
-        executor.update_parameters(**{"job_name": "earl-jax", **parameters})
-    except RuntimeError as error:
-        raise InputError(f"{error}; use --launcher slurm on a machine that has sbatch") from None
-    except ValueError as error:
-        raise InputError(" ".join(str(error).split())) from None
-    return executor
-
-
-def _sbatch_parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value pairs as a dictionary, numbers as numbers."""
-    parameters: dict[str, Any] = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        if not equals or not name:
-            raise InputError(f"--slurm takes name=value, not {pair!r}")
-        parameters[name] = int(text) if text.lstrip("-").isdigit() else text
-    return parameters

@@ -132,6 +132,7 @@ def serve(task: str) -> int:
         Path(fields["out"]),
         configs,
         emit,
+        progress=fields.get("progress", True),
         devices=fields.get("devices"),
         logs=fields.get("logs", ()),
         limit=TimeLimit(*fields["limit"]) if fields.get("limit") else None,

@@ -20,6 +20,8 @@ ACTIVATIONS = 16
 of benchmarks/results/speed)."""
 GIGABYTE = 1e9
 FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
+PER_DEVICE = "EARL_JAX_PER_DEVICE"
+"""Variable of a sweep's worker: the number of programs that share its device."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,13 +81,24 @@ def _bytes(tree: TrainState) -> int:
     return sum(math.prod(leaf.shape) * (leaf.dtype.itemsize or 8) for leaf in jax.tree.leaves(tree))
 
 
+def programs_per_device() -> int:
+    """Return the number of programs that share the device, of which this process is one."""
+    text = os.environ.get(PER_DEVICE, "1")
+    return max(1, int(text)) if text.isdigit() else 1
+
+
 def free_bytes(device: Any) -> int | None:
-    """Return the bytes that are free on `device`, or None if that is unknown."""
+    """Return the bytes that are free on `device` for this process, or None if that is unknown.
+
+    Of a GPU's memory, jax gives each process the fraction in `FRACTION`. Programs that share a CPU get equal shares of
+    the machine's memory.
+    """
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
         return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
     if device.platform == "cpu" and "SC_AVPHYS_PAGES" in os.sysconf_names:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        share = os.sysconf("SC_PHYS_PAGES") // programs_per_device()
+        return min(os.sysconf("SC_AVPHYS_PAGES"), share) * os.sysconf("SC_PAGE_SIZE")
     return None
 
 
@@ -106,7 +119,15 @@ def require(needed: Need, mesh: Mesh | None = None) -> None:
         if count == 1
         else f"{count} devices have {free / GIGABYTE:.3g} GB each"
     )
-    raise InputError(
-        f"{needed}, but {available} free: {free // needed.lane * count} lanes would fit. Use fewer seeds or steps, "
-        f"more devices, or on a GPU a larger {FRACTION}, such as 0.95"
-    )
+    raise InputError(f"{needed}, but {available} free: {free // needed.lane * count} lanes would fit. {_remedy()}")
+
+
+def _remedy() -> str:
+    """Return what to do about a program that does not fit."""
+    programs = programs_per_device()
+    if programs > 1:
+        return (
+            f"This is the share of one of {programs} programs; use --per-device {programs // 2} or another smaller "
+            "number, a smaller --max-lanes, or fewer seeds or steps"
+        )
+    return f"Use fewer seeds or steps, more devices, or on a GPU a larger {FRACTION}, such as 0.95"

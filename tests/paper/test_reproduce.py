@@ -118,6 +118,19 @@ def test_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):
     assert not (tmp_path / "out/table1").exists()
 
 
+def test_the_number_of_programs_on_a_gpu_reaches_the_sweep(tmp_path, monkeypatch):
+    given = {}
+
+    def sweep(*paths, **options):
+        given.update(options)
+        return Outcome(failed=0)
+
+    monkeypatch.setattr(reproduce, "sweep", sweep)
+    with pytest.raises(SystemExit):
+        main(["reproduce", "figure4", "--out", str(tmp_path), "--per-device", "auto"])
+    assert given["per_device"] == "auto"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

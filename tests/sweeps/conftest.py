@@ -2,6 +2,9 @@
 
 import pytest
 
+from earl_jax.sweeps import per_device, slots
+from tests.sweeps.fake_gpus import FakeGpus, add_to_path
+
 GRID = """
 envs = ["tabletop_organization"]
 algos = ["naive", "oracle"]
@@ -27,3 +30,15 @@ def grid(tmp_path):
     path = tmp_path / "grid.toml"
     path.write_text(GRID)
     return path
+
+
+@pytest.fixture
+def gpus(tmp_path, monkeypatch):
+    """A host with two GPUs, eight cores and MPS, all of them fakes, and jax's CUDA plugin."""
+    fake = FakeGpus(tmp_path / "bin", 2)
+    add_to_path(monkeypatch, fake.bin)
+    for name in ("CUDA_VISIBLE_DEVICES", "CUDA_MPS_PIPE_DIRECTORY", "JAX_PLATFORMS", slots.FRACTION):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(slots, "cuda_plugin", lambda: tmp_path)
+    monkeypatch.setattr(per_device, "own_cores", lambda: list(range(8)))
+    return fake

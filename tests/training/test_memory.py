@@ -1,6 +1,7 @@
 """The memory of a run: computed, printed, and refused before anything is written."""
 
 import dataclasses
+import os
 
 import jax
 import pytest
@@ -44,6 +45,22 @@ def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes
         earl_jax.train("sawyer_door", "naive", seeds=5, steps=80, eval_every=80, out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
     memory.require(dataclasses.replace(need, lanes=3))
+
+
+def test_a_program_among_neighbours_is_refused_by_its_share_with_fewer_neighbours_as_the_remedy(monkeypatch):
+    need = memory.Need(lanes=5, replay=10, agent=1, work=1)
+    monkeypatch.setattr(memory, "free_bytes", lambda device: 59)
+    monkeypatch.setenv(memory.PER_DEVICE, "4")
+    with pytest.raises(ValueError, match=r"4 lanes would fit\. .* one of 4 programs; use --per-device 2 or"):
+        memory.require(need)
+    memory.require(dataclasses.replace(need, lanes=4))
+
+
+@pytest.mark.skipif("SC_PHYS_PAGES" not in os.sysconf_names, reason="this system does not count its memory")
+def test_programs_on_a_cpu_have_equal_shares_of_its_memory(monkeypatch):
+    whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    monkeypatch.setenv(memory.PER_DEVICE, "1000")
+    assert memory.free_bytes(jax.devices("cpu")[0]) <= whole / 1000
 
 
 def test_free_bytes_of_this_machine_are_known_or_none():

@@ -1,0 +1,94 @@
+"""XLA flags that the command line sets: where the installed XLA knows them, once, and never against the user."""
+
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from earl_jax.cli import xla_flags
+from tests.cli.process import ENVIRONMENT
+
+NAME = next(iter(xla_flags.FLAGS))
+FLAG = f"--{NAME}=true"
+JAXLIB = Path(find_spec("jaxlib").origin).parent
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """A CUDA plugin that knows the flags; jaxlib is the installed one."""
+    (tmp_path / "xla_cuda_plugin.so").write_bytes(
+        b"ELF\0" + b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0"
+    )
+    monkeypatch.setattr(xla_flags, "cuda_plugin", lambda: tmp_path)
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setenv("XLA_FLAGS", "--xla_dump_to=x")
+    return tmp_path / "xla_cuda_plugin.so"
+
+
+@pytest.mark.usefixtures("plugin")
+def test_commands_that_train_set_the_flags_and_print_them_once(monkeypatch, capsys):
+    for arguments in (["list"], [], ["train", "--help"]):
+        xla_flags.set_flags(arguments)
+    assert capsys.readouterr().err == ""
+    xla_flags.set_flags(["train", "sawyer_door"])
+    assert xla_flags.os.environ["XLA_FLAGS"] == f"--xla_dump_to=x {FLAG}"
+    assert capsys.readouterr().err.count(FLAG) == 1
+    xla_flags.set_flags(["sweep"])
+    assert xla_flags.os.environ["XLA_FLAGS"] == f"--xla_dump_to=x {FLAG}"
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("plugin")
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, [FLAG]),
+        ({"XLA_FLAGS": f"--{NAME}=false"}, []),
+        ({"XLA_FLAGS": f"--{NAME}"}, []),
+        ({"XLA_FLAGS": f"--{NAME}_of_another=1"}, [FLAG]),
+        ({"XLA_FLAGS": "/path/of/flags"}, []),
+        ({"JAX_PLATFORMS": "cpu"}, []),
+        ({"JAX_PLATFORMS": "cuda,cpu"}, [FLAG]),
+    ],
+)
+def test_the_users_flags_and_platform_win(environment, expected):
+    assert xla_flags.helpful_flags(environment) == expected
+
+
+def test_a_flag_that_the_plugin_or_jaxlib_does_not_know_is_not_set(plugin, monkeypatch):
+    monkeypatch.setattr(xla_flags, "FLAGS", {"xla_no_such_flag": "1"})
+    plugin.write_bytes(b"\0xla_no_such_flag\0")
+    assert xla_flags.helpful_flags({}) == [], "jaxlib does not know it"
+    monkeypatch.undo()
+    assert xla_flags.helpful_flags({}) == [], "no plugin"
+
+
+def test_a_plugin_without_the_flag_is_respected(plugin):
+    plugin.write_bytes(f"\0{NAME}_of_another\0".encode())
+    assert xla_flags.helpful_flags({}) == []
+
+
+def test_the_installed_xla_accepts_the_flags_that_it_is_said_to_know():
+    known = [f"--{name}={value}" for name, value in xla_flags.FLAGS.items() if xla_flags.knows_flag(JAXLIB, name)]
+    assert known, "jaxlib of the supported versions knows them"
+    code = "import jaxlib.xla_client as x; x.make_cpu_client()"
+    environment = {**ENVIRONMENT, "XLA_FLAGS": " ".join(known)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True)
+    environment["XLA_FLAGS"] = "--xla_no_such_flag=1"
+    process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True)
+    assert process.returncode, "otherwise this test checks nothing"
+
+
+def test_the_check_of_a_known_flag_is_quick():
+    began = time.perf_counter()
+    assert xla_flags.knows_flag(JAXLIB, NAME)
+    assert time.perf_counter() - began < 1
+
+
+def test_importing_the_package_sets_nothing():
+    code = "import os, earl_jax, earl_jax.training; assert 'XLA_FLAGS' not in os.environ"
+    environment = {name: value for name, value in ENVIRONMENT.items() if name != "XLA_FLAGS"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)

@@ -1,0 +1,96 @@
+"""The slots of workers: visible GPUs, an even share of cores and memory for each."""
+
+import sys
+
+import pytest
+
+from earl_jax.sweeps import slots
+from earl_jax.training import memory
+
+TWO = ["0", "1"]
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, ["0", "1"]),
+        ({"CUDA_VISIBLE_DEVICES": "1"}, ["1"]),
+        ({"CUDA_VISIBLE_DEVICES": "1, 0"}, ["1", "0"]),
+        ({"CUDA_VISIBLE_DEVICES": "GPU-7,5,0"}, ["GPU-7"]),
+        ({"CUDA_VISIBLE_DEVICES": "-1"}, []),
+        ({"CUDA_VISIBLE_DEVICES": ""}, []),
+        ({"JAX_PLATFORMS": "cpu"}, []),
+        ({"JAX_PLATFORMS": "cuda,cpu"}, ["0", "1"]),
+    ],
+)
+@pytest.mark.usefixtures("gpus")
+def test_visible_gpus_are_those_that_cuda_and_jax_would_use(environment, expected):
+    assert slots.visible_gpus(environment) == expected
+
+
+def test_there_are_no_gpus_without_the_plugin_or_with_a_broken_driver(gpus, monkeypatch):
+    (gpus.bin / "nvidia-smi").write_text("#!/bin/sh\necho 'NVIDIA-SMI has failed'; exit 9\n")
+    assert slots.visible_gpus({}) == []
+    monkeypatch.setattr(slots, "cuda_plugin", lambda: None)
+    (gpus.bin / "nvidia-smi").write_text("#!/bin/sh\necho 'GPU 0: NVIDIA H200'\n")
+    assert slots.visible_gpus({}) == []
+
+
+def test_the_driver_counts_gpus_where_nvidia_smi_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(slots, "NVIDIA_DRIVER", tmp_path / "gpus")
+    assert slots._count_gpus() == 0
+    for number in range(3):
+        (tmp_path / "gpus" / f"0000:{number}").mkdir(parents=True)
+    assert slots._count_gpus() == 3
+
+
+def test_the_plugin_is_located_without_importing_it(tmp_path, monkeypatch):
+    for name in list(sys.modules):
+        if name.partition(".")[0] == "jax_plugins":
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    assert slots.cuda_plugin() is None
+    folder = tmp_path / "jax_plugins/xla_cuda12"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text("raise RuntimeError")
+    assert slots.cuda_plugin() == folder
+
+
+def test_slots_share_cores_evenly_and_fill_every_gpu_first():
+    result = slots.make_slots(2, TWO, range(9))
+    assert [slot.gpu for slot in result] == ["0", "1", "0", "1"]
+    assert [slot.cores for slot in result] == [(0, 1), (4, 5), (2, 3), (6, 7)]
+    assert {slot.per_device for slot in result} == {2}
+
+
+def test_more_slots_than_cores_have_one_core_each():
+    result = slots.make_slots(3, [], [4, 6])
+    assert [(slot.gpu, slot.cores) for slot in result] == [(None, (4,)), (None, (6,)), (None, (4,))]
+
+
+def test_fewer_programs_than_slots_get_larger_places():
+    assert slots.needed(4, programs=3, gpus=1) == 3
+    assert slots.needed(4, programs=3, gpus=2) == 2
+    assert slots.needed(4, programs=0, gpus=2) == 1
+
+
+@pytest.mark.parametrize(("given", "total"), [(None, 0.92), ("0.5", 0.5), ("0.95", 0.92), ("x", 0.92)])
+def test_programs_on_a_gpu_share_its_memory(given, total):
+    inherited = {"A": "b"} if given is None else {"A": "b", slots.FRACTION: given}
+    environment = slots.Slot("1", (0,), 4).environment(inherited)
+    assert float(environment[slots.FRACTION]) == pytest.approx(total / 4)
+    assert environment["CUDA_VISIBLE_DEVICES"] == "1"
+    assert environment["JAX_PLATFORMS"] == "cuda,cpu"
+    assert environment["A"] == "b"
+
+
+def test_a_program_alone_keeps_its_memory_and_one_on_a_cpu_its_platform():
+    alone = slots.Slot("0", (0,), 1).environment({slots.FRACTION: "0.95", "JAX_PLATFORMS": "cuda"})
+    assert (alone[slots.FRACTION], alone["JAX_PLATFORMS"]) == ("0.95", "cuda")
+    on_cpu = slots.Slot(None, (0,), 2).environment({})
+    assert on_cpu == {slots.PER_DEVICE: "2"}
+
+
+def test_the_names_of_variables_are_those_of_the_memory_check():
+    assert (slots.FRACTION, slots.PER_DEVICE) == (memory.FRACTION, memory.PER_DEVICE)
