@@ -11,6 +11,8 @@ from importlib import metadata
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 AFFECTED_JAXLIB = (0, 10)
 FIXED_JAXLIB = (0, 12)
@@ -48,11 +50,58 @@ def _guard(scan: Any) -> None:
         return
     body_tree = getattr(scan, "body_tree", None)
     if body_tree is None:
-        version = metadata.version("mujoco-mjx")
-        raise ImportError(f"mujoco-mjx {version} has no scan.body_tree; install a release that pyproject.toml allows")
+        raise ImportError(_missing("scan.body_tree"))
 
     @functools.wraps(body_tree)
     def guarded(model: Any, f: Any, *rest: Any, **options: Any) -> Any:
         return body_tree(model, lambda carry, *args: f(jax.lax.optimization_barrier(carry), *args), *rest, **options)
 
     scan.body_tree = guarded
+
+
+def sum_cones_by_contact() -> None:
+    """Let MJX's Newton solver add the Hessian of each friction cone to that of the joints, in one product for all.
+
+    MJX writes the cones one after another into a matrix of all constraint rows, and a GPU copies that matrix of every
+    lane each time: 22 of 31 ms of a control step of 500 lanes of the Sawyer door.
+
+    Raises:
+        ImportError: MJX has no `solver._update_gradient`; the message names its version.
+    """
+    solver = importlib.import_module("mujoco.mjx._src.solver")
+    original = getattr(solver, "_update_gradient", None)
+    if original is None:
+        raise ImportError(_missing("solver._update_gradient"))
+    if hasattr(original, "__wrapped__"):
+        return
+
+    @functools.wraps(original)
+    def update_gradient(model: Any, data: Any, context: Any) -> Any:
+        newton = model.opt.solver == solver.SolverType.NEWTON
+        if not newton or model.opt.cone != solver.ConeType.ELLIPTIC:
+            return original(model, data, context)
+        jacobian, weights = data._impl.efc_J, data._impl.efc_D * context.active
+        hessian = solver.support.full_m(model, data) + (jacobian.T * weights) @ jacobian
+        hessian = hessian + _cone_hessian(jacobian, data._impl.contact, context.h)
+        grad = context.Ma - data.qfrc_smooth - context.qfrc_constraint
+        factor = jax.scipy.linalg.cho_factor((hessian + hessian.T) / 2)
+        return context.replace(grad=grad, Mgrad=jax.scipy.linalg.cho_solve(factor, grad))
+
+    solver._update_gradient = update_gradient
+
+
+def _cone_hessian(jacobian: jax.Array, contact: Any, cones: jax.Array) -> jax.Array:
+    """Return the part [nv, nv] of the friction cones, given their Hessians `cones [n, 6, 6]` by constraint rows."""
+    sizes, rows = contact.dim[contact.dim > 1], contact.efc_address[contact.dim > 1]
+    total = jnp.zeros((jacobian.shape[1],) * 2)
+    for size in np.unique(sizes):
+        chosen = np.flatnonzero(sizes == size)
+        block = jacobian[rows[chosen][:, None] + np.arange(size)]
+        curved = jnp.einsum("nij,njk->nik", cones[chosen, :size, :size], block)
+        total = total + jnp.einsum("nij,nik->jk", block, curved)
+    return total
+
+
+def _missing(name: str) -> str:
+    version = metadata.version("mujoco-mjx")
+    return f"mujoco-mjx {version} has no {name}; install a release that pyproject.toml allows"

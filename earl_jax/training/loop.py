@@ -25,28 +25,47 @@ from earl_jax.training.ordering import after
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, step_keys
 
 
-def train_step(problem: Problem, method: Method, state: TrainState, explore: bool = False) -> TrainState:
+def train_step(
+    problem: Problem,
+    method: Method,
+    state: TrainState,
+    keys: StepKeys,
+    explore: bool = False,
+    batch: TransitionBatch | None = None,
+) -> TrainState:
     """Return all lanes one step later: act, store and, unless `explore`, take a gradient step on earlier transitions.
 
-    The float leaves of `method` have a leading lane axis.
+    The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
+    are drawn here if they are not given.
     """
-    step, lanes, replay = state.step, state.lanes, state.replay
+    lanes = state.lanes
     controller = controller_of(method, lanes.phase)
-    keys = jax.vmap(step_keys, (0, None))(lanes.key, step)
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore))
     action, pending = act(method, lanes, keys.act)
     if not explore:
-        sampling_controller = after(controller, pending.ticket)  # the host starts before the device samples
-        demo_share = jnp.asarray(method.sac.demo_share)
-        batch = replay_lib.sample(replay, keys.sample, sampling_controller, method.sac.batch_size, demo_share)
-        batch = jax.lax.optimization_barrier(batch)
-        replay = replay.replace(row=after(replay.row, batch))  # otherwise XLA copies the whole buffer before the write
+        if pending.ticket is not None:  # the host starts before the device draws a batch and learns
+            ticket, lanes, keys = jax.lax.optimization_barrier((pending.ticket, lanes, keys))
+            pending = pending._replace(ticket=ticket)
+        if batch is None:
+            state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
         updated = jax.vmap(lambda *lane: update(problem, *lane))(method, lanes, keys, batch, lanes.phase)
         lanes = _unless_ended(lanes, updated) if problem.env.ends else updated
-        pending = pending if pending.ticket is None else pending._replace(ticket=after(pending.ticket, lanes.agent))
-    finish = jax.vmap(lambda m, *lane: finish_and_store(problem, m, *lane, step=step))
+        if pending.ticket is not None:  # the device learns before it waits for the host
+            ticket, lanes = jax.lax.optimization_barrier((pending.ticket, lanes))
+            pending = pending._replace(ticket=ticket)
+    finish = jax.vmap(lambda m, *lane: finish_and_store(problem, m, *lane, step=state.step))
     lanes, transition, listed = finish(method, lanes, action, pending, keys)
-    return TrainState(lanes, replay_lib.write(replay, transition, listed, controller), step + 1)
+    return TrainState(lanes, replay_lib.write(state.replay, transition, listed, controller), state.step + 1)
+
+
+def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainState, TransitionBatch]:
+    """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
+    controller = controller_of(method, state.lanes.phase)
+    demo_share = jnp.asarray(method.sac.demo_share)
+    batch = replay_lib.sample(state.replay, keys, controller, method.sac.batch_size, demo_share)
+    batch = jax.lax.optimization_barrier(batch)
+    row = after(state.replay.row, batch)  # otherwise XLA copies the whole buffer before the next write
+    return state.replace(replay=state.replay.replace(row=row)), batch
 
 
 @jax.named_scope("act")
@@ -62,7 +81,7 @@ def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, expl
     size = problem.env.action_size
     if explore:
         return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
-    actor = _controller(lane.agent.actor, controller_of(method, lane.phase))
+    actor = jax.lax.optimization_barrier(_controller(lane.agent.actor, controller_of(method, lane.phase)))
     return sac.act(method.sac, actor, lane.env_state.obs, key, size)
 
 
@@ -236,15 +255,41 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, e
     """
     block = math.gcd(method.refresh_every, steps)
 
-    def body(carry, _):
-        return train_step(problem, method, carry, explore), None
-
     def refreshed_block(carry, _):
-        return jax.lax.scan(body, refresh(problem, method, carry), length=block)[0], None
+        return _run_block(problem, method, refresh(problem, method, carry), block, explore), None
 
     if method.refresh_every == 0 or explore:
-        return jax.lax.scan(body, state, length=steps)[0]
+        return _run_block(problem, method, state, steps, explore)
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
+
+
+def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: bool) -> TrainState:
+    """Return all lanes after `length` steps in one scan, whose random keys are computed before it.
+
+    Each step draws the next one's batch, while the device still learns from its own. Where the host simulates, the draw
+    would delay the next start, so that a step draws its own batch after it.
+    """
+    numbers = state.step + jnp.arange(length + 1)
+    keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
+    now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
+
+    def step(carry, keys):
+        return train_step(problem, method, carry, keys, explore), None
+
+    def step_and_draw(carry, keys):
+        now, following = keys
+        return sample(method, train_step(problem, method, *carry[:1], now, batch=carry[1]), following), None
+
+    if explore or _host_simulates(problem, state):
+        return jax.lax.scan(step, state, now)[0]
+    return jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))[0][0]
+
+
+def _host_simulates(problem: Problem, state: TrainState) -> bool:
+    """Return whether control steps are simulated on the host while the device learns."""
+    action = jax.ShapeDtypeStruct((len(state.lanes.phase), problem.env.action_size), jnp.float32)
+    pending = jax.eval_shape(jax.vmap(problem.env.start_step), state.lanes.env_state, action)
+    return pending.ticket is not None
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:

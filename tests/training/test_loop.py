@@ -35,7 +35,7 @@ def test_a_step_keeps_structure_dtypes_and_weak_types(problem, algo):
     method = tiny_method(algo)
     state = make_train_state(problem, method, [0, 1])
     before = jax.tree.map(jax.typeof, state)
-    after = jax.eval_shape(lambda m, state: loop.train_step(problem, m, state), method, state)
+    after = jax.eval_shape(lambda m, state: loop.run_steps(problem, m, state, 1), method, state)
     pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
     assert all((a.shape, a.dtype, a.weak_type) == (b.shape, b.dtype, b.weak_type) for a, b in pairs)
 

@@ -70,7 +70,7 @@ def _backward(saved: Saved, gradient: jax.Array) -> tuple[Weights, jax.Array]:
         kernel, low = _dot(rows[-1], low, (0, 0), jnp.float32), _dot(low, above, (1, 1))
     gradients = [(kernel, gradient.sum(axis=0))]
     for number in reversed(range(1, len(lows) - 1)):
-        low = jnp.where(rows[number + 1] > 0, low, 0)
+        low = jax.lax.optimization_barrier(jnp.where(rows[number + 1] > 0, low, 0))  # the next product needs no sum
         gradients.append((_dot(rows[number], low, (0, 0), jnp.float32), low.astype(jnp.float32).sum(axis=0)))
         low = _dot(low, lows[number], (1, 1))
     low = jnp.where(rows[1] > 0, low, 0)

@@ -1,6 +1,7 @@
 """The kitchen's rewards, and the positions of hand and handles for given joints, computed without simulation."""
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -106,20 +107,37 @@ def _weld_offset() -> np.ndarray:
 
 
 def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -> jax.Array:
-    """Return the world position [3] of `end [3]` in the frame of the last of `links`, at joints `qpos [18]`."""
-    point = jnp.asarray(end, jnp.float32)
+    """Return the world position [3] of `end [3]` in the frame of the last of `links`, at joints `qpos [18]`.
+
+    The coordinates are separate scalars: a GPU computes them in one kernel, but needs one for each product of a matrix.
+    """
+    point = tuple(end.tolist())
     for link in reversed(links):
         if link.joint is not None:
             value = qpos[link.joint]
-            point = point + value * link.axis if link.slides else _rotated(point, link.axis, value)
-        point = jnp.asarray(link.rotation, jnp.float32) @ point + link.pos
-    return point
+            if link.slides:
+                point = tuple(x + value * along for x, along in zip(point, link.axis.tolist(), strict=True))
+            else:
+                point = _rotated(point, link.axis.tolist(), value)
+        point = tuple(_dot(row, point) + x for row, x in zip(link.rotation.tolist(), link.pos.tolist(), strict=True))
+    return jnp.stack([jnp.asarray(x, jnp.float32) for x in point])
 
 
-def _rotated(point: jax.Array, axis: np.ndarray, angle: jax.Array) -> jax.Array:
-    """Return `point [3]` rotated by `angle` about the unit vector `axis [3]`, by Rodrigues' formula."""
-    along = jnp.dot(point, axis) * axis
-    return along + jnp.cos(angle) * (point - along) + jnp.sin(angle) * jnp.cross(jnp.asarray(axis, jnp.float32), point)
+def _dot(constants: Sequence[float], point: Sequence[Any]) -> Any:
+    """Return the scalar product of `constants` and `point`, without the terms whose constant is 0."""
+    return sum(constant * x for constant, x in zip(constants, point, strict=True) if constant)
+
+
+def _rotated(point: Sequence[Any], axis: Sequence[float], angle: jax.Array) -> tuple[Any, ...]:
+    """Return `point` rotated by `angle` about the unit vector `axis`, by Rodrigues' formula."""
+    (x, y, z), (a, b, c) = point, axis
+    cross = _dot((-c, b), (y, z)), _dot((c, -a), (x, z)), _dot((-b, a), (x, y))
+    share, cosine, sine = _dot(axis, point), jnp.cos(angle), jnp.sin(angle)
+    along = tuple(share * component for component in axis)
+    return tuple(
+        part + cosine * (coordinate - part) + sine * turned
+        for coordinate, part, turned in zip(point, along, cross, strict=True)
+    )
 
 
 def _rotation_matrix(quat: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from earl_jax.physics.mjx_compat import guard_kinematics
+from earl_jax.physics.mjx_compat import guard_kinematics, sum_cones_by_contact
 from earl_jax.physics.models import import_mjx
 from earl_jax.physics.state import FIELDS, PhysicsState
 
@@ -50,6 +50,7 @@ def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tup
         return (after, data.sensordata), None
 
     guard_kinematics()
+    sum_cones_by_contact()
     with jax.default_matmul_precision("highest"):
         return jax.lax.scan(substep, (state, empty_data.sensordata), length=simulator.substeps)[0]
 
