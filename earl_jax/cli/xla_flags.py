@@ -6,13 +6,26 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from earl_jax.sweeps.slots import cuda_plugin
 
 VARIABLE = "XLA_FLAGS"
-FLAGS = {"xla_gpu_graph_enable_concurrent_region": "true"}
-"""Value by name. Measured on an H200, in steps/s: tabletop 5,518 -> 6,524 with 5 lanes and 1,934 -> 2,152 with 50; the door
-the same."""
+
+
+class Flag(NamedTuple):
+    """The `value` of a flag, and a `text` of XLA's table of flags without which the value is not understood."""
+
+    value: str
+    text: str = ""
+
+
+FLAGS = {
+    "xla_gpu_graph_enable_concurrent_region": Flag("true"),
+    "xla_gpu_enable_command_buffer": Flag("+WHILE,+CONDITIONAL", text="command types with + and - as prefix"),
+}
+"""By name. The first lets kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of
+steps of a task that the device simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
 COMMANDS = ("train", "resume", "sweep", "reproduce", "quickstart")
 HELP = {"-h", "--help"}
 
@@ -42,23 +55,23 @@ def helpful_flags(environment: Mapping[str, str]) -> list[str]:
     names = {flag.lstrip("-").partition("=")[0] for flag in given}
     folders = (Path(jaxlib.origin).parent, plugin)
     return [
-        f"--{name}={value}"
-        for name, value in FLAGS.items()
-        if name not in names and all(knows_flag(folder, name) for folder in folders)
+        f"--{name}={flag.value}"
+        for name, flag in FLAGS.items()
+        if name not in names and all(knows_flag(folder, name, flag.text) for folder in folders)
     ]
 
 
-def knows_flag(folder: Path, name: str) -> bool:
-    """Return whether a library in `folder` contains the text `name` as XLA's table of flags does, before a zero byte.
+def knows_flag(folder: Path, name: str, text: str = "") -> bool:
+    """Return whether a library in `folder` contains `text`, and `name` as XLA's table of flags does, before a zero byte.
 
     It takes milliseconds: the table is near the beginning of the file. The name of an option that is no flag any more
     can remain in descriptions of messages, where no zero byte follows.
     """
-    text = name.encode() + b"\0"
+    entry = name.encode() + b"\0"
     libraries = sorted(folder.glob("*.so"), key=lambda path: path.stat().st_size, reverse=True)
-    return any(_contains(path, text) for path in libraries if path.stat().st_size)
+    return any(_contains(path, entry, text.encode()) for path in libraries if path.stat().st_size)
 
 
-def _contains(path: Path, text: bytes) -> bool:
+def _contains(path: Path, *texts: bytes) -> bool:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return content.find(text) >= 0
+        return all(content.find(text) >= 0 for text in texts)

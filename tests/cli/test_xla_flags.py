@@ -12,7 +12,8 @@ from earl_jax.cli import xla_flags
 from tests.cli.process import ENVIRONMENT
 
 NAME = next(iter(xla_flags.FLAGS))
-FLAG = f"--{NAME}=true"
+FLAG = " ".join(f"--{name}={flag.value}" for name, flag in xla_flags.FLAGS.items())
+OTHERS = FLAG.partition(" ")[2]
 JAXLIB = Path(find_spec("jaxlib").origin).parent
 
 
@@ -20,7 +21,7 @@ JAXLIB = Path(find_spec("jaxlib").origin).parent
 def plugin(tmp_path, monkeypatch):
     """A CUDA plugin that knows the flags; jaxlib is the installed one."""
     (tmp_path / "xla_cuda_plugin.so").write_bytes(
-        b"ELF\0" + b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0"
+        b"ELF\0" + b"".join(name.encode() + b"\0" + flag.text.encode() for name, flag in xla_flags.FLAGS.items())
     )
     monkeypatch.setattr(xla_flags, "cuda_plugin", lambda: tmp_path)
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
@@ -45,21 +46,21 @@ def test_commands_that_train_set_the_flags_and_print_them_once(monkeypatch, caps
 @pytest.mark.parametrize(
     ("environment", "expected"),
     [
-        ({}, [FLAG]),
-        ({"XLA_FLAGS": f"--{NAME}=false"}, []),
-        ({"XLA_FLAGS": f"--{NAME}"}, []),
-        ({"XLA_FLAGS": f"--{NAME}_of_another=1"}, [FLAG]),
-        ({"XLA_FLAGS": "/path/of/flags"}, []),
-        ({"JAX_PLATFORMS": "cpu"}, []),
-        ({"JAX_PLATFORMS": "cuda,cpu"}, [FLAG]),
+        ({}, FLAG),
+        ({"XLA_FLAGS": f"--{NAME}=false"}, OTHERS),
+        ({"XLA_FLAGS": f"--{NAME}"}, OTHERS),
+        ({"XLA_FLAGS": f"--{NAME}_of_another=1"}, FLAG),
+        ({"XLA_FLAGS": "/path/of/flags"}, ""),
+        ({"JAX_PLATFORMS": "cpu"}, ""),
+        ({"JAX_PLATFORMS": "cuda,cpu"}, FLAG),
     ],
 )
 def test_the_users_flags_and_platform_win(environment, expected):
-    assert xla_flags.helpful_flags(environment) == expected
+    assert xla_flags.helpful_flags(environment) == expected.split()
 
 
 def test_a_flag_that_the_plugin_or_jaxlib_does_not_know_is_not_set(plugin, monkeypatch):
-    monkeypatch.setattr(xla_flags, "FLAGS", {"xla_no_such_flag": "1"})
+    monkeypatch.setattr(xla_flags, "FLAGS", {"xla_no_such_flag": xla_flags.Flag("1")})
     plugin.write_bytes(b"\0xla_no_such_flag\0")
     assert xla_flags.helpful_flags({}) == [], "jaxlib does not know it"
     monkeypatch.undo()
@@ -71,8 +72,17 @@ def test_a_plugin_without_the_flag_is_respected(plugin):
     assert xla_flags.helpful_flags({}) == []
 
 
+def test_a_value_that_the_plugin_does_not_understand_is_not_set(plugin):
+    plugin.write_bytes(b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0")
+    assert xla_flags.helpful_flags({}) == [f"--{NAME}=true"]
+
+
 def test_the_installed_xla_accepts_the_flags_that_it_is_said_to_know():
-    known = [f"--{name}={value}" for name, value in xla_flags.FLAGS.items() if xla_flags.knows_flag(JAXLIB, name)]
+    known = [
+        f"--{name}={flag.value}"
+        for name, flag in xla_flags.FLAGS.items()
+        if xla_flags.knows_flag(JAXLIB, name, flag.text)
+    ]
     assert known, "jaxlib of the supported versions knows them"
     code = "import jaxlib.xla_client as x; x.make_cpu_client()"
     environment = {**ENVIRONMENT, "XLA_FLAGS": " ".join(known)}

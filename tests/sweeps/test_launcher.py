@@ -1,5 +1,6 @@
 """Tests of the launcher: no jax, sweeps that continue after a kill, reported failures, SLURM arrays."""
 
+import itertools
 import json
 import os
 import signal
@@ -304,17 +305,12 @@ for run, event in [("a", {"state": "done"}), ("b", {"state": "started"}), ("b", 
 
 
 def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, monkeypatch, capsys):
-    script, now = tmp_path / "worker.py", [1000.0]
+    script, clock = tmp_path / "worker.py", itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
     script.write_text(STOPPING_WORKER)
     monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
-    monkeypatch.setattr("earl_jax.time_limit.time", SimpleNamespace(time=lambda: now[0]))
+    monkeypatch.setattr("earl_jax.time_limit.time", SimpleNamespace(time=lambda: next(clock)))
     lines = []
-
-    def emit(line):
-        lines.append(line)
-        now[0] += 200 * line.startswith("stopped")
-
-    assert launcher.sweep(grid, tmp_path, emit=emit, minutes=2) == (0, ("b", "c"))
+    assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("b", "c"))
     assert lines == [
         "done       d  (before)",
         "done       a",

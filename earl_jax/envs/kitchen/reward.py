@@ -109,7 +109,8 @@ def _weld_offset() -> np.ndarray:
 def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -> jax.Array:
     """Return the world position [3] of `end [3]` in the frame of the last of `links`, at joints `qpos [18]`.
 
-    The coordinates are separate scalars: a GPU computes them in one kernel, but needs one for each product of a matrix.
+    The coordinates are separate scalars, with a barrier at each joint: a GPU needs one kernel for a link, where the
+    products of matrices take three, and without barriers XLA computes each link again for every later one.
     """
     point = tuple(end.tolist())
     for link in reversed(links):
@@ -118,7 +119,7 @@ def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -
             if link.slides:
                 point = tuple(x + value * along for x, along in zip(point, link.axis.tolist(), strict=True))
             else:
-                point = _rotated(point, link.axis.tolist(), value)
+                point = jax.lax.optimization_barrier(_rotated(point, link.axis.tolist(), value))
         point = tuple(_dot(row, point) + x for row, x in zip(link.rotation.tolist(), link.pos.tolist(), strict=True))
     return jnp.stack([jnp.asarray(x, jnp.float32) for x in point])
 
