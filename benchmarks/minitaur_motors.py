@@ -42,7 +42,6 @@ SLOPES = {60: 0.025, 40: 0.03, 20: 0.035, 10: 0.01}
 
 def dcmotor_model() -> mujoco.MjModel:
     """Return the nominal robot with four dcmotors per motor, whose controls are joint angles."""
-    lead = motors.MinitaurMotors().max_error
     constant = motors.TORQUE_CONSTANT + NOMINAL_VISCOSITY + motors.MinitaurMotors.kd * NOMINAL_VOLTS
     spec = mujoco.MjSpec.from_file(str(assets.mjcf(NAME)))
     joints, text = [actuator.target for actuator in spec.actuators], spec.to_xml()
@@ -50,7 +49,7 @@ def dcmotor_model() -> mujoco.MjModel:
         f'<dcmotor joint="{joint}" input="pos" motorconst="{constant} {constant}" '
         f'resistance="{constant * motors.RESISTANCE / slope}" saturation="{slope * limit} 0 0" '
         f'controller="{NOMINAL_VOLTS * slope / motors.RESISTANCE} 0 {constant * slope / motors.RESISTANCE} 0 0 '
-        f'{lead * NOMINAL_VOLTS}"/>'
+        f'{motors.MAX_LEAD * NOMINAL_VOLTS}"/>'
         for joint in joints
         for limit, slope in SLOPES.items()
     ]
@@ -88,9 +87,7 @@ class Dcmotors:
         """Return the memory after the substeps that start at `qpos [n, SUBSTEPS, nq]` and `qvel`."""
         actuator = motors.MinitaurMotors()
         torques, after = actuator(np, qpos, qvel, command[:, None], np.repeat(memory[:, None], SUBSTEPS, axis=1))
-        error = motors.clipped(
-            np, qpos[..., motors.POSITIONS] - (command * motors.DIRECTION)[:, None], actuator.max_error
-        )
+        error = motors.clipped(np, qpos[..., motors.POSITIONS] - (command * motors.DIRECTION)[:, None], motors.MAX_LEAD)
         effort = np.abs(error + actuator.kd * qvel[..., motors.SPEEDS])
         self.inexact.append(float((effort > 1.0).any(axis=(1, 2)).mean()))
         hot, heats = memory[:, : motors.MOTORS], np.abs(torques) > motors.OVERHEAT_TORQUE

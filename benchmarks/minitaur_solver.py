@@ -40,9 +40,9 @@ def options(**values: Any) -> Callable[[Any], None]:
     return change
 
 
-def shorter_lead(model: Any) -> None:
-    """Let commands lead by 0.3 rad, as with five substeps; the lead is otherwise proportional to the time step."""
-    motors.MAX_COMMAND_SPEED = 0.3 / model.opt.timestep
+def longer_lead(model: Any) -> None:
+    """Let commands lead by 150 rad/s over one substep, which is 0.3 rad with five."""
+    motors.MAX_LEAD = 150.0 * model.opt.timestep
 
 
 def islands(model: Any) -> None:
@@ -53,7 +53,7 @@ VARIANTS: dict[str, tuple[int, Callable[[Any], None]]] = {
     "as shipped": (5, options()),
     "with islands": (5, islands),
     "4 substeps": (4, options()),
-    "4 substeps, commands lead by 0.3 rad": (4, shorter_lead),
+    "4 substeps, commands lead by 0.375 rad": (4, longer_lead),
     "3 substeps": (3, options()),
     "2 substeps": (2, options()),
     "10 substeps": (10, options()),

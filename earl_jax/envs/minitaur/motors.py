@@ -23,8 +23,8 @@ MAX_REPORTED_TORQUE = 5.7
 CURRENTS = np.array([0, 10, 20, 30, 40, 50, 60], np.float32)
 TORQUES = np.array([0, 1, 1.9, 2.45, 3.0, 3.25, 3.5], np.float32)
 """Saturation: torque [N m] by current [A], constant beyond the table."""
-MAX_COMMAND_SPEED = 150.0
-"""rad/s: a command may lead its motor by the angle that this speed covers in one substep."""
+MAX_LEAD = 0.3
+"""Largest angle [rad] by which a command leads its motor: 150 rad/s over one of the original's substeps of 2 ms."""
 OVERHEAT_TORQUE = 2.45
 """Torque [N m] above which a motor heats."""
 OVERHEAT_SECONDS = 1.0
@@ -83,7 +83,7 @@ class BoundMotors:
     def __init__(self, settings: "MinitaurMotors", qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray):
         self.angle, self.speed, self.ctrl = qpos[:, POSITIONS], qvel[:, SPEEDS], ctrl
         self.settings, self.max_hot = settings, np.array(float(settings.max_hot))
-        self.max_error, self.max_effort = _interval(settings.max_error), _interval(1.0 / settings.kp)
+        self.max_lead, self.max_effort = _interval(MAX_LEAD), _interval(1.0 / settings.kp)
         self.effort, self.current, self.scratch = (np.empty(ctrl.shape) for _ in range(3))
         self.cools, self.stopped = np.empty(ctrl.shape, bool), np.empty(ctrl.shape, bool)
         self.damping, self.slowed = np.empty((2, *ctrl.shape)), np.empty((2, *ctrl.shape))
@@ -100,7 +100,7 @@ class BoundMotors:
         effort, current = self.effort, self.current
         np.multiply(self.speed, self.damping, out=self.slowed)
         np.subtract(self.target, self.angle, out=effort)
-        _clip_in_place(effort, self.max_error)
+        _clip_in_place(effort, self.max_lead)
         np.subtract(effort, self.slowed[0], out=effort)
         _clip_in_place(effort, self.max_effort)
         np.multiply(effort, self.amperes, out=current)
@@ -148,11 +148,6 @@ class MinitaurMotors:
     kd: float = 0.02
 
     @property
-    def max_error(self) -> float:
-        """Largest angle [rad] by which a command leads its motor."""
-        return MAX_COMMAND_SPEED * self.timestep
-
-    @property
     def max_hot(self) -> int:
         """Number of substeps of uninterrupted heating after which a motor shuts down."""
         return round(OVERHEAT_SECONDS / self.timestep)
@@ -160,7 +155,7 @@ class MinitaurMotors:
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
         angle, speed = qpos[..., POSITIONS] * DIRECTION, qvel[..., SPEEDS] * DIRECTION
         hot, voltage, viscosity = memory[..., :MOTORS], memory[..., -2:-1], memory[..., -1:]
-        error = clipped(xp, angle - command, self.max_error)
+        error = clipped(xp, angle - command, MAX_LEAD)
         exerted, reported = torque(xp, error, speed, voltage, viscosity, self.kp, self.kd)
         hot = xp.where(hot > self.max_hot, hot, (hot + 1) * (xp.abs(exerted) > OVERHEAT_TORQUE))
         controls = exerted * DIRECTION
