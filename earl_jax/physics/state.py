@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 
@@ -57,7 +58,7 @@ class Actuator(Protocol):
     """Converts a command into controls of each substep, like a motor with feedback; pure, hashable, broadcasting.
 
     It is called before every substep: by `mjx` and `warp` with JAX arrays, by `c` with NumPy arrays of all lanes at
-    once.
+    once. It may also have a method `bind(qpos, qvel, ctrl)` that returns a `HostActuator`, which `c` uses instead.
     """
 
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
@@ -65,4 +66,24 @@ class Actuator(Protocol):
 
         `xp` is the array module, `numpy` or `jax.numpy`.
         """
+        ...
+
+
+class HostActuator(Protocol):
+    """An actuator bound to arrays of all lanes on the host, which it reads and writes in place before every substep.
+
+    The arrays are `qpos [n, nq]`, `qvel [n, nv]` and `ctrl [n, nu]`, float64. Results equal those of the `Actuator` up
+    to rounding.
+    """
+
+    def start(self, command: np.ndarray, memory: np.ndarray) -> None:
+        """Begin a control step with `command [n, c]` and `memory [n, m]`, float64."""
+        ...
+
+    def apply(self) -> None:
+        """Write the controls of the next substep."""
+        ...
+
+    def finish(self) -> np.ndarray:
+        """Return the memory [n, m] after the control step."""
         ...

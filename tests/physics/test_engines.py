@@ -1,5 +1,6 @@
 """The three physics engines: they agree with each other, and `c` runs all lanes in one call."""
 
+import dataclasses
 import importlib.util
 
 import jax
@@ -10,6 +11,7 @@ import pytest
 from benchmarks.replay_demos import start_state
 from earl_jax import assets
 from earl_jax.envs import make
+from earl_jax.envs.minitaur.motors import MinitaurMotors
 from earl_jax.physics.engines import c
 
 EVERY_SAWYER = pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
@@ -154,4 +156,32 @@ def test_a_broken_lane_on_c_does_not_change_the_others():
 
 def test_few_rows_use_few_threads():
     worker_pool = c.WorkerPool(c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
-    assert [worker_pool._threads(rows) for rows in (1, 16, 50, 64, 65)] == [8, 8, 12, 12, 16]
+    assert [worker_pool._threads(rows) for rows in (1, 5, 16, 50, 64, 65)] == [1, 5, 8, 12, 12, 16]
+
+
+def test_a_worker_pool_keeps_the_simulations_of_a_few_numbers_of_rows():
+    simulator = make("cheetah_run", physics="c").simulator
+    worker_pool = c.WorkerPool(c.host_of(simulator, 0), 1)
+    width = sum(part.shape[1] for part in c.Simulations(worker_pool.host, 1, 1).outputs) + simulator.mujoco_model().nv
+    for count in range(1, c.ROW_COUNTS + 3):
+        worker_pool.advance(np.zeros((count, width + simulator.mujoco_model().nu), np.float32))
+    assert list(worker_pool.simulations) == list(range(3, c.ROW_COUNTS + 3))
+
+
+@dataclasses.dataclass(frozen=True)
+class Unbound:
+    """An actuator without a method `bind`."""
+
+    motors: MinitaurMotors
+
+    def __call__(self, xp, qpos, qvel, command, memory):
+        return self.motors(xp, qpos, qvel, command, memory)
+
+
+def test_c_calls_an_actuator_that_cannot_be_bound_before_every_substep():
+    env = make("minitaur_pen", physics="c")
+    state, command = env.reset(jax.random.key(0)).data, jnp.linspace(0, 2, 8)
+    unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
+    (actual, _), (expected, _) = unbound.step(state, command), env.simulator.step(state, command)
+    assert np.abs(np.asarray(expected.qvel - state.qvel)).max() > 0.1
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), actual, expected)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.physics.engine_choice import usable_cores
+from earl_jax.physics.engines.simulations import Simulations
 from earl_jax.physics.host_call import service
 from earl_jax.physics.state import PendingStep, PhysicsState
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 CHANGED = ("time", "qpos", "qvel", "act", "qacc_warmstart", "memory")
 """The fields of a row that a control step changes; the constant fields and the command follow."""
 CONSTANT = ("mocap_pos", "mocap_quat", "constants")
+ROW_COUNTS = 8
+"""The largest number of numbers of rows for which a worker pool keeps threads and data."""
 
 
 def start_step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> PendingStep:
@@ -66,13 +69,8 @@ class Host:
 
     def __init__(self, simulator: "Simulator", memory: int):
         mujoco: Any = importlib.import_module("mujoco")
-        self.simulator, self.model = simulator, copy.copy(simulator.mujoco_model())
+        self.simulator, self.memory, self.model = simulator, memory, copy.copy(simulator.mujoco_model())
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        model, bits = self.model, mujoco.mjtState
-        self.spec = bits.mjSTATE_MOCAP_POS | bits.mjSTATE_MOCAP_QUAT | bits.mjSTATE_CTRL
-        self.physics = 1 + model.nq + model.nv + model.na
-        self.position, self.velocity = slice(1, 1 + model.nq), slice(1 + model.nq, 1 + model.nq + model.nv)
-        self.widths = np.cumsum([self.physics, model.nv, memory, 7 * model.nmocap, simulator.variation_size])
         self.worker_pools: dict[int, WorkerPool] = {}
         self.lock = threading.Lock()
 
@@ -91,79 +89,32 @@ class Host:
 
 
 class WorkerPool:
-    """The threads of one stream, with their data and models.
-
-    One call of `mujoco.rollout` simulates all rows, or one call for each substep if an actuator computes its controls.
-    Waking a thread takes longer than the work on a few rows. So half of the threads work on up to one row per thread of
-    the pool, three quarters on up to four, and all of them on more. These limits are four times higher for the short
-    calls with an actuator. They were measured on 16 cores (benchmarks/PROFILE.md).
-    """
+    """The threads of one stream: a set of simulations for each of the last numbers of rows."""
 
     def __init__(self, host: Host, threads: int):
-        mujoco: Any = importlib.import_module("mujoco")
-        rollout: Any = importlib.import_module("mujoco.rollout")
         self.host, self.threads = host, threads
-        self.half, self.three_quarters = max(1, threads // 2), max(1, threads * 3 // 4)
-        self.data = [mujoco.MjData(host.model) for _ in range(threads)]
-        self.pools = {count: rollout.Rollout(nthread=count) for count in {self.half, self.three_quarters, self.threads}}
-        self.models: list[Any] = []
-        self.constants = np.zeros((0, host.simulator.variation_size))
+        self.simulations: dict[int, Simulations] = {}
         self.lock = threading.Lock()
 
     def advance(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows [n, m] one control step after `rows [n, k]`, float32."""
-        simulator = self.host.simulator
-        state, warmstart, memory, mocap, constants, command = np.split(
-            rows.astype(np.float64), self.host.widths, axis=1
-        )
+        count = len(rows)
         with self.lock:
-            models = self._models(constants)
-            if simulator.actuator is None:
-                after = self._roll(models, state, warmstart, mocap, command, simulator.substeps)
-            for _ in range(simulator.substeps if simulator.actuator else 0):
-                joints, speeds = state[:, self.host.position], state[:, self.host.velocity]
-                ctrl, memory = simulator.controls(np, joints, speeds, command, memory)
-                state, warmstart, _ = after = self._roll(models, state, warmstart, mocap, ctrl, 1)
-        state, warmstart, sensors = after
-        return np.concatenate([state, warmstart, memory, sensors], axis=1, dtype=np.float32)
-
-    def _roll(
-        self, models: list, state, warmstart, mocap, ctrl, steps: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the state, acceleration and sensors of the last of `steps` physics steps."""
-        host, count, last = self.host, len(state), steps - 1
-        states = np.empty((count, steps, host.physics))
-        sensors = np.empty((count, steps, host.model.nsensordata))
-        held = np.repeat(np.concatenate([ctrl, mocap], axis=1)[:, None], steps, axis=1)
-        threads = self._threads(count)
-        start = np.ascontiguousarray(state)
-        self.pools[threads].rollout(
-            models, self.data[:threads], start, held, control_spec=host.spec, skip_checks=True, nstep=steps,
-            initial_warmstart=np.ascontiguousarray(warmstart), state=states, sensordata=sensors,
-        )  # fmt: skip
-        before = states[:, last - 1] if last else start
-        acceleration = (states[:, last, host.velocity] - before[:, host.velocity]) / host.model.opt.timestep
-        return states[:, last], acceleration, sensors[:, last]
+            if count not in self.simulations:
+                if len(self.simulations) == ROW_COUNTS:
+                    del self.simulations[next(iter(self.simulations))]
+                self.simulations[count] = Simulations(self.host, count, self._threads(count))
+            return self.simulations[count].advance(rows)
 
     def _threads(self, rows: int) -> int:
-        """Return the number of threads that work on `rows`."""
-        load = rows / self.threads / (4 if self.host.simulator.actuator else 1)
-        return self.half if load <= 1 else self.three_quarters if load <= 4 else self.threads
+        """Return the number of threads that work on `rows`, of which the calling thread is one.
 
-    def _models(self, constants: np.ndarray) -> list[Any]:
-        """Return a model for each row: a shared one, or one with its own `constants [n, k]`, written on change."""
-        if not self.host.simulator.varied:
-            return [self.host.model] * len(constants)
-        missing = len(constants) - len(self.models)
-        if missing > 0:
-            self.models += [copy.copy(self.host.model) for _ in range(missing)]
-            self.constants = np.vstack([self.constants, np.full((missing, constants.shape[1]), np.nan)])
-        known = self.constants[: len(constants)]
-        for lane in np.flatnonzero((known != constants).any(axis=1)):
-            for field, value in self.host.simulator.variation(constants[lane]).items():
-                getattr(self.models[lane], field)[:] = value
-        known[:] = constants
-        return self.models[: len(constants)]
+        Half of the threads work on up to one row per thread of the pool, three quarters on up to four, and all of them
+        on more, because waking a thread takes longer than the work on a few rows (benchmarks/PROFILE.md).
+        """
+        load = rows / self.threads
+        share = self.threads // 2 if load <= 1 else self.threads * 3 // 4 if load <= 4 else self.threads
+        return max(1, min(rows, share))
 
 
 host_of = functools.cache(Host)
