@@ -94,7 +94,7 @@ def measure(engine: str, substeps: int, count: int, steps: int, seed: int) -> di
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--engine", default="c", choices=("c", "mjx", "warp"))
-    parser.add_argument("--substeps", type=int, default=20)
+    parser.add_argument("--substeps", type=int, default=10)
     parser.add_argument("--random", type=int, default=20)
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0)

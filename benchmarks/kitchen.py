@@ -225,7 +225,7 @@ def motion(file: Path) -> list[dict[str, Any]]:
     named_paths, rows = paths(), []
     for old_weld in (True, False):
         theirs = {name: follow(original_arm(file, old_weld), path) for name, path in named_paths.items()}
-        for substeps in (20, 40):
+        for substeps in (12, 40):
             env = make("franka_kitchen", physics="c", substeps=substeps, noise=False)
             ours = follow_ours(env, np.array(list(named_paths.values())))
             for name, tips in zip(named_paths, ours, strict=True):
@@ -243,7 +243,7 @@ def motion(file: Path) -> list[dict[str, Any]]:
 def speed(file: Path, seconds: float = 3.0) -> list[dict[str, Any]]:
     """Return control steps per second of one core in a Python loop: the original's arm (no collisions), and our scene."""
     scenes = {"original, no contacts": (original_arm(file), 40)}
-    for substeps in (20, 40):
+    for substeps in (12, 40):
         scenes[f"ours, {substeps} substeps"] = (physics.load_model("franka_kitchen", 0.08 / substeps), substeps)
     rows = []
     for name, (model, substeps) in scenes.items():

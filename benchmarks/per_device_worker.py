@@ -33,8 +33,8 @@ def _prepare(arguments: argparse.Namespace):
 
     from benchmarks.speed import make_training
     from earl_jax.cli.arguments import parse_options
-    from earl_jax.training.loop import run_steps
     from earl_jax.training.program_cache import keep_programs
+    from earl_jax.training.scan import run_steps
 
     keep_programs()
     options = parse_options(tuple(arguments.set))

@@ -26,7 +26,7 @@ from benchmarks.speed import make_training
 from earl_jax.envs import MujocoEnv
 from earl_jax.physics.engines import c
 from earl_jax.report.tables import write
-from earl_jax.training.loop import run_steps
+from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState
 
 PARTS = ("update", "sample", "store", "act", "physics")

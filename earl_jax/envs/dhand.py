@@ -67,7 +67,7 @@ FROM_TARGET = np.array([0.1256, -0.032, -0.1406], np.float32)
 """Offset of the hand (the point between the fingers) from the mocap target."""
 
 FINGER = 0.0175
-PRESS = 0.003
+PRESS = 0.002
 """Depth in metres to which a finger or the bulb may be pressed into the table before the wrist stops moving down."""
 
 RADIUS = 0.1
@@ -114,7 +114,7 @@ class DHandLightbulb(MujocoEnv):
     reward_type: str = "dense"
     train_horizon: int = 400_000
     eval_horizon: int = 400
-    substeps: int = 20
+    substeps: int = 10
 
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)

@@ -68,7 +68,7 @@ def sum_cones_by_contact() -> None:
     Raises:
         ImportError: MJX has no `solver._update_gradient`; the message names its version.
     """
-    solver = importlib.import_module("mujoco.mjx._src.solver")
+    solver: Any = importlib.import_module("mujoco.mjx._src.solver")
     original = getattr(solver, "_update_gradient", None)
     if original is None:
         raise ImportError(_missing("solver._update_gradient"))

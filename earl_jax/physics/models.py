@@ -7,19 +7,27 @@ import importlib.util
 import io
 from typing import Any
 
+import numpy as np
+
 from earl_jax import assets
 from earl_jax.physics.state import PhysicsState
 
 INVWEIGHT = "invweight:"
 """Prefix of a `<numeric>` that replaces a body's compiled inverse weight (translation, rotation); the body's name
 follows."""
+REFERENCE = "reference_timestep"
+"""A `<numeric>`: the time step, in seconds, for which the constants of the file hold. A longer one adapts them."""
+GROWTH = "armature_growth"
+"""A `<numeric>` beside `REFERENCE`: the armature that each of the first joints gains for each second of longer time
+step."""
 
 
 @functools.cache
 def load_model(name: str, timestep: float | None = None) -> Any:
     """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`, with its own time step or `timestep` seconds.
 
-    Inverse weights in the file (`INVWEIGHT`) replace the compiled ones.
+    Inverse weights in the file (`INVWEIGHT`) replace the compiled ones. A file with a time step of `REFERENCE` behaves
+    nearly alike at longer ones.
 
     Raises:
         ValueError: there is no such file; the message lists the choices.
@@ -31,7 +39,27 @@ def load_model(name: str, timestep: float | None = None) -> Any:
             model.body_invweight0[model.body(number.name.removeprefix(INVWEIGHT)).id] = number.data
     if timestep is not None:
         model.opt.timestep = timestep
+    _adapt_to_timestep(model)
     return model
+
+
+def _adapt_to_timestep(model: Any) -> None:
+    """Keep the motion of `REFERENCE` at a longer time step.
+
+    MuJoCo raises time constants of constraints to two time steps, which makes them softer; a smaller damping ratio keeps
+    their stiffness. It also applies joint damping at the end of a step, after the constraints, so that a damped joint
+    yields the less to them the longer the step is; more armature cancels that.
+    """
+    numbers = {number.name: number.data for number in map(model.numeric, range(model.nnumeric))}
+    if REFERENCE not in numbers:
+        return
+    shortest, excess = 2.0 * model.opt.timestep, model.opt.timestep - float(numbers[REFERENCE][0])
+    for solref in (model.eq_solref, model.pair_solref, model.jnt_solref):
+        raised = (solref[:, 0] > 0.0) & (solref[:, 0] < shortest)
+        solref[raised, 1] *= solref[raised, 0] / shortest
+        solref[raised, 0] = shortest
+    growth = numbers.get(GROWTH, ())
+    model.dof_armature[: len(growth)] += excess * np.asarray(growth)
 
 
 def import_mjx() -> Any:

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from earl_jax.algos import Method
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
-from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import Plan, Span, per_lane, prepare
+from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState
 
 

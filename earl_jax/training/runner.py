@@ -29,9 +29,9 @@ from earl_jax.time_limit import TimeLimit
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
-from earl_jax.training.loop import run_steps
 from earl_jax.training.plan import Plan, per_lane, prepare
 from earl_jax.training.program_cache import keep_programs
+from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
 from earl_jax.training.stopping import Stopped, StopRequest
 

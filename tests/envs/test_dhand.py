@@ -1,5 +1,6 @@
 """DHand lightbulb: observations, motion, starts, reward, the scripted grasp, and the tether of the bulb."""
 
+import copy
 import dataclasses
 
 import jax
@@ -73,6 +74,8 @@ def test_the_model_keeps_the_originals_numbers(model):
 
 
 def test_the_start_is_the_state_in_which_the_originals_reset_comes_to_rest(env, model):
+    model = copy.copy(model)
+    model.opt.timestep = 0.005
     data = mujoco.MjData(model)
     middle, half = model.actuator_ctrlrange.mean(axis=1), np.ptp(model.actuator_ctrlrange, axis=1) / 2
     data.qpos[:7] = [0.7, 0.133, -0.503, 1.067, -2.308, 0.976, 0.0973]
@@ -236,6 +239,15 @@ def test_the_tether_holds_a_thrown_bulb(env, start_at):
     assert 0.4 < reach.max() < 0.5
     assert bulb[:, 2].min() > 0.74
     assert not np.asarray(jax.vmap(jax.vmap(env.fault))(states)).any()
+
+
+def test_the_wrist_moves_down_unless_a_finger_was_pressed_into_the_table(env, start_at):
+    state, action = start_at(jnp.array([0.72, 0.15])), jnp.zeros(22).at[18].set(-1.0)
+    links = jnp.tile(jnp.array([0.7, 0.15, task.TABLE + task.FINGER]), 9)
+    for depth, moved in ((0.0, -task.REACH), (2 * task.PRESS, 0.0)):
+        info = env.observe(state, action, state.data, links.at[5].add(-depth))[2]
+        after, _ = env.control(state.replace(info=state.info | info), action)
+        assert float(after.mocap_pos[0, 2] - state.data.mocap_pos[0, 2]) == pytest.approx(moved, abs=1e-6)
 
 
 def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it(env, start_at):

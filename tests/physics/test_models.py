@@ -64,3 +64,25 @@ def test_the_compiled_model_has_the_weld_of_the_original():
     np.testing.assert_allclose(hand, 6.1056272, rtol=1e-6)
     assert dataclasses.replace(make("sawyer_door"), substeps=4).simulator.mujoco_model().opt.timestep == 0.0125 / 4
     assert model.opt.timestep == 0.0025
+
+
+@pytest.mark.parametrize(("name", "reference"), [("franka_kitchen", 0.002), ("dhand_lightbulb", 0.0025)])
+def test_a_longer_time_step_keeps_the_stiffness_of_constraints(name, reference):
+    """The stiffness is 1 / (time constant * damping ratio)^2; MuJoCo raises time constants to two time steps."""
+    original, longer = physics.load_model(name, reference), physics.load_model(name, 4 * reference)
+    stiff = 0
+    for field in ("eq_solref", "pair_solref", "jnt_solref"):
+        before, after = getattr(original, field), getattr(longer, field)
+        np.testing.assert_allclose(after.prod(axis=1), before.prod(axis=1), rtol=1e-12)
+        assert (after[:, 0] >= 8 * reference - 1e-12).all()
+        stiff += (before[:, 0] < 8 * reference).sum()
+    assert stiff > 0
+    gained = longer.dof_armature - original.dof_armature
+    assert (gained[:7] > 0).all()
+    np.testing.assert_array_equal(gained[23:], 0.0)
+
+
+def test_a_model_without_a_reference_keeps_its_constants_at_any_time_step():
+    short, long = physics.load_model("sawyer_door", 0.0025), physics.load_model("sawyer_door", 0.0125)
+    np.testing.assert_array_equal(short.pair_solref, long.pair_solref)
+    np.testing.assert_array_equal(short.dof_armature, long.dof_armature)

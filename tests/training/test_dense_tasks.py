@@ -9,7 +9,7 @@ import pytest
 from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.training import train
-from earl_jax.training.loop import run_steps
+from earl_jax.training.scan import run_steps
 from tests.conftest import assert_all_finite, make_problem, make_train_state, tiny_method
 
 TASKS = ("dhand_lightbulb", "franka_kitchen", "minitaur_pen")

@@ -11,7 +11,7 @@ from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.protocol import Protocol
-from earl_jax.training import loop
+from earl_jax.training import loop, scan
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem
 from tests import threefry
@@ -35,7 +35,7 @@ def test_a_step_keeps_structure_dtypes_and_weak_types(problem, algo):
     method = tiny_method(algo)
     state = make_train_state(problem, method, [0, 1])
     before = jax.tree.map(jax.typeof, state)
-    after = jax.eval_shape(lambda m, state: loop.run_steps(problem, m, state, 1), method, state)
+    after = jax.eval_shape(lambda m, state: scan.run_steps(problem, m, state, 1), method, state)
     pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
     assert all((a.shape, a.dtype, a.weak_type) == (b.shape, b.dtype, b.weak_type) for a, b in pairs)
 
@@ -71,7 +71,7 @@ def test_the_program_is_traced_once(problem):
     @jax.jit
     def run(m, state):
         traces.append(1)
-        return loop.run_steps(problem, m, state, 20)
+        return scan.run_steps(problem, m, state, 20)
 
     for _ in range(3):
         state = run(method, state)
@@ -171,7 +171,7 @@ def test_a_refresh_runs_at_the_start_of_every_block(problem):
     method = tiny_method("vaprl")
     start = make_train_state(problem, method, [0, 1])
     assert not start.lanes.method_state.values.any()
-    expected = loop.refresh(problem, method, start).lanes.method_state.values
+    expected = scan.refresh(problem, method, start).lanes.method_state.values
     np.testing.assert_allclose(advance(problem, method, start, 20).lanes.method_state.values, expected, atol=1e-5)
     assert np.abs(advance(problem, method, start, 40).lanes.method_state.values - expected).max() > 1e-4
 

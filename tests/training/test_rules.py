@@ -10,7 +10,7 @@ from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.protocol import Deployment, Rules
 from earl_jax.training import loop
-from earl_jax.training.loop import run_steps
+from earl_jax.training.scan import run_steps
 from earl_jax.training.state import MAP_BINS, Problem
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 

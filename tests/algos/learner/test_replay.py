@@ -7,7 +7,7 @@ import pytest
 
 from earl_jax.algos.learner import replay
 from earl_jax.algos.learner.replay import Transition, TransitionFlags
-from earl_jax.training.loop import run_steps
+from earl_jax.training.scan import run_steps
 from tests.conftest import make_train_state, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 2)

@@ -10,7 +10,7 @@ import pytest
 
 from earl_jax.envs import HelpBudget, make
 from earl_jax.protocol import Protocol
-from earl_jax.training.loop import run_steps
+from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem
 from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, take_lane, tiny_method, to_numpy
 from tests.envs.chain import Chain

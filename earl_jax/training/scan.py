@@ -1,0 +1,69 @@
+"""Many training steps in one scan, whose keys and batches are drawn ahead of the steps that need them."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from earl_jax.algos.method import Method
+from earl_jax.physics import PendingStep
+from earl_jax.training.loop import sample, train_step
+from earl_jax.training.state import Problem, TrainState, step_keys
+
+
+def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: bool = False) -> TrainState:
+    """Return all lanes after `steps` steps in one scan.
+
+    k calls of whole blocks equal one call with k times the steps, bit for bit. A method's `refresh` runs at the start
+    of every block. A block has `refresh_every` steps, counted from the call, or their greatest common divisor with
+    `steps` if that is smaller.
+    """
+    block = math.gcd(method.refresh_every, steps)
+
+    def refreshed_block(carry, _):
+        return _run_block(problem, method, refresh(problem, method, carry), block, explore), None
+
+    if method.refresh_every == 0 or explore:
+        return _run_block(problem, method, state, steps, explore)
+    return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
+
+
+def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: bool) -> TrainState:
+    """Return all lanes after `length` steps in one scan, whose random keys are computed before it.
+
+    Each step draws the next one's batch, while the device still learns from its own. Where the host simulates, the draw
+    would delay the next start, so that a step draws its own batch after it.
+    """
+    numbers = state.step + jnp.arange(length + 1)
+    keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
+    now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
+
+    def step(carry, keys):
+        return train_step(problem, method, carry, keys, explore), None
+
+    def step_and_draw(carry, keys):
+        (state, batch), (now, following) = carry, keys
+        return sample(method, train_step(problem, method, state, now, batch=batch), following), None
+
+    if explore or _host_simulates(problem, state):
+        return jax.lax.scan(step, state, now)[0]
+    (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
+    return state
+
+
+def _host_simulates(problem: Problem, state: TrainState) -> bool:
+    """Return whether control steps are simulated on the host while the device learns."""
+    env_states = state.lanes.env_state
+    actions = jax.ShapeDtypeStruct((len(env_states.obs), problem.env.action_size), jnp.float32)
+    pending: PendingStep = jax.eval_shape(jax.vmap(problem.env.start_step), env_states, actions)
+    return pending.ticket is not None
+
+
+def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
+    """Return the lanes with their method's state refreshed from the agent."""
+
+    def refresh_lane(m, lane):
+        key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
+        return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state)
+
+    return state.replace(lanes=state.lanes.replace(method_state=jax.vmap(refresh_lane)(method, state.lanes)))
