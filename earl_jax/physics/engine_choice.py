@@ -21,17 +21,23 @@ DEVICE_LANES = 1000
 class EngineCost(NamedTuple):
     """Measured milliseconds of a task's control step, on one H200 with 16 cores (benchmarks/results/physics).
 
-    `host` is the time of one core for one lane on `c`. `device` is the time of 1,000 lanes on `mjx`, and fewer lanes
-    are hardly faster; None if `mjx` was not measured.
+    `host` is the time of one core for one lane on `c`. `device` and `warp` are the times of 1,000 lanes on `mjx` and on
+    `warp`, and fewer lanes are hardly faster; None for an engine that was not measured.
     """
 
     host: float
     device: float | None = None
+    warp: float | None = None
 
 
 def usable_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def is_installed(engine: str) -> bool:
+    """Return whether the module that `engine` needs is installed."""
+    return importlib.util.find_spec(REQUIREMENTS[engine][0].partition(".")[0]) is not None
 
 
 def resolve_engine(engine: str) -> str:
@@ -44,21 +50,25 @@ def resolve_engine(engine: str) -> str:
         return DEFAULT_ENGINES.get(jax.default_backend(), "mjx")
     if engine not in ENGINES:
         raise InputError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
-    module, package_extra = REQUIREMENTS[engine]
-    if importlib.util.find_spec(module.partition(".")[0]) is None:
+    if not is_installed(engine):
         raise InputError(
-            f"physics engine {engine!r} is not installed; install it with: pip install 'earl-jax{package_extra}'"
+            f"physics engine {engine!r} is not installed; install it with: pip install 'earl-jax{REQUIREMENTS[engine][1]}'"
         )
     return engine
 
 
 def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
-    """Return the engine with the shortest control step of `lanes` lanes here, by a task's measured `cost`.
+    """Return the installed engine with the shortest control step of `lanes` lanes here, by a task's measured `cost`.
 
-    Without a cost, or on any backend but a GPU, it is the default engine.
+    Without a cost, or on any backend but a GPU, it is the default engine. `warp` is chosen for at most 1,000 lanes, for
+    which its capacity of contacts was measured to suffice.
     """
     default = resolve_engine("auto")
-    if jax.default_backend() != "gpu" or cost is None or cost.device is None:
+    if jax.default_backend() != "gpu" or cost is None:
         return default
-    host = lanes * cost.host / (usable_cores() / jax.local_device_count())
-    return "mjx" if host > cost.device * max(1.0, lanes / DEVICE_LANES) else default
+    times = {default: lanes * cost.host / (usable_cores() / jax.local_device_count())}
+    if cost.device is not None:
+        times["mjx"] = cost.device * max(1.0, lanes / DEVICE_LANES)
+    if cost.warp is not None and lanes <= DEVICE_LANES and is_installed("warp"):
+        times["warp"] = cost.warp
+    return min(times, key=times.__getitem__)

@@ -34,6 +34,17 @@ def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monke
     assert make("minitaur_pen", physics="c").for_lanes(200).engine == "c"
 
 
+def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(monkeypatch):
+    door = make("sawyer_door").engine_cost
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(engine_choice, "usable_cores", lambda: 16)
+    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: True)
+    assert [fastest_engine(door, lanes) for lanes in (50, 500, 1000)] == ["c", "c", "warp"]
+    assert fastest_engine(door, 1001) != "warp", "more lanes can have more contacts than warp has room for"
+    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: engine != "warp")
+    assert fastest_engine(door, 1000) == "c"
+
+
 @pytest.mark.parametrize("cost", [None, EngineCost(host=1.0)])
 def test_auto_takes_the_default_engine_without_a_cost_of_the_device(monkeypatch, cost):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")

@@ -69,7 +69,7 @@ class SawyerDoor(Sawyer):
     door_noise: bool = True
 
     name: ClassVar[str] = "sawyer_door"
-    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=43.0)
+    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=12.6, warp=5.0)
     demo_count: ClassVar[int] = 5
     goal_change: ClassVar[int] = 600
     continuing_horizon: ClassVar[int | None] = 50_000

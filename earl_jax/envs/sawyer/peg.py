@@ -80,7 +80,7 @@ class SawyerPeg(Sawyer):
     wide: bool = False
 
     name: ClassVar[str] = "sawyer_peg"
-    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0)
+    engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0, warp=5.6)
     demo_count: ClassVar[int] = 10
     goal_change: ClassVar[int] = 400
     continuing_horizon: ClassVar[int | None] = 50_000
