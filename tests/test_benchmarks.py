@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import per_device, redraw, run
+from benchmarks import budget, per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
 from benchmarks.peers.original import Door
 from benchmarks.peers.plan import Job, plan
 from benchmarks.peers.ratios import BARS, LANES, ratios
-from earl_jax.envs import make
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.sweeps.slots import make_slots
 
 
@@ -185,3 +185,20 @@ def test_a_program_that_ends_is_an_error_and_the_rows_of_one_method_make_the_tab
     with pytest.raises(RuntimeError, match="program of naive ended with code 0"):
         program.reply()
     program._process.stdout.close()
+
+
+def rate(env, programs, total):
+    return {"env": env, "programs": str(programs), "steps_per_s_total": str(total)}
+
+
+def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
+    rates = [rate(env, 1, 2500) for env in PAPER_TASKS] + [rate("tabletop_organization", 4, 10_000)]
+    rows = budget.budget(rates)
+    tabletop = rows[0]
+    assert (tabletop["cells"], tabletop["steps"], tabletop["programs"]) == (5, 2_500_000, 4)
+    assert tabletop["hours_in_turn"] == round(5 * 2_500_000 / 2500 / 3600, 2)
+    assert tabletop["hours"] == round(5 * 2_500_000 / 10_000 / 3600, 2)
+    assert rows[-1] == {"task": "all", "cells": 27, "hours_in_turn": 11.77, "hours": 10.73}
+    assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * 10.73, abs=0.02)
+    with pytest.raises(ValueError, match="no rate of one program on sawyer_peg"):
+        budget.budget([row for row in rates if row["env"] != "sawyer_peg"])

@@ -82,3 +82,41 @@ def test_an_accelerator_is_left_alone(fake_scan, monkeypatch):
 def test_the_version_of_jaxlib_is_compared_as_numbers(monkeypatch):
     monkeypatch.setattr(metadata, "version", lambda package: {"jaxlib": "0.10.2"}[package])
     assert mjx_compat._jaxlib_version() == (0, 10)
+
+
+def cone_rows(sizes, key):
+    """Return the constraint rows, the contacts and the cones of contacts with `sizes` rows, and the sum as MJX forms it."""
+    first, total, joints = 3, 3 + sum(sizes) + 1, 4
+    addresses = first + np.cumsum([0, *sizes[:-1]])
+    rows_key, cone_key = jax.random.split(key)
+    jacobian = jax.random.normal(rows_key, (total, joints))
+    cones = jax.random.normal(cone_key, (sum(size > 1 for size in sizes), 6, 6))
+    matrix, cone = np.zeros((total, total)), iter(np.asarray(cones))
+    for size, start in zip(sizes, addresses, strict=True):
+        if size > 1:
+            matrix[start : start + size, start : start + size] = next(cone)[:size, :size]
+    contact = types.SimpleNamespace(dim=np.array(sizes), efc_address=addresses)
+    return jacobian, contact, cones, np.asarray(jacobian).T @ matrix @ np.asarray(jacobian)
+
+
+@pytest.mark.parametrize("sizes", [[3, 3], [4, 1, 4, 3], [6], [1]])
+def test_the_sum_over_contacts_is_the_product_with_the_matrix_of_all_rows(sizes):
+    jacobian, contact, cones, expected = cone_rows(sizes, jax.random.key(3))
+    np.testing.assert_allclose(mjx_compat._cone_hessian(jacobian, contact, cones), expected, atol=1e-4)
+
+
+def test_mjx_without_the_function_of_its_solver_is_an_error_that_names_the_version(monkeypatch):
+    import_module = importlib.import_module
+    modules = {"mujoco.mjx._src.solver": types.SimpleNamespace()}
+    monkeypatch.setattr(importlib, "import_module", lambda name, *rest: modules.get(name) or import_module(name, *rest))
+    with pytest.raises(ImportError, match=r"has no solver\._update_gradient"):
+        mjx_compat.sum_cones_by_contact()
+
+
+def test_the_solver_is_changed_once():
+    solver = importlib.import_module("mujoco.mjx._src.solver")
+    mjx_compat.sum_cones_by_contact()
+    first = solver._update_gradient
+    mjx_compat.sum_cones_by_contact()
+    assert solver._update_gradient is first
+    assert first.__wrapped__.__module__ == solver.__name__
