@@ -114,6 +114,6 @@ def leashed_target(
 
 
 def _between(x: jax.Array, ends: np.ndarray, values: np.ndarray) -> jax.Array:
-    """Return `np.interp` for a table of two points; JAX's own searches the table in a loop, which costs a GPU 25 us."""
+    """Return `np.interp` for a table of two points; JAX's own searches in a loop, which takes 25 us on a GPU."""
     inside = values[0] + (values[1] - values[0]) / (ends[1] - ends[0]) * (x - ends[0])
     return jnp.where(x < ends[0], values[0], jnp.where(x > ends[1], values[1], inside))
