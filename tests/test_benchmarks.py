@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget, per_device, redraw, run
+from benchmarks import budget, kernels, per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
@@ -202,3 +202,14 @@ def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
     assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * 10.73, abs=0.02)
     with pytest.raises(ValueError, match="no rate of one program on sawyer_peg"):
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
+
+
+def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():
+    def step(x, _):
+        return jnp.sin(x @ x), None
+
+    program = jax.jit(lambda x: jnp.cos(jax.lax.scan(step, x, length=5)[0])).lower(jnp.ones((8, 8))).compile()
+    found = kernels.step_kernels(program.as_text())
+    depths = {kernel.place.rpartition("/")[2]: kernel.depth for kernel in found}
+    assert depths["dot_general"] < depths["sin"], "the sine waits for the product"
+    assert not any("cos" in kernel.name + kernel.place for kernel in found), "the cosine is outside the loop"
