@@ -80,7 +80,9 @@ def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, expl
     size = problem.env.action_size
     if explore:
         return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
-    actor = jax.lax.optimization_barrier(_controller(lane.agent.actor, controller_of(method, lane.phase)))
+    # Without barriers, XLA reads the actor in the kernels that update it, and so acts after the update.
+    stacked, controller = jax.lax.optimization_barrier((lane.agent.actor, controller_of(method, lane.phase)))
+    actor = jax.lax.optimization_barrier(_controller(stacked, controller))
     return sac.act(method.sac, actor, lane.env_state.obs, key, size)
 
 
@@ -207,6 +209,8 @@ def update(
     )
     controller = controller_of(method, phase)
     agent, diagnostics = sac.update(method.sac, _controller(lane.agent, controller), batch, keys.update)
+    if method.controllers > 1:  # else XLA writes both controllers to new arrays, and copies them back
+        agent = jax.lax.optimization_barrier(agent)
     return lane.replace(
         agent=_with_controller(lane.agent, agent, controller),
         method_state=method.update_state(lane.method_state, sampled, phase),

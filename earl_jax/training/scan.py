@@ -29,11 +29,7 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, e
 
 
 def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: bool) -> TrainState:
-    """Return all lanes after `length` steps in one scan, whose random keys are computed before it.
-
-    Each step draws the next one's batch, while the device still learns from its own. Where the host simulates, the draw
-    would delay the next start, so that a step draws its own batch after it.
-    """
+    """Return all lanes after `length` steps in one scan, whose random keys are computed before it."""
     numbers = state.step + jnp.arange(length + 1)
     keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
     now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
@@ -45,18 +41,23 @@ def _run_block(problem: Problem, method: Method, state: TrainState, length: int,
         (state, batch), (now, following) = carry, keys
         return sample(method, train_step(problem, method, state, now, batch=batch), following), None
 
-    if explore or _host_simulates(problem, state):
-        return jax.lax.scan(step, state, now)[0]
-    (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
-    return state
+    if not explore and _draws_ahead(problem, state):
+        (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
+        return state
+    return jax.lax.scan(step, state, now)[0]
 
 
-def _host_simulates(problem: Problem, state: TrainState) -> bool:
-    """Return whether control steps are simulated on the host while the device learns."""
+def _draws_ahead(problem: Problem, state: TrainState) -> bool:
+    """Return whether a step draws the next one's batch, which an accelerator does while it still learns from its own.
+
+    Where the host simulates, the draw would delay the next start. A CPU does one thing after the other.
+    """
+    if jax.default_backend() == "cpu":
+        return False
     env_states = state.lanes.env_state
     actions = jax.ShapeDtypeStruct((len(env_states.obs), problem.env.action_size), jnp.float32)
     pending: PendingStep = jax.eval_shape(jax.vmap(problem.env.start_step), env_states, actions)
-    return pending.ticket is not None
+    return pending.ticket is None
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:

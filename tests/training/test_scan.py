@@ -13,8 +13,9 @@ from tests.conftest import assert_equal_trees, make_train_state, take_lane, tiny
 
 
 @pytest.mark.parametrize("algo", ["fbrl", "vaprl"])
-def test_keys_and_batches_drawn_ahead_are_those_of_each_step(problem, algo):
+def test_keys_and_batches_drawn_ahead_are_those_of_each_step(problem, algo, monkeypatch):
     method = tiny_method(algo)
+    monkeypatch.setattr(scan, "_draws_ahead", lambda *_: True)
 
     @jax.jit
     def step(m, state):
@@ -36,9 +37,11 @@ def test_keys_and_batches_drawn_ahead_are_those_of_each_step(problem, algo):
     assert_equal_trees(ahead.lanes.agent, expected.lanes.agent, rtol=1e-5, atol=1e-6)
 
 
-def test_batches_are_not_drawn_ahead_where_the_host_simulates(problem, monkeypatch):
+def test_batches_are_drawn_ahead_on_an_accelerator_unless_the_host_simulates(problem, monkeypatch):
     state = make_train_state(problem, tiny_method("naive"), [0, 1])
-    assert not scan._host_simulates(problem, state)
+    assert not scan._draws_ahead(problem, state), "a CPU gains nothing"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert scan._draws_ahead(problem, state)
     start_step, seen = type(problem.env).start_step, []
 
     def start_with_ticket(env, env_state, action):
@@ -46,7 +49,7 @@ def test_batches_are_not_drawn_ahead_where_the_host_simulates(problem, monkeypat
         return start_step(env, env_state, action)._replace(ticket=jnp.zeros(1, jnp.int32))
 
     monkeypatch.setattr(type(problem.env), "start_step", start_with_ticket)
-    assert scan._host_simulates(problem, state)
+    assert not scan._draws_ahead(problem, state)
     lane = take_lane(state.lanes, 0)
     assert seen == [(lane.env_state.obs.shape, (problem.env.action_size,))]
     assert isinstance(start_step(problem.env, lane.env_state, np.zeros(problem.env.action_size)), PendingStep)
