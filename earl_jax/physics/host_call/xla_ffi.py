@@ -5,6 +5,8 @@ since 0.1 are read.
 """
 
 import ctypes
+import functools
+import math
 from collections.abc import Callable
 from ctypes import POINTER, Structure, c_char_p, c_int, c_int64, c_size_t, c_uint32, c_void_p
 from typing import Any
@@ -46,7 +48,7 @@ class Buffer(Structure):
     @property
     def count(self) -> int:
         """Number of elements, of four bytes each."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     @property
     def integers(self) -> np.ndarray:
@@ -86,11 +88,15 @@ class Frame(Structure):
     @property
     def stream(self) -> int:
         """The stream in which a GPU executes this call."""
-        get = ctypes.CFUNCTYPE(c_void_p, POINTER(_StreamGet))(self.api.contents.stream_get)
         request = _StreamGet(ctypes.sizeof(_StreamGet), None, self.context, None)
-        if get(ctypes.byref(request)):
+        if _stream_getter(self.api.contents.stream_get)(ctypes.byref(request)):
             raise RuntimeError("XLA returned no stream")
         return request.stream
+
+
+@functools.cache
+def _stream_getter(address: int) -> Any:
+    return ctypes.CFUNCTYPE(c_void_p, POINTER(_StreamGet))(address)
 
 
 class _ErrorCreate(Structure):
@@ -129,6 +135,6 @@ def view(address: int, count: int, kind: Any) -> np.ndarray:
     return np.ctypeslib.as_array((kind * count).from_address(address))
 
 
-def rows_of(buffer: Buffer, address: int | None = None) -> np.ndarray:
-    """Return the float32 `buffer`, or memory of its size at `address`, as rows [n, k]."""
-    return view(address or buffer.data or 0, buffer.count, ctypes.c_float).reshape(-1, buffer.shape[-1])
+def rows_of(buffer: Buffer) -> np.ndarray:
+    """Return the float32 `buffer` as rows [n, k]."""
+    return view(buffer.data or 0, buffer.count, ctypes.c_float).reshape(-1, buffer.shape[-1])

@@ -1,0 +1,155 @@
+"""Jobs in a CUDA stream, with a driver in Python that does at once what a stream does in order."""
+
+import ctypes
+import time
+from ctypes import c_int32, c_int64
+
+import numpy as np
+import pytest
+
+from earl_jax.physics.host_call import cuda
+from earl_jax.physics.host_call.xla_ffi import Buffer
+
+LANES, COLUMNS, WIDTH = 3, 4, 2
+
+
+DRIVERS = []
+"""The drivers of all tests: a worker may still write to their memory when its test has ended."""
+
+
+class Driver:
+    """The functions of libcuda that a stream of jobs calls; `calls` lists their names."""
+
+    def __init__(self):
+        self.calls, self.memory = [], []
+        self.functions = {
+            "cuMemHostAlloc": self.allocate,
+            "cuMemcpyDtoHAsync_v2": self.copy,
+            "cuMemcpyHtoDAsync_v2": self.copy,
+            "cuMemsetD32Async": self.fill,
+            "cuStreamWaitValue32_v2": self.wait,
+        }
+        DRIVERS.append(self)
+
+    def __getattr__(self, name):
+        self.calls.append(name)
+        return self.functions.get(name, lambda *_: 0)
+
+    def allocate(self, address, size, _):
+        self.memory.append(ctypes.create_string_buffer(b"\xff" * size.value, size.value))
+        address._obj.value = ctypes.addressof(self.memory[-1])
+        return 0
+
+    def copy(self, target, source, size, _):
+        ctypes.memmove(target.value, source.value, size.value)
+        return 0
+
+    def fill(self, address, value, count, _):
+        np.ctypeslib.as_array((c_int32 * count.value).from_address(address.value))[:] = value
+        return 0
+
+    def wait(self, _, address, value, flags):
+        deadline = time.monotonic() + 10
+        while c_int32.from_address(address.value).value < value.value:
+            assert time.monotonic() < deadline, "the job was not done"
+            time.sleep(1e-4)
+        return int(flags.value != cuda.AT_LEAST)
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    fake = Driver()
+    monkeypatch.setattr(cuda, "_driver", lambda: fake)
+    return fake
+
+
+def buffer(array):
+    """Return `array` as XLA passes it; the array must outlive the buffer."""
+    dims = (c_int64 * array.ndim)(*array.shape)
+    result = Buffer(data=array.ctypes.data, rank=array.ndim, dims=ctypes.cast(dims, ctypes.POINTER(c_int64)))
+    result.kept = dims
+    return result
+
+
+class Call:
+    """One control step: the rows that the stream holds, its tickets and its answer."""
+
+    def __init__(self, value):
+        self.rows = np.full((LANES, COLUMNS), value, np.float32)
+        self.tickets, self.answer = np.zeros((LANES, 1), np.int32), np.zeros((LANES, WIDTH), np.float32)
+
+    def start(self, stream):
+        stream.start(buffer(self.rows), buffer(self.tickets))
+
+    def finish(self, stream):
+        stream.finish(buffer(self.tickets), buffer(self.answer))
+
+
+def double(rows, stream):
+    assert stream == 7
+    return 2 * rows[:, :WIDTH]
+
+
+@pytest.mark.usefixtures("driver")
+def test_jobs_are_answered_in_any_order_and_memory_is_reused():
+    stream = cuda.Stream(double, WIDTH, 7)
+    for first in range(0, 6 * cuda.DEPTH, 2):
+        calls = [Call(first), Call(first + 1)]
+        for call in calls:
+            call.start(stream)
+        np.testing.assert_array_equal(calls[1].tickets, first + 2)
+        for call in reversed(calls):
+            call.finish(stream)
+        np.testing.assert_array_equal(calls[0].answer, 2 * first)
+        np.testing.assert_array_equal(calls[1].answer, 2 * first + 2)
+
+
+def test_memory_and_events_are_allocated_for_the_first_jobs_only(driver):
+    stream = cuda.Stream(double, WIDTH, 7)
+    counts = []
+    for value in range(3 * cuda.DEPTH):
+        call = Call(value)
+        call.start(stream)
+        call.finish(stream)
+        counts.append((driver.calls.count("cuMemHostAlloc"), driver.calls.count("cuEventCreate")))
+    assert counts[0] == counts[-1]
+    assert driver.calls.count("cuCtxSetCurrent") == driver.calls.count("cuCtxGetCurrent") == 1
+
+
+@pytest.mark.usefixtures("driver")
+def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
+    stream, call = cuda.Stream(double, WIDTH, 7), Call(5)
+    call.start(stream)
+    call.tickets = call.tickets.copy()
+    call.finish(stream)
+    np.testing.assert_array_equal(call.answer, 10)
+    with pytest.raises(RuntimeError, match="0 control steps are in progress, but none has these tickets"):
+        call.finish(stream)
+
+
+@pytest.mark.usefixtures("driver")
+def test_too_many_jobs_in_progress_are_an_error():
+    stream, calls = cuda.Stream(double, WIDTH, 7), [Call(value) for value in range(cuda.DEPTH + 1)]
+    for call in calls[:-1]:
+        call.start(stream)
+    with pytest.raises(RuntimeError, match=f"{cuda.DEPTH} control steps of one program are already in progress"):
+        calls[-1].start(stream)
+
+
+@pytest.mark.usefixtures("driver")
+def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call():
+    def refuse(rows, stream):
+        raise ValueError("no such state")
+
+    stream, call = cuda.Stream(refuse, WIDTH, 7), Call(1)
+    call.start(stream)
+    call.finish(stream)
+    with pytest.raises(RuntimeError, match="work on the host failed: ValueError"):
+        Call(2).start(stream)
+
+
+def test_an_error_of_the_driver_names_the_function(driver):
+    driver.functions["cuEventRecord"] = lambda *_: 700
+    stream = cuda.Stream(double, WIDTH, 7)
+    with pytest.raises(RuntimeError, match="cuEventRecord failed with CUDA error 700"):
+        Call(1).start(stream)
