@@ -34,8 +34,8 @@ def _cuda(function: str, *arguments: Any) -> None:
         raise RuntimeError(f"{function} failed with CUDA error {code}")
 
 
-class Rows(NamedTuple):
-    """Page-locked memory at `address` as float32 `rows [n, k]`."""
+class HostRows(NamedTuple):
+    """Page-locked memory of the host at `address`, as float32 `rows [n, k]`."""
 
     rows: np.ndarray
     address: c_void_p
@@ -61,7 +61,7 @@ class Stream:
         self.serve, self.width, self.stream = serve, width, stream
         self.number, self.in_progress = 0, dict[int, int]()
         self.handle = c_void_p(stream)
-        self.events, self.memory = list[c_void_p](), dict[tuple[str, int, int], list[Rows]]()
+        self.events, self.memory = list[c_void_p](), dict[tuple[str, int, int], list[HostRows]]()
         self.error: Exception | None = None
         self.word = self._slot("word", 1, 1, 0)
         self.done = self.word.rows[0].view(np.int32)
@@ -114,7 +114,7 @@ class Stream:
                 self.error = error
             self.done[0] = job.number
 
-    def _slot(self, kind: str, lanes: int, columns: int, number: int | None = None) -> Rows:
+    def _slot(self, kind: str, lanes: int, columns: int, number: int | None = None) -> HostRows:
         """Return page-locked rows [lanes, columns] for the job `number`, or the newest one; every `DEPTH`-th shares them.
 
         Only the thread that fills the stream may allocate memory: an allocation in the worker could wait for a stream
@@ -130,13 +130,13 @@ class Stream:
             raise RuntimeError(f"work on the host failed: {self.error!r}") from self.error
 
 
-def _page_locked(lanes: int, columns: int) -> Rows:
+def _page_locked(lanes: int, columns: int) -> HostRows:
     """Return new page-locked memory for rows [lanes, columns] of zeros."""
     address, count = c_void_p(), lanes * columns
     _cuda("cuMemHostAlloc", ctypes.byref(address), c_size_t(4 * count), c_uint32(PORTABLE_AND_MAPPED))
     rows = view(address.value or 0, count, ctypes.c_float).reshape(lanes, columns)
     rows[:] = 0
-    return Rows(rows, address)
+    return HostRows(rows, address)
 
 
 def _event() -> c_void_p:
