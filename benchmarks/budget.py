@@ -1,10 +1,11 @@
 """Compute the GPU-hours of the whole paper from measured rates: `python -m benchmarks.budget --rates FILE.csv ... --out FILE`.
 
 The paper's cells are its tasks and the methods that can run on them, each with five seeds in one program, at the published
-number of steps. FILE.csv comes from `python -m benchmarks.per_device`. For every task the table has the hours of one program
-after the other, and of the number of programs at a time with the most steps in total; a rate measured with one method or a
-mixture stands for all methods of the task. Evaluations, compilation and starts are not counted: add `--overhead`, the share of
-a run's time that they take. Prints the table; writes FILE.json and FILE.csv.
+number of steps. FILE.csv comes from `python -m benchmarks.per_device`. `hours_in_turn` is the time of the cells of a task one
+after the other, each at the rate of its method alone; a method without a rate takes the time of the mean of the others.
+`hours` divides it by `gain`, the largest measured gain of several programs at once with the same methods, if it is above one.
+Evaluations, compilation and starts are not counted: add `--overhead`, the share of a run's time that they take. Prints the
+table; writes FILE.json and FILE.csv.
 """
 
 import argparse
@@ -40,17 +41,17 @@ def budget(rates: Sequence[Row], overhead: float = 0.0) -> list[Row]:
 
 
 def _row(env: str, rates: Sequence[Row], overhead: float) -> Row:
-    alone = [float(rate["steps_per_s_total"]) for rate in rates if int(rate["programs"]) == 1]
+    alone = {rate["algos"]: 1 / float(rate["steps_per_s_total"]) for rate in rates if int(rate["programs"]) == 1}
     if not alone:
         raise ValueError(f"no rate of one program on {env}; run python -m benchmarks.per_device --cases {env}:fbrl:1")
-    best = max(rates, key=lambda rate: float(rate["steps_per_s_total"]))
-    cells, steps = len(methods_on(env, METHODS)), training_steps(env)
-    hour = 3600 * (1 - overhead)
+    methods, steps = methods_on(env, METHODS), training_steps(env)
+    mean = sum(alone.values()) / len(alone)
+    seconds = steps * sum(alone.get(method, mean) for method in methods) / (1 - overhead)
+    best = max(rates, key=lambda rate: float(rate["wall_gain"]))
     return {
-        "task": env, "cells": cells, "steps": steps, "alone": round(sum(alone) / len(alone)),
-        "hours_in_turn": round(cells * steps / (sum(alone) / len(alone)) / hour, 2),
-        "programs": int(best["programs"]), "together": round(float(best["steps_per_s_total"])),
-        "hours": round(cells * steps / float(best["steps_per_s_total"]) / hour, 2),
+        "task": env, "cells": len(methods), "steps": steps, "alone": round(1 / mean),
+        "hours_in_turn": round(seconds / 3600, 2), "programs": int(best["programs"]), "gain": float(best["wall_gain"]),
+        "hours": round(seconds / 3600 / float(best["wall_gain"]), 2),
     }  # fmt: skip
 
 

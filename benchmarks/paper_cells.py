@@ -30,11 +30,12 @@ PERMUTATIONS = 100_000
 
 def cell(name: str, curves: Curves) -> dict[str, Any]:
     """Return the row of a run: scores, the largest critic loss, and the comparison at the published length."""
-    scores = curves.metrics["deployed/success"]
+    scores = curves.metrics[curves.deployed_metric]
     final, recent = scores[:, -1], scores[:, -WINDOW:].mean(axis=1)
     half = stats.t.ppf(0.975, len(recent) - 1) * stats.sem(recent)
     row = {
         "run": name,
+        "metric": curves.deployed_metric,
         "seeds": curves.seeds,
         "steps": int(curves.steps[-1]),
         "of": curves.config.steps,
@@ -93,7 +94,7 @@ def pair(first: str, second: str, runs: dict[str, Curves]) -> dict[str, Any]:
 def _recent_at(curves: Curves, step: int) -> np.ndarray:
     """Return each seed's mean over the ten evaluations up to `step`."""
     end = int(np.searchsorted(curves.steps, step)) + 1
-    return curves.metrics["deployed/success"][:, end - WINDOW : end].mean(axis=1)
+    return curves.metrics[curves.deployed_metric][:, end - WINDOW : end].mean(axis=1)
 
 
 def _text(value: Any) -> str:

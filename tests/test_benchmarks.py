@@ -187,19 +187,25 @@ def test_a_program_that_ends_is_an_error_and_the_rows_of_one_method_make_the_tab
     program._process.stdout.close()
 
 
-def rate(env, programs, total):
-    return {"env": env, "programs": str(programs), "steps_per_s_total": str(total)}
+def rate(env, algos, total, gain=1.0):
+    programs = str(len(algos.split("+")))
+    return {"env": env, "algos": algos, "programs": programs, "steps_per_s_total": str(total), "wall_gain": str(gain)}
 
 
 def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
-    rates = [rate(env, 1, 2500) for env in PAPER_TASKS] + [rate("tabletop_organization", 4, 10_000)]
+    rates = [rate(env, "fbrl", 2500) for env in PAPER_TASKS] + [rate("tabletop_organization", "naive", 5000)]
+    rates.append(rate("tabletop_organization", "fbrl+naive", 5000, gain=1.5))
     rows = budget.budget(rates)
-    tabletop = rows[0]
-    assert (tabletop["cells"], tabletop["steps"], tabletop["programs"]) == (5, 2_500_000, 4)
-    assert tabletop["hours_in_turn"] == round(5 * 2_500_000 / 2500 / 3600, 2)
-    assert tabletop["hours"] == round(5 * 2_500_000 / 10_000 / 3600, 2)
-    assert rows[-1] == {"task": "all", "cells": 27, "hours_in_turn": 11.77, "hours": 10.73}
-    assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * 10.73, abs=0.02)
+    tabletop, door = rows[0], rows[1]
+    assert (tabletop["cells"], tabletop["steps"], tabletop["programs"]) == (5, 2_500_000, 2)
+    others = 3 * (1 / 2500 + 1 / 5000) / 2
+    hours = 2_500_000 * (1 / 2500 + 1 / 5000 + others) / 3600
+    assert tabletop["hours_in_turn"] == round(hours, 2)
+    assert tabletop["hours"] == round(hours / 1.5, 2)
+    assert door["hours"] == door["hours_in_turn"] == round(5 * door["steps"] / 2500 / 3600, 2)
+    assert rows[-1]["cells"] == 27
+    assert rows[-1]["hours"] == pytest.approx(sum(row["hours"] for row in rows[:-1]))
+    assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * rows[-1]["hours"], abs=0.05)
     with pytest.raises(ValueError, match="no rate of one program on sawyer_peg"):
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
 
