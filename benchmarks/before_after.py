@@ -1,9 +1,9 @@
 """Compare learning before and after a change of the program: `python -m benchmarks.before_after` draws and tabulates two methods.
 
-Before: the runs of tabletop in results/paper (VaPRL and FBRL, ten seeds, bf16). After: those in results/before_after, trained
-with the same command by a later commit and cut where the time of the machine ended. Each pair is compared at the last step that both
-reached, by a permutation test of the seeds' means over ten evaluations, and by the steps at which the trailing mean of ten
-evaluations reaches 0.5. Writes results/before_after/{curves.png,table.csv,table.json}.
+Before: the runs of tabletop in results/paper (VaPRL and FBRL, ten seeds, bf16). After: those in results/before_after,
+trained with the same command by a later commit and cut where the time of the machine ended. Each pair is compared at
+the last step that both reached, by a permutation test of the seeds' means over ten evaluations, and by the steps at
+which the trailing mean of ten evaluations reaches 0.5. Writes results/before_after/{curves.png,table.csv,table.json}.
 """
 
 import json
