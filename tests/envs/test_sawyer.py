@@ -232,6 +232,43 @@ def test_the_start_of_a_replay_has_the_hand_of_the_recording(door):
     assert np.linalg.norm(np.asarray(state.obs[4:6]) - HINGE) == pytest.approx(0.3907, abs=1e-3)
 
 
+@pytest.mark.parametrize("at_goal", [False, True])
+def test_a_backward_recording_replays_from_where_it_started(door, tmp_path, at_goal):
+    """Its arm starts in either reset pose; its door is closed, and the hand and the mocap target move in the first steps."""
+    env = dataclasses.replace(door, reset_at_goal=at_goal)
+    goal, angle = jnp.asarray(door.initial_states[0]), jnp.array(-0.05)
+    state = env.start_at(angle[None], handle_at(angle), goal)
+    actions = jnp.tile(jnp.array([0.5, -0.5, 0.5, -1.0]), (12, 1))
+
+    def step(state, action):
+        after = door.step(state, action)
+        return after, (state.obs, after.obs)
+
+    observations, after = map(np.asarray, jax.lax.scan(step, state, actions)[1])
+    np.savez(
+        tmp_path / "back.npz",
+        observations=observations,
+        actions=actions,
+        rewards=np.zeros(12),
+        next_observations=after,
+        terminals=np.arange(12) == 11,
+    )
+    report = replay_demos.replay("sawyer_door", tmp_path / "back.npz", "c")
+    assert report["direction"] == "backward"
+    assert report["reset_arm_error"] < 1e-6
+    [episode] = replay_demos.read(tmp_path / "back.npz").episodes()
+    np.testing.assert_allclose(replay_demos.play(door, [episode])[0][:12], after, atol=1e-5)
+
+
+def test_the_arm_of_a_replay_is_moved_with_its_target(door):
+    first = np.asarray(door.reset(jax.random.key(0)).obs) + np.array([0.1, 0.05, 0.0, *np.zeros(11)], np.float32)
+    fresh, moved = door.reset(jax.random.key(0)), replay_demos.start_state(door, first)
+    lead, moved_lead = (state.data.mocap_pos[0] - state.obs[:3] for state in (fresh, moved))
+    np.testing.assert_allclose(moved_lead, lead, atol=1e-6)
+    after = door.step(moved, jnp.array([0.0, 0.0, 0.0, -1.0]))
+    assert np.linalg.norm(after.obs[:3] - first[:3]) < 0.01, "the hand stays where it was put"
+
+
 @EVERY_TASK
 def test_leaving_the_workspace_is_a_fault(name):
     env = make(name, physics="c")
