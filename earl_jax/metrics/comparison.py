@@ -1,0 +1,140 @@
+"""Two-sample comparisons of scores over seeds: Welch's test, the permutation test, Holm's correction, detectable differences.
+
+Sources: Welch 1947, "The generalization of Student's problem when several different population variances are involved";
+Holm 1979, "A simple sequentially rejective multiple test procedure".
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, stats
+
+from earl_jax.metrics.statistics import Estimate
+
+LEVEL = 0.05
+POWER = 0.8
+SPLITS = 20_000
+"""Largest number of splits of the seeds that the permutation test enumerates; it draws as many if there are more."""
+
+
+class Sample(NamedTuple):
+    """The scores of `seeds` seeds as their `mean` and its standard error `stderr`, with n - 1 degrees of freedom."""
+
+    mean: float
+    stderr: float
+    seeds: int
+
+    @classmethod
+    def of(cls, scores: np.ndarray) -> "Sample":
+        """Return the sample of `scores [seeds]`; the standard error of a single seed is nan."""
+        scores = np.asarray(scores, float)
+        error = scores.std(ddof=1) / math.sqrt(len(scores)) if len(scores) > 1 else math.nan
+        return cls(float(scores.mean()), float(error), len(scores))
+
+
+class Comparison(NamedTuple):
+    """The difference of two means with its 95 % interval and the two-sided p; these are nan if a sample has one seed."""
+
+    difference: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def verdict(self) -> str:
+        """`above` or `below` if p is under 5 %, else `cannot tell`."""
+        return verdict(self.difference, self.p)
+
+
+def verdict(difference: float, p: float, level: float = LEVEL) -> str:
+    """Return `above` or `below`, by the sign of `difference`, if `p` is under `level`, else `cannot tell`."""
+    if not p < level:
+        return "cannot tell"
+    return "above" if difference > 0 else "below"
+
+
+def mean_interval(scores: np.ndarray, level: float = LEVEL) -> Estimate:
+    """Return the mean of `scores [seeds]` with Student's interval, whose ends are nan for a single seed."""
+    sample = Sample.of(scores)
+    half = sample.stderr * stats.t.ppf(1 - level / 2, sample.seeds - 1) if sample.seeds > 1 else math.nan
+    return Estimate(sample.mean, float(sample.mean - half), float(sample.mean + half))
+
+
+def welch(sample: Sample, other: Sample) -> Comparison:
+    """Return `sample` minus `other` by Welch's test of means with unequal variances.
+
+    If both standard errors are 0, equal means have p = 1 and others p = 0.
+    """
+    difference, error, freedom = (
+        sample.mean - other.mean,
+        math.hypot(sample.stderr, other.stderr),
+        _freedom(sample, other),
+    )
+    if math.isnan(error):
+        return Comparison(difference, math.nan, math.nan, math.nan)
+    if error == 0:
+        return Comparison(difference, difference, difference, float(difference == 0))
+    half = error * stats.t.ppf(1 - LEVEL / 2, freedom)
+    p = 2 * stats.t.sf(abs(difference) / error, freedom)
+    return Comparison(difference, float(difference - half), float(difference + half), float(p))
+
+
+def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
+    """Return mean(`scores`) minus mean(`others`) of independent seeds, [seeds] each, with p of the permutation test.
+
+    All splits of the seeds are enumerated, or 20,000 drawn if there are more. The interval is Welch's.
+    """
+    result = welch(Sample.of(scores), Sample.of(others))
+    if min(len(scores), len(others)) < 2:
+        return result
+    pooled = np.concatenate([np.asarray(scores, float), np.asarray(others, float)])
+    picks, drawn = _splits(len(pooled), len(scores))
+    sums = pooled[picks].sum(axis=1)
+    means = sums / len(scores) - (pooled.sum() - sums) / len(others)
+    extreme = np.sum(np.abs(means) >= abs(result.difference) - 1e-9 * np.abs(pooled).max(initial=1.0))
+    return result._replace(p=float((extreme + drawn) / (len(picks) + drawn)))
+
+
+def detectable_difference(sample: Sample, other: Sample) -> float:
+    """Return the difference of means that Welch's test of these standard errors finds with a probability of 80 %.
+
+    It is nan if a sample has one seed.
+    """
+    error, freedom = math.hypot(sample.stderr, other.stderr), _freedom(sample, other)
+    if math.isnan(error) or error == 0:
+        return error
+    critical = stats.t.ppf(1 - LEVEL / 2, freedom)
+
+    def missing_power(noncentrality: float) -> float:
+        return float(stats.nct.sf(critical, freedom, noncentrality)) - POWER
+
+    return error * optimize.root_scalar(missing_power, bracket=(0.0, 100.0)).root
+
+
+def holm(values: Sequence[float]) -> np.ndarray:
+    """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan."""
+    p = np.asarray(values, float)
+    adjusted, order = np.full(len(p), math.nan), [index for index in np.argsort(p) if not math.isnan(p[index])]
+    largest = 0.0
+    for rank, index in enumerate(order):
+        largest = max(largest, (len(order) - rank) * p[index])
+        adjusted[index] = min(1.0, largest)
+    return adjusted
+
+
+def _freedom(sample: Sample, other: Sample) -> float:
+    """Return the degrees of freedom of the difference by Welch and Satterthwaite."""
+    squares = np.array([sample.stderr, other.stderr]) ** 2
+    parts = (squares**2 / np.maximum([sample.seeds - 1, other.seeds - 1], 1)).sum()
+    return float(squares.sum() ** 2 / parts) if parts > 0 else math.nan
+
+
+def _splits(total: int, first: int) -> tuple[np.ndarray, int]:
+    """Return indices [k, first] of the first group in each split, and 1 if they are drawn, 0 if they are all."""
+    if math.comb(total, first) <= SPLITS:
+        return np.array(list(itertools.combinations(range(total), first))), 0
+    rng = np.random.default_rng(0)
+    return np.argsort(rng.random((SPLITS, total)), axis=1)[:, :first], 1
