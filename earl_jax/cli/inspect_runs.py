@@ -1,4 +1,4 @@
-"""Commands that inspect the package and its runs: list, evaluate, plot, table."""
+"""Commands that inspect the package and its runs: list, evaluate, plot, table, compare."""
 
 from pathlib import Path
 from typing import Literal
@@ -57,7 +57,7 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     Args:
         folders: Run folders.
         last: Number of final evaluations to average. The paper's tables use 1.
-        out: File that also receives the table: .md or .csv.
+        out: File that also receives the table: .md, .tex or .csv.
     """
     from earl_jax.report.tables import markdown, tabulate, write
 
@@ -65,3 +65,25 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     if out:
         write(rows, out)
     emit({"rows": rows}, json, markdown(rows))
+
+
+def compare(
+    folders: Positional[tuple[Path, ...]],
+    against: Literal["runs", "published"] = "runs",
+    out: tuple[Path, ...] = (),
+    json: JSON = False,
+) -> None:
+    """Test the differences of deployed scores between runs of a task, or from the published scores.
+
+    Args:
+        folders: Run folders; seeds of the same task, method and options are pooled.
+        against: Compare each pair of runs on a task, or each run with the paper's five seeds.
+        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg.
+    """
+    from earl_jax.report.comparison import compare as compare_runs
+    from earl_jax.report.comparison import table_text, write_comparison
+
+    rows = compare_runs(folders, against)
+    for path in out:
+        write_comparison(rows, path)
+    emit({"rows": rows}, json, table_text(rows))

@@ -21,6 +21,7 @@ COMMANDS = {
     "evaluate": inspect_runs.evaluate,
     "plot": inspect_runs.plot,
     "table": inspect_runs.table,
+    "compare": inspect_runs.compare,
     "render": render.render,
     "report": report.report,
     "demos": demonstrations.demos,

@@ -8,10 +8,13 @@ from decimal import Decimal
 from typing import NamedTuple
 
 from earl_jax import assets
+from earl_jax.metrics.comparison import Sample
 from earl_jax.metrics.statistics import Estimate
 
 LEVELS = (0.5, 0.9)
 """Success rates for which reports give the first step that reaches them."""
+SEEDS = 5
+"""Number of seeds of each published score."""
 NORMAL = 1.96
 """Standard errors on either side of the mean in a 95 % interval."""
 FEW = 5
@@ -54,6 +57,18 @@ class PublishedScore(NamedTuple):
         half = 0.5 * 10.0 ** int(Decimal(self.mean).as_tuple().exponent)
         spread = half + NORMAL * (0.0 if self.stderr == "-" else float(self.stderr) + half)
         return float(self.mean) - spread, float(self.mean) + spread
+
+    @property
+    def sample(self) -> Sample | None:
+        """The five seeds as mean and standard error with n - 1; None if no standard error is printed.
+
+        The paper divides by n. An error that is printed as 0 counts as half a unit of its last digit.
+        """
+        if self.mean in ("-", "") or self.mean.startswith("<") or self.stderr == "-":
+            return None
+        half = 0.5 * 10.0 ** int(Decimal(self.stderr).as_tuple().exponent)
+        error = max(float(self.stderr), half) * math.sqrt(SEEDS / (SEEDS - 1))
+        return Sample(float(self.mean), error, SEEDS)
 
 
 def published_score(table: str, env: str, algo: str) -> PublishedScore | None:

@@ -1,6 +1,8 @@
 """The paper's two tables made from run folders, beside the published scores."""
 
 import csv
+import re
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,20 @@ from earl_jax.report.runs import Curves, labels, options_text, read_all
 
 WINDOW = 10
 """Evaluations in the trailing mean from which crossings are read."""
+HEADER = (
+    "env",
+    "algo",
+    "seeds",
+    "steps",
+    "deployed",
+    "IQM [95 %]",
+    "published",
+    "continuing",
+    "published",
+    "to 0.5",
+    "to 0.9",
+)
+HEADER += ("steps/reward",)
 CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
 
@@ -92,22 +108,47 @@ def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str
     return "\n".join([rows[0], "|" + " --- |" * len(header), *rows[1:]])
 
 
+def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
+    """Return a LaTeX `tabular` for the package booktabs."""
+    rows = [" & ".join(map(_latex_text, line)) + r" \\" for line in (header, *lines)]
+    rows = [r"\begin{tabular}{" + "l" * len(header) + "}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
+    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
+
+
+def _latex_text(value: Any) -> str:
+    return re.sub(r"([%&_#$])", r"\\\1", str(value)).replace("−", "$-$")
+
+
+def file_table(path: Path, header: Sequence[str], lines: Sequence[Sequence[Any]], notes: str) -> str:
+    """Return the text of the file `path`: a LaTeX table with `notes` as comments (.tex), or a markdown one above them."""
+    if path.suffix == ".tex":
+        lines_of_notes = [line for note in notes.splitlines() for line in textwrap.wrap(note, 100)]
+        comments = "\n".join(f"% {line}" for line in lines_of_notes)
+        return f"{comments}\n{latex_table(header, lines)}\n"
+    return f"{markdown_table(header, lines)}\n\n{notes}\n"
+
+
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Return `rows` as a markdown table: mean (standard error), IQM [95 % interval], published scores beside them."""
-    header = ["env", "algo", "seeds", "steps", "deployed", "IQM [95 %]", "published", "continuing", "published"]
-    header += ["to 0.5", "to 0.9", "steps/reward"]
-    lines = []
-    for row in rows:
-        lines.append([
+    return "\n".join([markdown_table(HEADER, _lines(rows)), "", *_notes(rows)])
+
+
+def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    return [
+        [
             row["env"], row["algo"], f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}", f"{row['steps']:,}",
             f"{row['deployed']:.3f} ({row['deployed_stderr']:.3f})",
             f"{row['deployed_iqm']:.3f} [{row['deployed_low']:.3f}, {row['deployed_high']:.3f}]",
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
             row["published_continuing"] or "-", *(millions(row[f"steps_to_{level}"]) for level in LEVELS),
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
-        ])  # fmt: skip
-    notes = [f"{row['algo']}: {row['options']}" for row in rows]
-    return "\n".join([markdown_table(header, lines), "", *notes])
+        ]
+        for row in rows
+    ]  # fmt: skip
+
+
+def _notes(rows: list[dict[str, Any]]) -> list[str]:
+    return [f"{row['algo']}: {row['options']}" for row in rows]
 
 
 def millions(step: int | None) -> str:
@@ -116,17 +157,17 @@ def millions(step: int | None) -> str:
 
 
 def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write rows to `path`: rows of `tabulate` as markdown (.md), or any rows as csv (.csv).
+    """Write rows to `path`: rows of `tabulate` as markdown (.md) or LaTeX (.tex), or any rows as csv (.csv).
 
     Raises:
         ValueError: `path` has another suffix.
     """
-    if path.suffix == ".md":
-        path.write_text(markdown(rows) + "\n")
+    if path.suffix in (".md", ".tex"):
+        path.write_text(file_table(path, HEADER, _lines(rows), "\n".join(_notes(rows))))
     elif path.suffix == ".csv":
         with path.open("w", newline="") as handle:
             writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
     else:
-        raise InputError(f"{path}: tables are written as .md or .csv")
+        raise InputError(f"{path}: tables are written as .md, .tex or .csv")

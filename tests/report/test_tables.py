@@ -64,7 +64,9 @@ def test_tables_are_written_as_markdown_and_csv(tmp_path):
     assert read_csv(tmp_path / "t.csv")[0]["published_continuing"] == "0.012 (0.004)"
     tables.write(rows, tmp_path / "t.md")
     assert "1.050 (0.035)" in (tmp_path / "t.md").read_text()
-    with pytest.raises(ValueError, match=r"\.md or \.csv"):
+    tables.write(rows, tmp_path / "t.tex")
+    assert "1.050 (0.035)" in (tmp_path / "t.tex").read_text()
+    with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 
 

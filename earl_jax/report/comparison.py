@@ -1,0 +1,180 @@
+"""Comparisons of runs with each other and with the published scores, as rows, tables and a figure."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import (
+    Comparison,
+    Sample,
+    detectable_difference,
+    holm,
+    mean_interval,
+    permutation,
+    welch,
+)
+from earl_jax.metrics.comparison import verdict as verdict_of
+from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
+from earl_jax.report.published import published_score, published_steps
+from earl_jax.report.runs import Curves, MethodRuns, read_methods
+from earl_jax.report.style import new_figure, save
+from earl_jax.report.tables import file_table, markdown_table, millions, write
+
+Row = dict[str, Any]
+PICTURES = (".png", ".pdf", ".svg")
+TABLES = (".md", ".tex", ".csv")
+RULE = (
+    "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
+    "95 %: Student's for a mean, Welch's for a difference. p: the permutation test between runs, Welch's test against the "
+    "paper's five seeds; adjusted by Holm over this table. Detectable: the difference that the test would find with a "
+    "probability of 80 %."
+)
+HEADER = (
+    "task",
+    "first",
+    "second",
+    "steps",
+    "first, mean [95 %]",
+    "second, mean",
+    "difference [95 %]",
+    "p",
+    "adjusted p",
+)
+HEADER += ("verdict", "detectable")
+
+
+def compare(folders: Sequence[Path], against: Literal["runs", "published"] = "runs") -> list[Row]:
+    """Return a row for each pair of methods on a task, or for each method beside its published score.
+
+    Runs of the same task, method and options are pooled. Runs that are shorter than published are not compared; their
+    verdict says so.
+
+    Raises:
+        ValueError: a folder is no run, or there is nothing to compare.
+    """
+    groups = read_methods(folders)
+    rows = _published_rows(groups) if against == "published" else _pair_rows(groups)
+    if not rows:
+        choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
+        raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
+    for row, adjusted in zip(rows, holm([row["p"] for row in rows]), strict=True):
+        row["p_holm"] = float(adjusted)
+        row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
+    return rows
+
+
+def recent_scores(curves: Curves, step: int) -> np.ndarray:
+    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer."""
+    until = curves.steps <= step
+    scores, steps = curves.metrics[curves.deployed_metric][:, until], curves.steps[until]
+    return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[:, -1]
+
+
+def _pair_rows(groups: Sequence[MethodRuns]) -> list[Row]:
+    pairs = [(a, b) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
+    return [_pair_row(first, second) for first, second in pairs]
+
+
+def _pair_row(first: MethodRuns, second: MethodRuns) -> Row:
+    step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
+    scores, others = recent_scores(first.curves, step), recent_scores(second.curves, step)
+    if first.curves.deployed_metric != second.curves.deployed_metric:
+        raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
+    return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
+
+
+def _published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
+    rows = []
+    for group in groups:
+        score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
+        sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
+        if not score or not sample:
+            continue
+        step = int(group.curves.steps[-1])
+        scores = recent_scores(group.curves, step)
+        row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
+        if step < length:
+            row |= {"difference": math.nan, "low": math.nan, "high": math.nan, "p": math.nan, "detectable": math.nan}
+            row["verdict"] = f"not compared at {100 * step / length:.2g} % of the published steps"
+        rows.append(row)
+    return rows
+
+
+def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sample, result: Comparison) -> Row:
+    own = mean_interval(scores)
+    return {
+        "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
+        "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
+        "difference": result.difference, "low": result.low, "high": result.high, "p": result.p, "verdict": "",
+        "detectable": detectable_difference(Sample.of(scores), other),
+    }  # fmt: skip
+
+
+def table_text(rows: Sequence[Row]) -> str:
+    """Return the rows of `compare` as a markdown table with the rule below it."""
+    return f"{markdown_table(HEADER, _lines(rows))}\n\n{RULE}"
+
+
+def write_comparison(rows: Sequence[Row], path: Path) -> Path:
+    """Write the rows of `compare` to `path`, a table (.md, .tex, .csv) or a figure (.png, .pdf, .svg), and return it.
+
+    Raises:
+        ValueError: `path` has another suffix, or matplotlib is not installed.
+    """
+    if path.suffix not in TABLES + PICTURES:
+        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
+    if path.suffix in PICTURES:
+        return save(_draw(rows), path)
+    if path.suffix == ".csv":
+        write(list(rows), path)
+    else:
+        path.write_text(file_table(path, HEADER, _lines(rows), RULE))
+    return path
+
+
+def _lines(rows: Sequence[Row]) -> list[list[str]]:
+    return [
+        [
+            row["env"], f"{row['first']}, {_seeds(row['seeds'])}", f"{row['second']}, {_seeds(row['other_seeds'])}",
+            millions(row["steps"]), _interval(row["mean"], row["mean_low"], row["mean_high"]), _number(row["other_mean"]),
+            _interval(row["difference"], row["low"], row["high"]), _number(row["p"]), _number(row["p_holm"]),
+            row["verdict"], _number(row["detectable"]),
+        ]
+        for row in rows
+    ]  # fmt: skip
+
+
+def _seeds(count: int) -> str:
+    return f"{count} seed{'s' * (count != 1)}"
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
+
+
+def _interval(value: float, low: float, high: float) -> str:
+    return _number(value) if math.isnan(low) else f"{_number(value)} [{_number(low)}, {_number(high)}]"
+
+
+def _draw(rows: Sequence[Row]) -> Any:
+    """Return a figure with the difference and interval of each row, a panel for each task."""
+    rows = [row for row in rows if not math.isnan(row["low"])]
+    if not rows:
+        raise InputError("there is no difference with an interval to draw; runs need two seeds and the published steps")
+    envs = list(dict.fromkeys(row["env"] for row in rows))
+    figure, axes = new_figure(1, len(envs), (5.4 * len(envs), 1.2 + 0.4 * len(rows)))
+    for env, axis in zip(envs, axes[0], strict=True):
+        chosen = [row for row in rows if row["env"] == env]
+        for position, row in enumerate(chosen):
+            reach = [[row["difference"] - row["low"]], [row["high"] - row["difference"]]]
+            clear = row["verdict"] in ("above", "below")
+            axis.errorbar(row["difference"], position, xerr=reach, fmt="o", color="C0" if clear else "0.5", capsize=3)
+        axis.set_yticks(range(len(chosen)), [f"{row['first']} − {row['second']}" for row in chosen], fontsize="small")
+        axis.axvline(0.0, color="black", linewidth=0.8)
+        axis.set(title=env, xlabel="difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
+    return figure

@@ -1,0 +1,89 @@
+"""Comparisons of runs written by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from earl_jax.report.comparison import compare, table_text, write_comparison
+from earl_jax.report.published import PublishedScore
+from tests.report.run_files import DOOR, KITCHEN, TABLETOP, constant, count_pixels, read_csv, write_run
+
+BAD, GOOD = (0.0, 0.1, 0.0, 0.1, 0.05), (0.9, 1.0, 0.95, 0.9, 1.0)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two methods that differ on tabletop, one of which ran longer, and one method of another task."""
+    root = tmp_path_factory.mktemp("compare")
+    longer = np.hstack([constant(*GOOD), constant(0.0, 0.0, 0.0, 0.0, 0.0)])
+    return [
+        write_run(root / "naive", TABLETOP, "naive", constant(*BAD)),
+        write_run(root / "fbrl", TABLETOP, "fbrl", longer),
+        write_run(root / "door", DOOR, "fbrl", constant(*GOOD)),
+    ]
+
+
+def test_methods_are_compared_at_the_last_step_that_both_have(folders):
+    [row] = compare(folders)
+    assert (row["env"], row["first"], row["second"]) == (TABLETOP, "naive", "fbrl")
+    assert row["steps"] == 20
+    assert row["difference"] == pytest.approx(np.mean(BAD) - np.mean(GOOD))
+    assert row["low"] < row["difference"] < row["high"] < 0
+    assert row["p"] == row["p_holm"] == pytest.approx(2 / 252)
+    assert row["verdict"] == "below"
+    assert 0 < row["detectable"] < abs(row["difference"])
+
+
+def test_p_is_adjusted_for_all_comparisons_of_a_table(folders, tmp_path):
+    more = [write_run(tmp_path / name, TABLETOP, name, constant(*BAD)) for name in ("r3l", "oracle")]
+    rows = compare([*folders, *more])
+    assert len(rows) == 6
+    assert {row["verdict"] for row in rows if "fbrl" in (row["first"], row["second"])} == {"above", "below"}
+    assert {row["verdict"] for row in rows if "fbrl" not in (row["first"], row["second"])} == {"cannot tell"}
+    assert max(row["p_holm"] for row in rows) == 1.0
+    assert min(row["p_holm"] for row in rows) == pytest.approx(6 * 2 / 252)
+
+
+def test_runs_that_are_shorter_than_published_are_not_compared_with_the_published_score(folders, tmp_path):
+    rows = compare(folders, against="published")
+    assert len(rows) == 3
+    assert all(math.isnan(row["p"]) and row["verdict"].startswith("not compared at 0.0") for row in rows)
+    whole = write_run(tmp_path / "a", TABLETOP, "naive", constant(*GOOD), steps=[1_250_000, 2_500_000])
+    [row] = compare([whole], against="published")
+    assert row["second"] == "published 0.32 (0.17)"
+    assert row["difference"] == pytest.approx(0.95 - 0.32)
+    assert 0.01 < row["p"] < 0.05, "the five published seeds vary too: Welch's test has hardly more than four degrees"
+
+
+def test_published_errors_are_those_of_a_sample():
+    sample = PublishedScore("0.32", "0.17").sample
+    assert sample is not None
+    assert (sample.mean, sample.seeds) == (0.32, 5)
+    assert sample.stderr == pytest.approx(0.17 * math.sqrt(5 / 4))
+    exact = PublishedScore("1.00", "0.00").sample
+    assert exact is not None
+    assert exact.stderr == pytest.approx(0.005 * math.sqrt(5 / 4)), "0.00 is rounded"
+    assert PublishedScore("<0.001", "-").sample is PublishedScore("-", "-").sample is None
+
+
+def test_nothing_to_compare_is_refused(folders, tmp_path):
+    with pytest.raises(ValueError, match="nothing to compare; compare needs runs of two methods on one task"):
+        compare(folders[::2])
+    dense = write_run(tmp_path / "a", KITCHEN, "naive", constant(1.0), env_options={"reward_type": "sparse"})
+    with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
+        compare([dense], against="published")
+    with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
+        write_comparison(compare(folders), tmp_path / "a.xlsx")
+
+
+def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
+    rows = compare(folders)
+    assert "| naive, 5 seeds | fbrl, 5 seeds |" in table_text(rows)
+    assert read_csv(write_comparison(rows, tmp_path / "a.csv"))[0]["verdict"] == "below"
+    assert "adjusted by Holm" in write_comparison(rows, tmp_path / "a.md").read_text()
+    tex = write_comparison(rows, tmp_path / "a.tex").read_text()
+    assert r"tabletop\_organization & naive, 5 seeds & fbrl, 5 seeds" in tex
+    assert r"[95 \%]" in tex
+    assert tex.startswith("% Scores are means")
+    assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
