@@ -106,17 +106,17 @@ def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
 def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
     """Return the report on one file of recordings."""
     episodes = read(file).episodes()
-    env = make(name, physics=engine, substeps=substeps)
+    env = make(name, engine=engine, substeps=substeps)
     if not isinstance(env, Sawyer):
         raise ValueError(f"{name} is not a Sawyer task; the tests in tests/envs replay its recordings")
     forward = bool(np.abs(episodes[0].observations[0, 7:] - env.goal_states[0]).max() < 1e-4)
-    env = make(name, physics=engine, substeps=substeps, reset_at_goal=not forward)
+    env = make(name, engine=engine, substeps=substeps, reset_at_goal=not forward)
     fresh = np.asarray(env.reset(jax.random.key(0)).obs)
     results = [compare(env, episode, obs) for episode, obs in zip(episodes, play(env, episodes), strict=True)]
     errors = np.concatenate([result["errors"] for result in results])
     reset_error = max(float(np.abs(fresh[:4] - episode.observations[0, :4]).max()) for episode in episodes)
     return {
-        "env": name, "file": file.name, "engine": env.engine, "substeps": substeps,
+        "env": name, "file": file.name, "engine": env.resolved_engine, "substeps": substeps,
         "direction": "forward" if forward else "backward", "episodes": len(results),
         "successes_by_end": sum(result["by_end"] for result in results),
         "successes_within_hold": sum(result["offset"] is not None for result in results),

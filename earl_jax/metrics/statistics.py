@@ -44,11 +44,11 @@ def iqm(scores: Any, axis: int | None = None) -> Any:
     """Return the interquartile mean of `scores`: the mean without the lowest and the highest quarter."""
     xp = namespace_of(scores)
     scores = xp.asarray(scores)
-    scores, axis = (scores.ravel(), 0) if axis is None else (scores, axis % scores.ndim)
-    low = scores.shape[axis] // 4
-    high = scores.shape[axis] - low
-    ordered = np.partition(scores, (low, high - 1), axis) if xp is np else xp.sort(scores, axis)
-    return xp.mean(ordered[(*[slice(None)] * axis, slice(low, high))], axis=axis)
+    scores, position = (scores.ravel(), 0) if axis is None else (scores, axis % scores.ndim)
+    low = scores.shape[position] // 4
+    high = scores.shape[position] - low
+    ordered = np.partition(scores, (low, high - 1), position) if xp is np else xp.sort(scores, position)
+    return xp.mean(ordered[(*[slice(None)] * position, slice(low, high))], axis=position)
 
 
 def bootstrap(scores: Any, statistic=iqm, level: float = 0.95, seed: int = 0) -> tuple[Any, Any]:

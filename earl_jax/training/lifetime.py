@@ -1,5 +1,7 @@
 """A whole lifetime as a pure function, for `jit`, `vmap` or a notebook."""
 
+import numbers
+
 import jax
 import jax.numpy as jnp
 
@@ -51,9 +53,9 @@ def _static_steps(problem: Problem, steps: int | None) -> int:
     steps = problem.steps if steps is None else steps
     if steps is None:
         raise InputError("a lifetime needs a number of steps: Problem(env, protocol, steps=...)")
-    if isinstance(steps, jax.core.Tracer):
+    if not isinstance(steps, numbers.Integral):
         raise InputError(
-            "under jit, the steps of a lifetime are static: use Problem(env, protocol, steps=...), or "
+            "the steps of a lifetime are a whole number, and static under jit: use Problem(env, protocol, steps=...), or "
             'jax.jit(lifetime, static_argnames="steps")'
         )
     return steps

@@ -15,7 +15,9 @@ RUNS, SEEDS = 3, 9
 STEPS = np.array([10, 30, 40])
 METRICS = {
     "regret": lambda curves, others: regret(STEPS, curves, 1.0),
-    "scores": lambda curves, others: lifetime_scores(STEPS, {"success": curves, "continuing/reward": others}, "success"),
+    "scores": lambda curves, others: lifetime_scores(
+        STEPS, {"success": curves, "continuing/reward": others}, "success"
+    ),
     "iqm": lambda curves, others: (iqm(curves), iqm(curves, axis=0), iqm(curves, axis=-1)),
     "stderr": lambda curves, others: stderr(curves),
     "bootstrap": lambda curves, others: (bootstrap(curves), bootstrap(curves[:, 0], level=0.8, seed=3)),

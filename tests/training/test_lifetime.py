@@ -58,5 +58,5 @@ def test_steps_that_are_missing_or_traced_are_refused(problem):
     method, keys = make_algo("naive"), seed_keys(range(2))
     with pytest.raises(ValueError, match="needs a number of steps"):
         lifetime(problem, method, keys)
-    with pytest.raises(ValueError, match=r"the steps of a lifetime are static: use Problem.*static_argnames"):
+    with pytest.raises(ValueError, match=r"static under jit: use Problem.*static_argnames"):
         jax.jit(lifetime)(problem, method, keys, 120)
