@@ -68,13 +68,13 @@ def longest_run(success: np.ndarray) -> np.ndarray:
 
 def measure(engine: str, substeps: int, count: int, steps: int, seed: int) -> dict[str, Any]:
     """Return lifts, holds, heights and returns of every policy on `engine`."""
-    env = dataclasses.replace(make("dhand_lightbulb", physics=engine, substeps=substeps), eval_horizon=steps)
+    env = dataclasses.replace(make("dhand_lightbulb", engine=engine, substeps=substeps), eval_horizon=steps)
     began = time.perf_counter()
     episodes = run_episodes(env, start_states(env, count, seed), steps, seed)
     lifted, held = episodes["height"].max(axis=0) > REST + LIFTED, longest_run(episodes["success"]) >= HOLD
     returns, named = episodes["reward"].sum(axis=0), len(OFFSETS)
     report: dict[str, Any] = {
-        "env": env.name, "engine": env.engine, "substeps": substeps, "steps": steps, "seed": seed,
+        "env": env.name, "engine": env.resolved_engine, "substeps": substeps, "steps": steps, "seed": seed,
         "documented_starts": named, "random_starts": count,
         "lifts": int(lifted[2, :named].sum()), "holds": int(held[2, :named].sum()),
         "random_lifts": int(lifted[2, named:].sum()), "random_holds": int(held[2, named:].sum()),

@@ -71,8 +71,8 @@ def subjects(root: Path) -> dict[str, Subject]:
     every = [
         training("fbrl", table, "fbrl", 800, []),
         training("vaprl", table, "vaprl", 800, ["refresh_every=40", "value_samples=2"]),
-        training("door", "sawyer_door", "fbrl", 400, ["eval_horizon=40"], "--physics", "c"),
-        training("peg", "sawyer_peg", "fbrl", 400, ["eval_horizon=40"], "--physics", "c"),
+        training("door", "sawyer_door", "fbrl", 400, ["eval_horizon=40"], "--engine", "c"),
+        training("peg", "sawyer_peg", "fbrl", 400, ["eval_horizon=40"], "--engine", "c"),
         training("budget", table, "fbrl", 800, ["budget=5", "intervention_chance=0.01"], "--setting", "continuing"),
         Subject("sweep", ("sweep", str(grid)), repeated=True),
         Subject("reproduce", ("reproduce", "table1", "--steps", "400"), repeated=True),

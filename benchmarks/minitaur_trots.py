@@ -47,7 +47,7 @@ def stance(extension: float, steps: int) -> np.ndarray:
 
 def play(engine: str, actions: np.ndarray, substeps: int = 5) -> np.ndarray:
     """Return qpos [lanes, steps, 23] of the nominal robot under `actions [lanes, steps, 8]`, one lane each."""
-    env = make("minitaur_pen", physics=engine, randomize=False, substeps=substeps)
+    env = make("minitaur_pen", engine=engine, randomize=False, substeps=substeps)
     state = env.reset(jax.random.key(0))
 
     def step(state, action):

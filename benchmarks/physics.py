@@ -33,7 +33,7 @@ MIN_SECONDS = 1.0
 
 def make_task(name: str, engine: str, substeps: int | None) -> Any:
     """Return the task `name` on `engine`, with its own `substeps` if they are None."""
-    return make(name, physics=engine, **({"substeps": substeps} if substeps else {}))
+    return make(name, engine=engine, **({"substeps": substeps} if substeps else {}))
 
 
 def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: int) -> dict[str, Any]:

@@ -118,7 +118,7 @@ def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
 def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
     """Return the report on one file of recordings."""
     episodes = read(file).episodes()
-    env = make(name, physics=engine, substeps=substeps)
+    env = make(name, engine=engine, substeps=substeps)
     if not isinstance(env, Sawyer):
         raise ValueError(f"{name} is not a Sawyer task; the tests in tests/envs replay its recordings")
     forward = bool(np.abs(episodes[0].observations[0, 7:] - env.goal_states[0]).max() < 1e-4)
@@ -126,7 +126,7 @@ def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, A
     errors = np.concatenate([result["errors"] for result in results])
     reset_error = max(_reset_error(env, episode.observations[0]) for episode in episodes)
     return {
-        "env": name, "file": file.name, "engine": env.engine, "substeps": substeps,
+        "env": name, "file": file.name, "engine": env.resolved_engine, "substeps": substeps,
         "direction": "forward" if forward else "backward", "episodes": len(results),
         "successes_by_end": sum(result["by_end"] for result in results),
         "successes_within_hold": sum(result["offset"] is not None for result in results),

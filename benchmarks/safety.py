@@ -107,7 +107,7 @@ def run(name: str, steps: int, lanes: int, engine: str, substeps: int | None) ->
         past, reach = np.maximum(past, limit_excess(model, qpos)), max(reach, largest_distance(model, qpos))
         update_penetration(model, data, qpos, worst, counts)
     return {
-        "env": name, "engine": env.engine, "substeps": env.substeps, "steps": steps, "lanes": lanes,
+        "env": name, "engine": env.resolved_engine, "substeps": env.substeps, "steps": steps, "lanes": lanes,
         "not_finite": broken, "faults": faults,
         "worst_penetration_mm": round(max(worst.values(), default=0.0), 2),
         "contacts_over_limit": int(sum(counts.values())),

@@ -48,7 +48,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     rate = steps / statistics.median(times[1:])
     return {
-        "env": name, "engine": problem.env.engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "env": name, "engine": problem.env.resolved_engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
         "steps_per_s": round(rate, 1),
         "lane_steps_per_s": round(rate * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip

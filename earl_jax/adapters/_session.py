@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.envs import Env, State, make
+from earl_jax.envs import Env, State, current_options, make
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError
 from earl_jax.protocol import (
@@ -269,7 +269,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
                 f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
             )
         return task
-    known = [field.name for field in dataclasses.fields(make(task))]
+    known, options = [field.name for field in dataclasses.fields(make(task))], current_options(task, options)
     for option in options:
         if option not in known:
             own = "mode, setting, attempt_steps"

@@ -100,7 +100,7 @@ class ResetFreeEnv(EarlierNames, BraxEnv):
     @property
     def backend(self) -> str:
         """The physics engine's name, or `kinematic`."""
-        return self.session.env.engine
+        return self.session.env.resolved_engine
 
 
 LifeEnv = ResetFreeEnv

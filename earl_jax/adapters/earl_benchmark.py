@@ -53,7 +53,7 @@ class EARLEnvs:
             setup_as_lifelong_learning: only a train env, whose goal changes every `goal_change_frequency` steps.
             options: the original's `train_horizon`, `eval_horizon`, `num_initial_state_samples`,
                 `goal_change_frequency`, `wide_init_distr` (only tabletop uses it, as in the original) and
-                `kitchen_task`, and options of the task such as `physics`.
+                `kitchen_task`, and options of the task such as `engine`.
 
         Raises:
             ValueError: an unknown name or option (the original ignores unknown options), or one that this task lacks.

@@ -62,7 +62,7 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
             width: width of a picture in pixels.
             height: height of a picture in pixels.
             options: `mode`; `setting`: `deployment`, `continuing`, or an object of `earl_jax.protocol` with its own
-                interventions and budget; `attempt_steps`; and options of the task: `reward_type`, `physics`,
+                interventions and budget; `attempt_steps`; and options of the task: `reward_type`, `engine`,
                 `train_horizon` and so on.
 
         Raises:

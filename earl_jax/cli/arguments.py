@@ -10,8 +10,11 @@ from earl_jax.time_limit import TimeLimit
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
-Physics = Annotated[
-    str | None, tyro.conf.arg(help="Physics engine of a MuJoCo task: auto, mjx, warp or c. Other tasks have none.")
+Engine = Annotated[
+    str | None,
+    tyro.conf.arg(
+        aliases=["--physics"], help="Physics engine of a MuJoCo task: auto, mjx, warp or c. Other tasks have none."
+    ),
 ]
 Set = Annotated[
     tuple[str, ...], tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from earl_jax.cli.arguments import Physics, Positional
+from earl_jax.cli.arguments import Engine, Positional
 from earl_jax.errors import InputError
 
 
-def demos(env: Positional[str], out: Path, seed: int = 0, physics: Physics = None) -> None:
+def demos(env: Positional[str], out: Path, seed: int = 0, engine: Engine = None) -> None:
     """Record demonstrations of a task with its scripted expert.
 
     Args:
@@ -17,7 +17,7 @@ def demos(env: Positional[str], out: Path, seed: int = 0, physics: Physics = Non
     from earl_jax import envs
     from earl_jax.demos import scripted
 
-    task = envs.with_physics(envs.make(env), physics)
+    task = envs.with_engine(envs.make(env), engine)
     scripted.save(scripted.make(task, seed), out)
     print(out)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import JSON, Physics, Positional, emit
+from earl_jax.cli.arguments import JSON, Engine, Positional, emit
 
 
 def list_(json: JSON = False) -> None:
@@ -19,7 +19,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     starts: Literal["initial", "uniform"] = "initial",
-    physics: Physics = None,
+    engine: Engine = None,
     json: JSON = False,
 ) -> None:
     """Evaluate the newest policies of a run on fresh greedy episodes.
@@ -32,7 +32,7 @@ def evaluate(
     """
     from earl_jax import training
 
-    metrics = training.evaluate(folder, episodes, seed, physics, starts)
+    metrics = training.evaluate(folder, episodes, seed, engine, starts)
     lines = [
         f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in metrics.items()
     ]

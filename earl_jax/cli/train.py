@@ -6,10 +6,10 @@ from typing import Any, Literal
 from earl_jax.cli.arguments import (
     JSON,
     Devices,
+    Engine,
     Hosts,
     Logs,
     Minutes,
-    Physics,
     Positional,
     Set,
     emit,
@@ -28,7 +28,7 @@ def train(
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
     setting: Literal["deployment", "continuing"] = "deployment",
-    physics: Physics = None,
+    engine: Engine = None,
     devices: Devices = None,
     hosts: Hosts = None,
     minutes: Minutes = None,
@@ -58,7 +58,7 @@ def train(
 
     join_hosts(hosts)
     task, built_setting, options = api.split_options(env, {"setting": setting, **parse_options(set)})
-    task = envs.with_physics(task, physics)
+    task = envs.with_engine(task, engine)
     result = api.train(
         task,
         algos.method_for(task, algo, **options),
@@ -109,7 +109,7 @@ def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     from earl_jax.training.stopping import resume_command
 
     values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
-    values = {"out": str(out), **values, "stopped": not result.finished}
+    values = {"out": str(out), "engine": result.engine, **values, "stopped": not result.finished}
     if not result.finished:
         command = resume_command(out)
         values |= {"step": result.step, "resume": command}

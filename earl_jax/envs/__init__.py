@@ -16,11 +16,12 @@ __all__ = [
     "HelpBudget",
     "MujocoEnv",
     "State",
+    "current_options",
     "env_class",
     "list_envs",
     "make",
     "register_env",
-    "with_physics",
+    "with_engine",
 ]
 
 PAPER_TASKS = (
@@ -32,6 +33,8 @@ PAPER_TASKS = (
     "minitaur_pen",
 )
 """The six tasks of the paper, in its order."""
+FORMER_OPTIONS = {"physics": "engine"}
+"""Earlier names of options of tasks, which still work."""
 
 _ENVS = Registry(
     "env",
@@ -77,10 +80,26 @@ def make(name: str, **options) -> Env:
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
-    return _ENVS.build(name, options)
+    return _ENVS.build(name, current_options(name, options))
 
 
-def with_physics(env: Env, engine: str | None) -> Env:
+def current_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return `options` of the task `name`, with the names of earlier versions (`FORMER_OPTIONS`) replaced.
+
+    Raises:
+        ValueError: an option is given under both names, or the task as in `env_class`.
+    """
+    fields = {field.name for field in dataclasses.fields(env_class(name))}
+    renamed = {
+        old: new for old, new in FORMER_OPTIONS.items() if old in options and old not in fields and new in fields
+    }
+    for old, new in renamed.items():
+        if new in options:
+            raise InputError(f"{old} is the earlier name of {new}: pass {new} alone")
+    return {renamed.get(option, option): value for option, value in options.items()}
+
+
+def with_engine(env: Env, engine: str | None) -> Env:
     """Return `env` with the physics engine `engine`, or unchanged for None.
 
     Raises:
@@ -90,13 +109,17 @@ def with_physics(env: Env, engine: str | None) -> Env:
     if engine is None:
         return env
     if isinstance(env, HelpBudget):
-        return dataclasses.replace(env, task=with_physics(env.task, engine))
-    if "physics" not in {field.name for field in dataclasses.fields(env)}:
+        return dataclasses.replace(env, task=with_engine(env.task, engine))
+    if "engine" not in {field.name for field in dataclasses.fields(env)}:
         raise InputError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
-    return dataclasses.replace(env, **{"physics": engine})
+    return dataclasses.replace(env, **{"engine": engine})
+
+
+_RENAMED = {"Helped": HelpBudget, "with_physics": with_engine}
+"""Earlier names, which still work."""
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Helped":  # the earlier name of HelpBudget
-        return HelpBudget
+    if name in _RENAMED:
+        return _RENAMED[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -79,8 +79,13 @@ class Env(abc.ABC):
 
     @property
     def engine(self) -> str:
-        """The physics engine's name, or `kinematic` for a task without a physics engine."""
+        """The physics engine as chosen: its name, `auto`, or `kinematic` for a task without a physics engine."""
         return "kinematic"
+
+    @property
+    def resolved_engine(self) -> str:
+        """The physics engine that steps this task, with `auto` replaced by the default for few lanes."""
+        return self.engine
 
     @property
     def step_seconds(self) -> float:

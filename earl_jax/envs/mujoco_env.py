@@ -18,38 +18,43 @@ SUBSTEPS = options.Interval("[1, 1000]")
 
 @dataclasses.dataclass(frozen=True)
 class MujocoEnv(Env):
-    """A task with a MuJoCo model: `physics` names its engine; a control step has `substeps` physics steps.
+    """A task with a MuJoCo model: `engine` is `auto`, `mjx`, `c` or `warp`; a control step has `substeps` physics steps.
 
     The model is `assets/mjcf/<name>.xml`, unless `model` names another. A task writes `reset`, `control`, `observe`,
     `success` and `reward`.
     """
 
-    physics: str = "auto"
+    engine: str = "auto"
     substeps: int = 1
 
     control_step: ClassVar[float]
     """Duration of a control step, seconds."""
     engine_cost: ClassVar[EngineCost | None] = None
-    """Measured costs, from which `physics="auto"` chooses an engine; None chooses the backend's default engine."""
+    """Measured costs, from which `engine="auto"` chooses an engine; None chooses the backend's default engine."""
 
     def __post_init__(self):
         super().__post_init__()
         options.require("substeps", self.substeps, SUBSTEPS)
-        if self.physics != "auto":
-            resolve_engine(self.physics)
+        if self.engine != "auto":
+            resolve_engine(self.engine)
 
     @property
-    def engine(self) -> str:
-        return resolve_engine(self.physics)
+    def resolved_engine(self) -> str:
+        return resolve_engine(self.engine)
+
+    @property
+    def physics(self) -> str:
+        """The earlier name of `engine`."""
+        return self.engine
 
     @property
     def step_seconds(self) -> float:
         return self.control_step
 
     def for_lanes(self, lanes: int) -> "MujocoEnv":
-        if self.physics != "auto":
+        if self.engine != "auto":
             return self
-        return dataclasses.replace(self, physics=fastest_engine(self.engine_cost, lanes))
+        return dataclasses.replace(self, engine=fastest_engine(self.engine_cost, lanes))
 
     @property
     def model(self) -> str:
@@ -73,7 +78,7 @@ class MujocoEnv(Env):
             model=self.model,
             timestep=self.control_step / self.substeps,
             substeps=self.substeps,
-            engine=self.engine,
+            engine=self.resolved_engine,
             actuator=self.actuator,
             varied=self.varied,
         )

@@ -1,11 +1,13 @@
 """The paper's three scores of a whole lifetime.
 
 Source: Sharma et al. 2022, section 3.1: deployed and continuing policy evaluation.
+
+Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are of the same kind.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
+from earl_jax.metrics.namespace import namespace_of
 
 
 class Scores(NamedTuple):
@@ -15,26 +17,26 @@ class Scores(NamedTuple):
     [N]`: C(A), the task reward per step of the lifetime.
     """
 
-    final: np.ndarray
-    deployed: np.ndarray
-    continuing: np.ndarray
+    final: Any
+    deployed: Any
+    continuing: Any
 
 
-def lifetime_scores(steps: np.ndarray, metrics: dict[str, np.ndarray], metric: str) -> Scores:
+def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
     """Return the scores of lanes evaluated at `steps [E]`, from `metrics` [N, E]; `metric` names the deployed one."""
     scores = metrics[metric]
     return Scores(scores[:, -1], deployed_area(steps, scores), metrics["continuing/reward"][:, -1])
 
 
-def deployed_area(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
+def deployed_area(steps: Any, scores: Any) -> Any:
     """Return the area per step [...] under deployed curves `scores [..., E]`.
 
     Each evaluation is weighted by the steps since the previous one. The paper sums J_D(pi_t) over every t, which would
     need an evaluation at every step.
     """
-    return (scores * np.diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
+    return (scores * namespace_of(steps).diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
 
 
-def regret(steps: np.ndarray, scores: np.ndarray, best: float) -> np.ndarray:
+def regret(steps: Any, scores: Any, best: float) -> Any:
     """Return the paper's D(A) [...]: the sum of J_D(pi*) - J_D(pi_t) over all steps; `best` is J_D(pi*)."""
     return (best - deployed_area(steps, scores)) * steps[-1]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs import Env, State, list_envs, make, with_physics
+from earl_jax.envs import Env, State, list_envs, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.options import require
 from earl_jax.runs.config import SEED
@@ -63,7 +63,7 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Ac
     if not from_run and str(source) not in list_envs():
         raise InputError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
     env, policy = _trained(Path(source), seed) if from_run else (make(str(source)), None)
-    actors = _actors(env if env.engine == "kinematic" else with_physics(env, "c"), policy, seed)
+    actors = _actors(env if env.engine == "kinematic" else with_engine(env, "c"), policy, seed)
     chosen = acting or next(iter(actors))
     if chosen not in actors:
         raise InputError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")

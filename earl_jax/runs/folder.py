@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.envs import current_options
 from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
@@ -102,7 +103,7 @@ class RunFolder:
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
             inside(path, name)
         try:
-            values = json.loads(read_bytes(file, LARGEST_CONFIG))
+            values = _with_current_names(json.loads(read_bytes(file, LARGEST_CONFIG)))
             for name in ("seeds", "logs"):
                 if not isinstance(values.get(name, []), list):
                     raise InputError(f"{name} must be a list")
@@ -148,6 +149,12 @@ class RunFolder:
                 text = json.dumps({**self._config_values(), "steps": steps}, indent=2) + "\n"
                 write_atomically(self.config_file, text)
         return dataclasses.replace(self, config=config)
+
+    def record_engine(self, engine: str) -> None:
+        """Write the physics `engine` of the program that trains this run to config.json, unless it is there."""
+        values = self._config_values()
+        if values.get("engine") != engine:
+            write_atomically(self.config_file, json.dumps({**values, "engine": engine}, indent=2) + "\n")
 
     def _config_values(self) -> dict[str, Any]:
         return json.loads(read_bytes(self.config_file, LARGEST_CONFIG))
@@ -245,6 +252,14 @@ def _existing(path: Path, overwrite: bool) -> bytes | None:
             f"{path} exists and is not an empty folder: it holds {names}; move it away, or choose another folder"
         )
     return read_bytes(path / CONFIG) if (path / CONFIG).is_file() else None
+
+
+def _with_current_names(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of config.json with the current names of options; a task that is not registered keeps its own."""
+    try:
+        return {**values, "env_options": current_options(values["env"], values["env_options"])}
+    except (KeyError, TypeError, ValueError):
+        return values
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:

@@ -36,7 +36,7 @@ def claimed(path: Path, run: Run, logs: Sequence[str] = ()) -> Iterator[RunFolde
         OSError: the folder cannot be written to.
     """
     if not has_results(path):
-        RunFolder.create(path, run.config, run.env.engine, logs)
+        RunFolder.create(path, run.config, run.env.resolved_engine, logs)
     folder = open_folder(path, run.config)
     check_logs(folder.logs)
     with folder.claimed():

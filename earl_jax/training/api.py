@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from earl_jax.algos import Method, method_for
-from earl_jax.envs import Env, make
+from earl_jax.envs import Env, current_options, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
@@ -32,7 +32,8 @@ RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": 
 class Result:
     """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`.
 
-    After a time limit they end early (`finished` is False). Before the first evaluation, `metrics` is empty.
+    `engine` names the physics engine that stepped the task, or is `kinematic`. After a time limit they end early
+    (`finished` is False). Before the first evaluation, `metrics` is empty.
     """
 
     config: RunConfig
@@ -42,6 +43,7 @@ class Result:
     steps: np.ndarray
     metrics: dict[str, np.ndarray]
     train_state: TrainState
+    engine: str
 
     def __getattr__(self, name: str) -> Any:
         if name in RENAMED_RESULTS:
@@ -98,6 +100,7 @@ def train(
     algo: str | Method,
     *,
     setting: str | Setting = Deployment.name,
+    engine: str | None = None,
     seeds: int | Sequence[int] = 5,
     steps: int = 100_000,
     eval_every: int = 10_000,
@@ -117,6 +120,7 @@ def train(
         env: a name of `list_envs()` or an `Env`, which need not be registered.
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
         setting: `deployment`, `continuing`, or a `Setting` object with its own interventions and budget.
+        engine: the physics engine of a MuJoCo task: `auto`, `mjx`, `c` or `warp`; by default that of `env`.
         seeds: the number of seeds (0, 1, ...), or a list of them. The randomness of a seed depends on no other seed;
             with another number of seeds in the program, its results agree to rounding.
         steps: training steps of each seed.
@@ -140,7 +144,8 @@ def train(
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     limit = TimeLimit.of(minutes)
-    task, method, resolved = _resolve_objects(env, algo, setting, options)
+    task = make(env) if isinstance(env, str) else env
+    task, method, resolved = _resolve_objects(with_engine(task, engine), algo, setting, options)
     config = RunConfig.from_objects(
         task,
         method,
@@ -153,17 +158,17 @@ def train(
     )
     run = Run.resolve(config, task, method, resolved)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
-    run.folder = _create_folder(out, run, logs, overwrite)
+    run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
 
 
 def _resolve_objects(
-    env: str | Env, algo: str | Method, setting: str | Setting, options: dict[str, Any]
+    env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any]
 ) -> tuple[Env, Method, Setting]:
     """Return the environment, with help if the setting has a budget, the method and the setting. Errors as `train`."""
     setting = setting_of(setting) if isinstance(setting, str) else setting
-    task, setting = split_setting(make(env) if isinstance(env, str) else env, setting)
+    task, setting = split_setting(env, setting)
     wrapped = setting.wrap(task)
     method = method_for(wrapped, algo, **options) if isinstance(algo, str) else _without_options(algo, options)
     return wrapped, method, setting
@@ -222,10 +227,13 @@ def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> R
         steps=steps,
         metrics=metrics,
         train_state=train_state,
+        engine=plan.engine,
     )
 
 
-def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log], overwrite: bool) -> RunFolder | None:
+def _create_folder(
+    out: str | Path | None, run: Run, engine: str, logs: Sequence[str | Log], overwrite: bool
+) -> RunFolder | None:
     """Return the new folder of a run, or None without `out`; raise a ValueError before if a log can't be opened."""
     check_logs(logs)
     names = tuple(log for log in logs if isinstance(log, str))
@@ -237,7 +245,7 @@ def _create_folder(out: str | Path | None, run: Run, logs: Sequence[str | Log], 
     path = Path(out)
     if not first_host():
         return RunFolder(path, run.config, names)
-    return RunFolder.create(path, run.config, run.env.engine, names, overwrite)
+    return RunFolder.create(path, run.config, engine, names, overwrite)
 
 
 def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
@@ -246,7 +254,7 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     Raises:
         ValueError: the task or the setting is unknown, or one of their options is invalid.
     """
-    rest = dict(options)
+    rest = current_options(env, options)
     name = rest.pop("setting", Deployment.name)
     known = {field.name for field in dataclasses.fields(setting_of(name))}
     setting_options = {option: rest.pop(option) for option in list(rest) if option in known}

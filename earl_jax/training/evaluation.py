@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import with_physics
+from earl_jax.envs import with_engine
 from earl_jax.envs.state import all_finite
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
@@ -49,7 +49,7 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
 
 
 def evaluate(
-    folder: str | Path, episodes: int = 100, seed: int = 0, physics: str | None = None, starts: str = "initial"
+    folder: str | Path, episodes: int = 100, seed: int = 0, engine: str | None = None, starts: str = "initial"
 ) -> dict[str, np.ndarray]:
     """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, on new episodes.
 
@@ -57,7 +57,7 @@ def evaluate(
         folder: a run folder with policies.npz or a checkpoint.
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
-        physics: an engine to use instead of the run's own.
+        engine: a physics engine to use instead of the run's own.
         starts: `initial` for s0 ~ rho, or `uniform` over the whole workspace (figure 5 of the paper), if the task has
             that.
 
@@ -69,7 +69,7 @@ def evaluate(
     require("episodes", episodes, EPISODES)
     require("seed", seed, SEED)
     env, policies = load_policies(RunFolder.open(Path(folder)))
-    env = with_physics(env, physics)
+    env = with_engine(env, engine)
 
     def evaluate_policy(policy):
         start = env.reset_uniform if starts == "uniform" else env.reset

@@ -1,9 +1,12 @@
 """A whole lifetime as a pure function, for `jit`, `vmap` or a notebook."""
 
+import numbers
+
 import jax
 import jax.numpy as jnp
 
 from earl_jax.algos import Method
+from earl_jax.errors import InputError
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, Span, per_lane, prepare
@@ -11,18 +14,24 @@ from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState
 
 
-def lifetime(problem: Problem, method: Method, keys: jax.Array, steps: int) -> tuple[TrainState, dict[str, jax.Array]]:
+def lifetime(
+    problem: Problem, method: Method, keys: jax.Array, steps: int | None = None
+) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the final train state and the metrics [N, E] of whole lifetimes of `steps` steps, without side effects.
 
+    `jax.jit(lifetime)(problem, method, keys)` is one program for each problem.
+
     Args:
-        problem: the environment and its protocol (static).
+        problem: the environment, its protocol, and the steps (static).
         method: the method, with scalar leaves or leaves [N].
         keys: typed PRNG keys [N], one for each seed.
-        steps: training steps, a multiple of the protocol's `eval_every`.
+        steps: training steps, a multiple of the protocol's `eval_every`; by default those of the problem. Under `jit`
+            it is a static argument.
 
     Raises:
-        ValueError: `steps` and the protocol are inconsistent, or as `prepare`.
+        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, or as `prepare`.
     """
+    steps = _static_steps(problem, steps)
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)
@@ -37,6 +46,19 @@ def lifetime(problem: Problem, method: Method, keys: jax.Array, steps: int) -> t
     )
     curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
     return state, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
+
+
+def _static_steps(problem: Problem, steps: int | None) -> int:
+    """Return `steps`, by default those of `problem`. Errors as `lifetime`."""
+    steps = problem.steps if steps is None else steps
+    if steps is None:
+        raise InputError("a lifetime needs a number of steps: Problem(env, protocol, steps=...)")
+    if not isinstance(steps, numbers.Integral):
+        raise InputError(
+            "the steps of a lifetime are a whole number, and static under jit: use Problem(env, protocol, steps=...), or "
+            'jax.jit(lifetime, static_argnames="steps")'
+        )
+    return steps
 
 
 def _window(plan: Plan, method: Method, state: TrainState, start: int) -> tuple[TrainState, dict[str, jax.Array]]:

@@ -40,6 +40,11 @@ class Plan:
     mesh: Mesh | None
     memory: memory.Need
 
+    @property
+    def engine(self) -> str:
+        """The name of the physics engine that steps the task, or `kinematic`."""
+        return self.problem.env.resolved_engine
+
     def spans(self, start: int) -> list[Span]:
         """Return the chunks from step `start`, a multiple of `chunk`, to the next evaluation."""
         every = self.problem.protocol.eval_every

@@ -145,13 +145,24 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
     keep_programs()
     method = placed(mix_methods([run.method for run in runs]), plan.mesh)
     with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
+        for run in runs:
+            if run.folder and first_host():
+                run.folder.record_engine(plan.engine)
         state = _restore_or_init(plan, method, runs)
         step = int(gathered(state.step))
         for run in runs:
             stack.enter_context(run.logged(step))
         bar = stack.enter_context(_progress(plan, runs, step, progress))
         bar.message(str(plan.memory))
+        if plan.engine != "kinematic":
+            bar.message(_engine_text(plan, runs[0].env.engine))
         return _train_to_end(plan, method, runs, state, step, bar, stop)
+
+
+def _engine_text(plan: Plan, wanted: str) -> str:
+    """Return the line that names the physics engine of a program; `wanted` is the engine asked for."""
+    reason = f", which auto takes for {plan.lanes} lanes on this {jax.default_backend()} machine"
+    return f"physics engine: {plan.engine}{reason if wanted == 'auto' else ''}"
 
 
 def _train_to_end(

@@ -67,12 +67,17 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
     return jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
 
 
+@jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """The static arguments of a program: the environment and the protocol of its training."""
+    """The static arguments of a program: the environment, the protocol of its training, and the steps of a `lifetime`.
+
+    It is a pytree without leaves, so a jitted function takes it as an argument that needs no `static_argnames`.
+    """
 
     env: Env
     protocol: Protocol
+    steps: int | None = None
 
     @property
     def goals(self) -> Goals:

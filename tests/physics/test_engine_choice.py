@@ -3,21 +3,22 @@
 import jax
 import pytest
 
-from earl_jax.envs import make, with_physics
+from earl_jax.envs import HelpBudget, current_options, make, with_engine, with_physics
 from earl_jax.physics import EngineCost, engine_choice, fastest_engine
 
 
 def test_engines_are_chosen_by_name_and_a_missing_one_is_an_error_that_names_its_extra(monkeypatch, env):
-    assert make("sawyer_door").engine == engine_choice.DEFAULT_ENGINES["cpu"] == "c"
-    assert env.engine == "kinematic"
-    assert with_physics(make("sawyer_door"), "mjx").engine == "mjx"
+    door = make("sawyer_door")
+    assert (door.engine, door.resolved_engine) == ("auto", engine_choice.DEFAULT_ENGINES["cpu"])
+    assert env.engine == env.resolved_engine == "kinematic"
+    assert with_engine(door, "mjx") == make("sawyer_door", engine="mjx")
     with pytest.raises(ValueError, match="choose from auto, mjx, warp, c"):
-        make("sawyer_door", physics="bullet")
+        make("sawyer_door", engine="bullet")
     with pytest.raises(ValueError, match="plain arithmetic"):
-        with_physics(env, "c")
+        with_engine(env, "c")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"'warp' is not installed.*earl-jax\[warp\]"):
-        make("sawyer_door", physics="warp")
+        make("sawyer_door", engine="warp")
 
 
 def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monkeypatch):
@@ -31,7 +32,7 @@ def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monke
     assert fastest_engine(minitaur, 200) == "mjx"
     assert make("minitaur_pen").for_lanes(200).engine == "mjx"
     assert make("minitaur_pen", walls="floating").for_lanes(200).engine == "mjx"
-    assert make("minitaur_pen", physics="c").for_lanes(200).engine == "c"
+    assert make("minitaur_pen", engine="c").for_lanes(200).engine == "c"
 
 
 def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(monkeypatch):
@@ -49,3 +50,13 @@ def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(mon
 def test_auto_takes_the_default_engine_without_a_cost_of_the_device(monkeypatch, cost):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert fastest_engine(cost, 10_000) == engine_choice.DEFAULT_ENGINES["gpu"]
+
+
+def test_the_earlier_name_of_the_option_still_works():
+    door = make("sawyer_door", physics="mjx")
+    assert door == make("sawyer_door", engine="mjx") == with_physics(make("sawyer_door"), "mjx")
+    assert door.physics == "mjx"
+    assert HelpBudget(door, budget=1.0).resolved_engine == "mjx"
+    assert current_options("tabletop_organization", {"physics": "mjx"}) == {"physics": "mjx"}, "it has no engine"
+    with pytest.raises(ValueError, match="physics is the earlier name of engine: pass engine alone"):
+        make("sawyer_door", physics="mjx", engine="mjx")

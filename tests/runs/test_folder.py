@@ -252,3 +252,22 @@ def test_a_folder_that_another_process_took_over_is_not_used(folder):
     create(folder)
     with pytest.raises(ValueError, match="another process has just started another run"), folder.claimed():
         pass
+
+
+def test_a_run_of_an_earlier_version_keeps_its_engine_and_the_one_that_trains_is_recorded(tmp_path):
+    config = RunConfig.from_objects(
+        make("sawyer_door", engine="mjx"), make_algo("naive"), Deployment(),
+        seeds=(0,), steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40,
+    )  # fmt: skip
+    folder = RunFolder.create(tmp_path / "run", config, "c")
+    values = json.loads(folder.config_file.read_text())
+    assert (values["env_options"], values["engine"]) == ({"engine": "mjx"}, "c")
+    folder.config_file.write_text(json.dumps({**values, "env_options": {"physics": "mjx"}}))
+    folder = RunFolder.open(folder.path)
+    assert folder.config == config
+    assert folder.config.build_env().engine == "mjx"
+    folder.record_engine("mjx")
+    assert json.loads(folder.config_file.read_text())["engine"] == "mjx"
+    written = folder.config_file.stat().st_mtime_ns
+    folder.record_engine("mjx")
+    assert folder.config_file.stat().st_mtime_ns == written

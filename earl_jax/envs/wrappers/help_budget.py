@@ -110,6 +110,10 @@ class HelpBudget(Env):
         return self.task.engine
 
     @property
+    def resolved_engine(self) -> str:
+        return self.task.resolved_engine
+
+    @property
     def model(self) -> str:
         return self.task.model
 

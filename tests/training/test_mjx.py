@@ -1,0 +1,99 @@
+"""MJX inside the learner's scan: every method on a pendulum, and one on a Sawyer task."""
+
+import dataclasses
+import importlib.util
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.algos import method_for
+from earl_jax.assets import Demos
+from earl_jax.envs import make
+from earl_jax.training import train
+from tests.conftest import (
+    ALGOS,
+    assert_all_finite,
+    make_problem,
+    make_train_state,
+    run_whole,
+    tiny_method,
+    tiny_options,
+    write_files,
+)
+from tests.test_extending import PENDULUM
+
+STEPS = 16
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    """The MuJoCo task of docs/extending.md, with demonstrations for VaPRL: one joint, and the cheapest to compile on MJX."""
+    folder = tmp_path_factory.mktemp("pendulum")
+    write_files(PENDULUM, folder)
+    file = folder / "src" / "earl_pendulum" / "hold.py"
+    spec = importlib.util.spec_from_file_location("earl_pendulum_hold", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    @dataclasses.dataclass(frozen=True)
+    class Demonstrated(module.PendulumHold):
+        has_demos = True
+        demo_directions = ("forward", "backward")
+
+        def demos(self, direction):
+            goals = np.repeat(self.goal_states[:1], 2, axis=0)
+            states, ends = np.stack([0 * goals[0], 0.5 * goals[0]]), np.array([False, True])
+            following = np.stack([states[1], goals[0]])
+            return Demos(states, goals, np.ones((2, 1), np.float32), following, np.array([0.0, 1.0], np.float32), ends)
+
+    return Demonstrated(engine="mjx", eval_horizon=6)
+
+
+def trained(env, algo, steps=STEPS):
+    """Return the first and the last state of two lanes after `steps` steps with updates, in one scan."""
+    problem, method = make_problem(env), tiny_method(algo)
+    first = make_train_state(problem, method, [0, 1], steps)
+    return first, run_whole(problem, method, first, steps)
+
+
+def assert_learns(first, last, steps=STEPS):
+    """Check that the last state is finite, that its actors have learnt, and that every step was stored."""
+    assert_all_finite((last.replay, last.lanes.agent, last.lanes.counters))
+    moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), first.lanes.agent.actor, last.lanes.agent.actor)
+    assert min(jax.tree.leaves(moved)) > 1e-5
+    assert int(last.step) == steps
+    assert np.asarray(last.lanes.counters.faults).tolist() == [0, 0]
+    stored = np.asarray(last.replay.state[int(last.replay.row) - steps : int(last.replay.row)])
+    assert np.abs(np.diff(stored, axis=0)).max(axis=(0, 2)).min() > 1e-3, "the simulation moves"
+
+
+@pytest.mark.parametrize("algo", ALGOS)
+def test_every_method_learns_in_one_scan_with_mjx(pendulum, algo):
+    assert_learns(*trained(pendulum, algo))
+
+
+def test_a_step_on_mjx_calls_nothing_outside_the_program_and_agrees_with_c_in_training(pendulum):
+    state = jax.eval_shape(pendulum.reset, jax.random.key(0))
+    primitives = str(jax.make_jaxpr(pendulum.step)(state, jnp.zeros(1)))
+    assert "callback" not in primitives
+    assert "ffi_call" not in primitives
+    _, on_mjx = trained(pendulum, "naive")
+    _, on_c = trained(dataclasses.replace(pendulum, engine="c"), "naive")
+    np.testing.assert_allclose(on_mjx.replay.state, on_c.replay.state, atol=1e-3)
+
+
+def test_a_run_names_the_engine_that_auto_took(pendulum, tmp_path, capfd):
+    method = method_for(pendulum, "naive", **tiny_options("naive"))
+    run = {"seeds": 2, "steps": 20, "eval_every": 20, "eval_episodes": 1, "progress": True, "out": tmp_path / "run"}
+    result = train(pendulum, method, engine="auto", **run)
+    assert (result.env.engine, result.engine) == ("auto", "c")
+    assert "physics engine: c, which auto takes for 2 lanes on this cpu machine\n" in capfd.readouterr().err
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["engine"] == "c"
+
+
+@pytest.mark.slow
+def test_fbrl_learns_in_one_scan_with_the_sawyer_door_on_mjx():
+    assert_learns(*trained(make("sawyer_door", engine="mjx"), "fbrl", 8), 8)
