@@ -17,9 +17,10 @@ from earl_jax.options import COUNT, require
 from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
-from earl_jax.paper.figure4 import VisitMap, write_figure4
+from earl_jax.paper.figure4 import write_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.tables import write_table
+from earl_jax.paper.visit_maps import visit_map
 from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
@@ -111,16 +112,7 @@ def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
         env, visits = load_visits(folder)
         if visits is None or env.map_bounds is None:
             continue
-        maps.append(
-            VisitMap(
-                env=folder.config.env,
-                algo=folder.config.algo,
-                visits=visits,
-                map_bounds=env.map_bounds,
-                steps=int(visits[0].sum()),
-                unit=env.map_unit,
-            )
-        )
+        maps.append(visit_map(env, folder.config.algo, visits))
     return write_figure4(maps, out)
 
 
