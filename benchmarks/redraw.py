@@ -1,17 +1,22 @@
-"""Redraw the tables, curves and figure 2 from the run folders in benchmarks/results/reproduce/runs.
+"""Redraw the tables, curves and figures from the data in benchmarks/results/reproduce.
 
     python -m benchmarks.redraw [--out DIR]
 
-Figures 4 and 5 need checkpoints, which are not kept; their data are in figure4_visits.csv and figure5_seeds.csv.
+Tables, curves and figure 2 are made of the folders in runs, figure 4 of figure4.csv and figure4_visits.csv, figure 5 of
+figure5_seeds.csv.
 """
 
 import argparse
+import csv
 from pathlib import Path
 
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
+from earl_jax.paper.figure4 import draw_figure4
+from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.reproduce import RESULTS
 from earl_jax.paper.tables import write_table
+from earl_jax.paper.visit_maps import read_maps
 
 KEPT = Path(__file__).parent / "results" / "reproduce"
 
@@ -22,7 +27,10 @@ def redraw(out: Path) -> list[Path]:
     suite = [path for path in runs if path.parts[-3] in RESULTS["figure2"].tasks]
     tasks = [path for path in runs if path not in suite]
     written = [*write_table(1, tasks, out / "table1"), *write_table(2, tasks, out / "table2")]
-    return [*written, *write_curves(tasks, out / "curves"), *write_figure2(suite, out / "figure2")]
+    written += [*write_curves(tasks, out / "curves"), *write_figure2(suite, out / "figure2")]
+    written += draw_figure4(read_maps(KEPT / "figure4"), out / "figure4")
+    with (KEPT / "figure5" / "figure5_seeds.csv").open() as handle:
+        return [*written, *write_figure5(list(csv.DictReader(handle)), out / "figure5")]
 
 
 if __name__ == "__main__":

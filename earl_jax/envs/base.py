@@ -187,6 +187,16 @@ class Env(abc.ABC):
         """
         raise InputError(f"{self.name} has no map of visited positions")
 
+    @property
+    def map_starts(self) -> np.ndarray | None:
+        """Positions [K, 2] on the map that stand for the initial distribution; None if this task lists none."""
+        return None
+
+    @property
+    def map_goals(self) -> np.ndarray | None:
+        """Positions [K, 2] on the map at which a goal is reached; None if this task lists none."""
+        return None
+
     def reset_uniform(self, key: jax.Array) -> State:
         """Return a state drawn uniformly over the workspace, with a task goal (figure 5 of the paper).
 

@@ -90,6 +90,16 @@ class TabletopOrganization(Env):
         """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""
         return obs[..., :2]
 
+    @property
+    def map_starts(self) -> np.ndarray | None:
+        """Positions of gripper and mug at a start, [2, 2]; None with `wide`, whose starts are everywhere."""
+        return None if self.wide else HOME.reshape(2, 2)
+
+    @property
+    def map_goals(self) -> np.ndarray:
+        """Positions of gripper and mug in the goals, [5, 2]: home and the coasters."""
+        return np.concatenate([HOME[None, :2], COASTERS])
+
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
 

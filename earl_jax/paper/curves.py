@@ -82,7 +82,9 @@ def _published(table: str, group: MethodRuns) -> PublishedScore | None:
 
 
 def _crossings(group: MethodRuns) -> dict[float, int]:
-    return published_crossings(group.env, group.algo) if group.curves.deployed_metric == SUCCESS else {}
+    """Return the published crossings, none if the runs differ from the paper's in reward or setting."""
+    rates = group.curves.deployed_metric == SUCCESS and group.curves.comparable
+    return published_crossings(group.env, group.algo) if rates else {}
 
 
 def _markdown(groups: Sequence[MethodRuns]) -> str:

@@ -1,6 +1,7 @@
-"""Figure 2 of the paper: the final return of plain SAC by the number of steps between resets, with two TD updates.
+"""Figure 2 of the paper: the return of plain SAC by the number of steps between resets, with two TD updates.
 
-Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as a terminal state.
+Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as a terminal state. The paper's learner is
+the first version of SAC; ours is the second, see `LEARNER`.
 """
 
 import math
@@ -8,19 +9,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.algos.method import TASK
 from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, difference, mean_of
+from earl_jax.paper.figure2_picture import draw
 from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.style import new_figure, ordered, save, task_title
+from earl_jax.report.style import ordered, save
 from earl_jax.report.tables import WINDOW, markdown_table, write
+from earl_jax.runs.config import RunConfig
 
 UPDATES = {True: "without the biased update", False: "with the biased update"}
 """Names of the two TD updates by `timeout_bootstrap`."""
-PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
 UNCLEAR, INCONCLUSIVE, MISSING = "no clear difference", "inconclusive", "-"
 NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan)
 DESCRIPTION = (
@@ -33,16 +37,36 @@ RULES = (
     "is the same; `agrees` with `restored` if ours does not degrade and the biased update helps at the longest H_T "
     f"(second table); `differs` if ours is the opposite; else `{INCONCLUSIVE}`."
 )
+LEARNER = (
+    "The learner is SAC of arXiv 1812.05905. The paper cites arXiv 1801.01290 for this figure, which learns a state value "
+    "and keeps its temperature: `--set fixed_temperature=true` keeps ours, and `reward_scale` sets the weight of the "
+    "reward against it."
+)
 
 
 class Point(NamedTuple):
-    """The final returns [seeds] on one task with one TD update (`bootstrap`) and horizon, after `steps` steps."""
+    """The deployed returns [seeds, E] at `evaluations` [E] on one task with one TD update (`bootstrap`) and horizon.
+
+    `goals` and `learner` say how the goal of the task changes, and with which temperature and reward scale it was learnt.
+    """
 
     env: str
     bootstrap: bool
     horizon: int
-    scores: np.ndarray
-    steps: int
+    returns: np.ndarray
+    evaluations: np.ndarray
+    goals: str
+    learner: str
+
+    @property
+    def scores(self) -> np.ndarray:
+        """The final returns [seeds]: the mean of the last 10 evaluations."""
+        return self.returns[:, -WINDOW:].mean(axis=1)
+
+    @property
+    def steps(self) -> int:
+        """The steps trained."""
+        return int(self.evaluations[-1])
 
 
 Arms = dict[tuple[str, bool], list[Point]]
@@ -50,18 +74,21 @@ Arms = dict[tuple[str, bool], list[Point]]
 
 
 def write_figure2(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Write figure 2 from run folders of `naive` into `out` and return the files: csv, md, png.
+    """Write figure 2 from run folders of `naive` into `out` and return the files: csv, csv of the curves, md, png.
 
     Raises:
         ValueError: a folder is no run or one of another method, runs of one point differ in other options, or
             matplotlib is not installed.
     """
     points = _points(read_all(folders))
-    figure = _draw(points)
+    curves = [row for point in points for row in _curve_rows(point)]
+    figure = draw(_arms(points), curves, UPDATES)
     out.mkdir(parents=True, exist_ok=True)
-    write([_row(point) for point in points], out / "figure2.csv")
-    (out / "figure2.md").write_text(_markdown(points))
-    return [out / "figure2.csv", out / "figure2.md", save(figure, out / "figure2.png")]
+    paths = [out / "figure2.csv", out / "figure2_curves.csv", out / "figure2.md"]
+    write([_row(point) for point in points], paths[0])
+    write(curves, paths[1])
+    paths[2].write_text(_markdown(points))
+    return [*paths, save(figure, out / "figure2.png")]
 
 
 def _points(runs: Sequence[Curves]) -> list[Point]:
@@ -71,17 +98,49 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
         config = curves.config
         if config.algo != "naive":
             raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
-        scores = curves.metrics["deployed/return"][:, -WINDOW:].mean(axis=1)
-        updates = np.resize(np.asarray(config.build_method().sac.timeout_bootstrap, bool), len(scores))
+        returns, horizon = curves.metrics["deployed/return"], config.build_env().train_horizon
+        updates = np.resize(np.asarray(config.build_method().sac.timeout_bootstrap, bool), len(returns))
         for update in np.unique(updates).tolist():
-            key = (config.env, update, config.build_env().train_horizon)
+            key = (config.env, update, horizon)
             if key in points:
                 raise InputError(
-                    f"runs on {config.env} with H_T {key[2]:,}, {UPDATES[update]}, differ in other options"
+                    f"runs on {config.env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options"
                 )
-            points[key] = Point(*key, scores=scores[updates == update], steps=int(curves.steps[-1]))
+            texts = _goals_text(config), _learner_text(config)
+            points[key] = Point(*key, returns[updates == update], curves.steps, *texts)
     envs = ordered((env for env, _, _ in points), FIGURE2_TASKS)
     return sorted(points.values(), key=lambda point: (envs.index(point.env), not point.bootstrap, point.horizon))
+
+
+def _goals_text(config: RunConfig) -> str:
+    """Return how the task's goal changes in a run."""
+    env = config.build_env()
+    protocol = config.protocol(env)
+    if len(env.goal_states) == 1:
+        return "one goal"
+    if protocol.goal_change == protocol.train_horizon:
+        return "the target stays between resets"
+    drawn = protocol.goal_change or int(config.build_method().phase_length(env, jnp.asarray(TASK)))
+    return f"another target every {drawn:,} steps, with and without a reset"
+
+
+def _learner_text(config: RunConfig) -> str:
+    sac = config.build_method().sac
+    temperatures, scales = (
+        ", ".join(f"{v:g}" for v in np.unique(x)) for x in (sac.initial_temperature, sac.reward_scale)
+    )
+    kind = "fixed at" if sac.fixed_temperature else "learnt from"
+    return f"temperature {kind} {temperatures}, reward scale {scales}"
+
+
+def _curve_rows(point: Point) -> list[dict[str, Any]]:
+    """Return a row per evaluation: the mean over seeds and its interval."""
+    key = {"env": point.env, "timeout_bootstrap": point.bootstrap, "train_horizon": point.horizon}
+    rows = []
+    for step, scores in zip(point.evaluations.tolist(), point.returns.T, strict=True):
+        estimate = mean_of(scores)
+        rows.append({**key, "step": step, "return": estimate.value, "low": estimate.low, "high": estimate.high})
+    return rows
 
 
 def _row(point: Point) -> dict[str, Any]:
@@ -188,43 +247,6 @@ def _missing(points: Sequence[Point]) -> str:
 
 
 def _notes(points: Sequence[Point]) -> str:
-    trained = dict.fromkeys(f"{point.env} {point.steps:,}" for point in points)
-    few = f" {FEW_SEEDS}" if any(len(point.scores) < FEW for point in points) else ""
-    return f"Training steps: {', '.join(trained)}.{few}"
-
-
-def _draw(points: Sequence[Point]) -> Any:
-    """Return a figure with a panel per task and a line per update."""
-    envs = list(dict.fromkeys(point.env for point in points))
-    figure, axes = new_figure(1, len(envs), (max(5.0 * len(envs), 6.0), 4.2))
-    for (env, update), arm in _arms(points).items():
-        _draw_arm(axes[0, envs.index(env)], arm, update)
-    for env, axis in zip(envs, axes[0], strict=True):
-        axis.set(title=task_title(env), xscale="log", xlabel="H_T, steps between resets", ylabel="final return")
-        horizons = sorted({point.horizon for point in points if point.env == env})
-        axis.set_xticks(horizons, [_horizon_text(horizon) for horizon in horizons])
-        axis.set_xticks([], minor=True)
-        axis.grid(alpha=0.3)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    return figure
-
-
-def _draw_arm(axis: Any, arm: Sequence[Point], update: bool) -> None:
-    """Draw one update's line, moved sideways a little so that the intervals of both updates can be seen."""
-    colour, line_style = PLOT_STYLES[update]
-    estimates = [mean_of(point.scores) for point in arm]
-    reach = [[max(part.value - part.low, 0), max(part.high - part.value, 0)] for part in estimates]
-    axis.errorbar(
-        [point.horizon * (1.03 if update else 0.97) for point in arm],
-        [estimate.value for estimate in estimates],
-        np.array(reach).reshape(-1, 2).T,
-        fmt=line_style,
-        color=colour,
-        label=UPDATES[update],
-        capsize=3,
-        markersize=5,
-    )
-
-
-def _horizon_text(horizon: int) -> str:
-    return f"{horizon // 1000}k" if horizon % 1000 == 0 else f"{horizon:,}"
+    trained = dict.fromkeys(f"- {point.env}: {point.steps:,} steps, {point.goals}, {point.learner}" for point in points)
+    few = [FEW_SEEDS] if any(len(point.scores) < FEW for point in points) else []
+    return "\n\n".join(["Runs:", "\n".join(trained), LEARNER, *few])

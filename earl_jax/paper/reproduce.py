@@ -11,15 +11,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import PAPER_TASKS
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.options import COUNT, require
 from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
-from earl_jax.paper.figure4 import VisitMap, write_figure4
+from earl_jax.paper.figure4 import write_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.tables import write_table
+from earl_jax.paper.visit_maps import visit_map
 from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
@@ -79,19 +80,29 @@ class PaperResult:
     """One table or figure: its possible tasks, the runs for each of them, and the report made of the run folders."""
 
     tasks: tuple[str, ...]
-    block: Callable[[str], Block]
+    blocks: Callable[[str], list[Block]]
     report: Callable[[Sequence[Path], Path], list[Path]]
 
 
-def _table_block(methods: tuple[str, ...], env: str) -> Block:
+def _table_blocks(methods: tuple[str, ...], env: str) -> list[Block]:
     """Return the runs of `methods` on one of the paper's six tasks, at their published length."""
-    return Block(env, paper_tasks.methods_on(env, methods), paper_tasks.training_steps(env))
+    return [Block(env, paper_tasks.methods_on(env, methods), paper_tasks.training_steps(env))]
 
 
-def _horizon_block(env: str) -> Block:
-    """Return the runs of figure 2 on one task: every horizon with both TD updates."""
-    options = {"train_horizon": list(paper_tasks.FIGURE2_HORIZONS), "timeout_bootstrap": [False, True]}
-    return Block(env, ("naive",), paper_tasks.FIGURE2_STEPS, options, eval_every_factor=2)
+def _horizon_blocks(env: str) -> list[Block]:
+    """Return the runs of figure 2 on one task: every horizon with both TD updates.
+
+    A goal stays until the next reset: in the paper's words, the agent has to undo the task before it can practise it
+    again. Naive RL in the deployment setting would draw another goal every 1,000 steps.
+    """
+    updates: Options = {"timeout_bootstrap": [False, True]}
+    horizons = list(paper_tasks.FIGURE2_HORIZONS)
+    options = [{"train_horizon": horizons}]
+    if len(make(env).goal_states) > 1:
+        options = [{"train_horizon": h, "setting": "continuing", "goal_change": h} for h in horizons]
+    return [
+        Block(env, ("naive",), paper_tasks.FIGURE2_STEPS, {**tied, **updates}, eval_every_factor=2) for tied in options
+    ]
 
 
 def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -101,16 +112,7 @@ def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
         env, visits = load_visits(folder)
         if visits is None or env.map_bounds is None:
             continue
-        maps.append(
-            VisitMap(
-                env=folder.config.env,
-                algo=folder.config.algo,
-                visits=visits,
-                map_bounds=env.map_bounds,
-                steps=int(visits[0].sum()),
-                unit=env.map_unit,
-            )
-        )
+        maps.append(visit_map(env, folder.config.algo, visits))
     return write_figure4(maps, out)
 
 
@@ -129,20 +131,20 @@ def _figure5_report(folders: Sequence[Path], out: Path) -> list[Path]:
     return write_figure5(rows, out)
 
 
-_tables = functools.partial(_table_block, paper_tasks.METHODS)
+_tables = functools.partial(_table_blocks, paper_tasks.METHODS)
 RESULTS = {
     "table1": PaperResult(PAPER_TASKS, _tables, functools.partial(write_table, 1)),
     "table2": PaperResult(PAPER_TASKS, _tables, functools.partial(write_table, 2)),
     "curves": PaperResult(PAPER_TASKS, _tables, write_curves),
-    "figure2": PaperResult(paper_tasks.FIGURE2_TASKS, _horizon_block, write_figure2),
+    "figure2": PaperResult(paper_tasks.FIGURE2_TASKS, _horizon_blocks, write_figure2),
     "figure4": PaperResult(
         tasks=paper_tasks.FIGURE4_TASKS,
-        block=functools.partial(_table_block, paper_tasks.FIGURE4_METHODS),
+        blocks=functools.partial(_table_blocks, paper_tasks.FIGURE4_METHODS),
         report=_figure4_report,
     ),
     "figure5": PaperResult(
         tasks=paper_tasks.FIGURE5_TASKS,
-        block=functools.partial(_table_block, paper_tasks.FIGURE5_METHODS),
+        blocks=functools.partial(_table_blocks, paper_tasks.FIGURE5_METHODS),
         report=_figure5_report,
     ),
 }
@@ -192,7 +194,7 @@ def reproduce(
         if task not in result.tasks:
             raise InputError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
     out = out or Path("runs") / f"reproduce-{scale}"
-    blocks = [result.block(task) for task in tasks or result.tasks[: chosen.tasks]]
+    blocks = [block for task in tasks or result.tasks[: chosen.tasks] for block in result.blocks(task)]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, grid_text(blocks, chosen, options or {}))

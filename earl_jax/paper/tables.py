@@ -12,6 +12,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.paper.claims import table2_claims
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
@@ -31,21 +32,24 @@ def write_table(number: int, folders: Sequence[Path], out: Path) -> list[Path]:
     """
     if number not in HEADINGS:
         raise InputError(f"there is no table {number}; choose from {', '.join(map(str, HEADINGS))}")
-    rows = paper_rows(number, read_methods(folders))
+    groups = read_methods(folders)
+    rows = paper_rows(number, groups)
     figure = _draw(number, rows)
     out.mkdir(parents=True, exist_ok=True)
     csv_file, text_file, picture = (out / f"table{number}{suffix}" for suffix in (".csv", ".md", ".png"))
     write(rows, csv_file)
-    text_file.write_text(_markdown(number, rows))
+    claims = [table2_claims(groups)] if number == 2 else []
+    text_file.write_text(_markdown(number, rows, claims))
     return [csv_file, text_file, save(figure, picture)]
 
 
-def _markdown(number: int, rows: Sequence[Row]) -> str:
+def _markdown(number: int, rows: Sequence[Row], claims: Sequence[str]) -> str:
     parts = [
         f"# {HEADINGS[number]}",
         DESCRIPTIONS[number],
         "Each cell: ours, mean (standard error) / published, mean (standard error) / verdict.",
         _table_by_task(rows, _comparison),
+        *claims,
     ]
     if number == 1:
         parts.append(

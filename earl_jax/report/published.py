@@ -90,8 +90,9 @@ def published_steps(env: str) -> tuple[int, int] | None:
 
 
 def published_fault(table: str, env: str) -> str | None:
-    """Return the known fault of the published scores of a task in `table1` or `table2`, or None if there is none."""
-    return assets.published_row("faults", paper_table=table, env=env).get("fault")
+    """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
+    rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
+    return " ".join(row["fault"] for row in rows) or None
 
 
 def verdict(value: float | None, interval: tuple[float, float] | None) -> str:

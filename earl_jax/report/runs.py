@@ -15,6 +15,9 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
+SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
+"""Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
+
 
 class Curves(NamedTuple):
     """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E]."""
@@ -49,9 +52,11 @@ class Curves(NamedTuple):
 
     @property
     def comparable(self) -> bool:
-        """Whether the kind of reward (sparse or dense) and the setting are those of the paper's tables."""
+        """Whether the task, its kind of reward (sparse or dense) and the setting are those of the paper's tables."""
         config = self.config
-        return config.build_env().sparse == make(config.env).sparse and config.build_setting() == Deployment()
+        same_task = config.env_options.keys() <= SAME_TASK
+        same_reward = config.build_env().sparse == make(config.env).sparse
+        return same_task and same_reward and config.build_setting() == Deployment()
 
 
 class Columns(dict[str, np.ndarray]):

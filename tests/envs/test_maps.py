@@ -49,6 +49,33 @@ def test_the_papers_variant_of_the_peg_has_the_same_map_position():
     assert not paper.irreversible(paper.reset(KEY))
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("tabletop_organization", {}),
+        ("minitaur_pen", {}),
+        *[("sawyer_peg", options) for options in ({}, {"listed": True}, {"wide": True}, {"reset_at_goal": True})],
+    ],
+)
+def test_starts_lie_near_the_listed_positions_of_the_map(name, options):
+    env = make(name, **options)
+    positions = env.map_position(jax.jit(jax.vmap(env.reset))(jax.random.split(KEY, 100)).obs)
+    distances = np.linalg.norm(np.asarray(positions)[:, None] - env.map_starts, axis=-1).min(axis=1)
+    assert distances.max() < 0.03
+    assert (env.map_bounds[0] <= env.map_goals).all()
+    assert (env.map_goals <= env.map_bounds[1]).all()
+
+
+def test_goals_lie_at_the_listed_positions_of_the_map():
+    for name in ("tabletop_organization", "sawyer_peg"):
+        env = make(name)
+        reached = np.concatenate([env.goal_states, env.goal_states], axis=1)
+        positions = np.asarray(env.map_position(jnp.asarray(reached)))
+        assert np.linalg.norm(positions[:, None] - env.map_goals, axis=-1).min(axis=1).max() < 1e-6
+    assert make("tabletop_organization", wide=True).map_starts is None
+    assert make("sawyer_door").map_goals is None
+
+
 def test_a_task_without_a_map_or_uniform_starts_is_an_error():
     for name in set(list_envs()) - set(MAPPED):
         assert make(name).map_bounds is None

@@ -2,7 +2,10 @@
 
 import pytest
 
+from earl_jax.paper import curves
 from earl_jax.paper.curves import write_curves
+from earl_jax.protocol import Continuing, Deployment
+from earl_jax.report.runs import read_methods
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import KITCHEN, TABLETOP, count_pixels, read_csv, write_run
 
@@ -34,6 +37,25 @@ def test_the_text_has_crossings_and_areas(files):
     )
     assert f"{line} 0.800 (0.141) | 0.94 |" in text
     assert "| - | - | - | - | 200.0 (0.0) | 0.0000 (0.0000) | - | 300.0 (0.0) | 1203.88 |" in text
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"setting": Continuing()},
+        {"setting": Deployment(intervention_chance=0.01)},
+        {"env_options": {"wide": True}},
+        {"env_options": {"train_horizon": 1_000}},
+    ],
+)
+def test_published_numbers_are_drawn_only_beside_the_papers_task_and_setting(tmp_path, changed):
+    """The published crossings of FBRL on tabletop are at 0.86M and 2.07M steps."""
+    scores = [[0.2, 1.0], [0.4, 0.6]]
+    metrics = {"continuing/reward": 0.004}
+    same = write_run(tmp_path / "same", TABLETOP, "fbrl", scores, metrics=metrics, layer_norm=True)
+    other = write_run(tmp_path / "other", TABLETOP, "fbrl", scores, metrics=metrics, **changed)
+    marks = {path.name: curves._crossings(read_methods([path])[0]) for path in (same, other)}
+    assert marks == {"same": {0.5: 860_000, 0.9: 2_070_000}, "other": {}}
 
 
 def test_the_picture_shows_the_methods_that_were_run(files):

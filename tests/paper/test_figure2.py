@@ -1,8 +1,10 @@
 """Figure 2 on small numbers whose findings are known."""
 
 import pytest
+from matplotlib import colormaps
 
 from earl_jax.paper.figure2 import verdict, write_figure2
+from earl_jax.protocol import Continuing
 from tests.report.run_files import constant, count_pixels, read_csv, write_run
 
 RETURNS = {
@@ -48,7 +50,7 @@ def test_each_point_has_the_final_returns_of_its_lanes(files):
 
 
 def test_the_text_reports_degradation_and_what_the_biased_update_restores(files):
-    text = files[1].read_text()
+    text = files[2].read_text()
     assert "biased update | 1,000 and 100,000 | 400.0 [380.0, 420.0] | degrades | degrades | agrees |" in text
     assert "| -5.0 [-30.0, 20.0] | no clear difference | restored | agrees |" in text
     assert "| cheetah_run | 100,000 | 395.0 [360.0, 430.0] | helps |" in text
@@ -56,8 +58,35 @@ def test_the_text_reports_degradation_and_what_the_biased_update_restores(files)
 
 
 def test_the_picture_shows_both_updates(files):
-    assert count_pixels(files[2], "#D55E00") > 100
-    assert count_pixels(files[2], "#0072B2") > 100
+    assert count_pixels(files[3], "#D55E00") > 100
+    assert count_pixels(files[3], "#0072B2") > 100
+
+
+def test_the_picture_shows_the_curves_of_training(files):
+    rows = read_csv(files[1])
+    curve = [(row["step"], row["return"], row["low"], row["high"]) for row in rows if row["env"] == "cheetah_run"][:2]
+    assert curve == [("10", "510.0", "500.0", "520.0"), ("20", "510.0", "500.0", "520.0")]
+    assert len(rows) == 6 * 2
+    shortest, longest = colormaps["viridis"]([0.0, 0.92])
+    assert min(count_pixels(files[3], colour[:3]) for colour in (shortest, longest)) > 200
+
+
+def test_the_text_says_how_the_target_changes_and_what_the_learner_is(files, tmp_path):
+    text = files[2].read_text()
+    assert "- cheetah_run: 20 steps, one goal, temperature learnt from 1, reward scale 10" in text
+    assert "- fish_swim: 20 steps, another target every 1,000 steps" in text
+    tied = write_run(
+        tmp_path / "tied",
+        "fish_swim",
+        "naive",
+        constant(1.0),
+        setting=Continuing(goal_change=2_000),
+        env_options={"train_horizon": 2_000},
+        fixed_temperature=True,
+        reward_scale=0.1,
+    )
+    text = write_figure2([tied], tmp_path / "out")[2].read_text()
+    assert "the target stays between resets, temperature fixed at 1, reward scale 0.1" in text
 
 
 def test_verdicts_need_a_clear_difference():

@@ -2,15 +2,19 @@
 
 import shutil
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from earl_jax.cli.main import main
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import reproduce, tasks
+from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.planner import plan
-from tests.conftest import CACHE
+from tests.conftest import CACHE, advance, make_train_state, tiny_method
 from tests.report.run_files import read_csv
 
 FILES = {
@@ -19,7 +23,7 @@ FILES = {
     "curves": {"curves.csv", "curves.md", "curves.png"},
     "figure4": {"figure4.csv", "figure4_visits.csv", "figure4.md", "figure4.png"},
     "figure5": {"figure5.csv", "figure5_seeds.csv", "figure5.md", "figure5.png"},
-    "figure2": {"figure2.csv", "figure2.md", "figure2.png"},
+    "figure2": {"figure2.csv", "figure2_curves.csv", "figure2.md", "figure2.png"},
 }
 PUBLISHED = {
     "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "curves": "0.33M", "figure4": "oracle", "figure5": "37.4 %",
@@ -43,7 +47,7 @@ def _shared_cache(monkeypatch):
 def planned_runs(name, scale, tmp_path, envs=None, **options):
     """Return the path of the grid of a result at a scale, and its runs."""
     result, path = reproduce.RESULTS[name], tmp_path / "grid.toml"
-    blocks = [result.block(env) for env in envs or result.tasks]
+    blocks = [block for env in envs or result.tasks for block in result.blocks(env)]
     path.write_text(reproduce.grid_text(blocks, reproduce.SCALES[scale], options))
     return path, grid.read(path)
 
@@ -97,11 +101,40 @@ def test_figures_share_the_runs_of_the_tables(tmp_path):
         assert set(map(repr, runs)) <= set(map(repr, of_table))
 
 
-def test_all_horizons_of_figure_2_fit_one_program(tmp_path):
-    path, runs = planned_runs("figure2", "full", tmp_path, ["cheetah_run"])
+def test_all_horizons_of_a_task_of_figure_2_fit_one_program(tmp_path):
+    path, runs = planned_runs("figure2", "full", tmp_path)
     assert {run.options["train_horizon"] for run in runs} == set(tasks.FIGURE2_HORIZONS)
     groups = plan(path, tmp_path / "out")["groups"]
-    assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14)]
+    assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14), (70, 14)]
+
+
+def goals_after(problem, rules, step):
+    """Return the goals of two lanes of naive RL before and after the end of the attempt at `step`, under `rules`."""
+    method, every = tiny_method("naive"), 1_000
+    state = make_train_state(problem, method, [0, 1], rules=jax.tree.map(lambda rule: jnp.full(2, rule), rules))
+    lanes = state.lanes.replace(phase_step=jnp.full(2, every - 10, state.lanes.phase_step.dtype))
+    state = state.replace(lanes=lanes, step=jnp.full_like(state.step, step - 10))
+    before = np.asarray(lanes.goal_indices.goal)
+    return before, np.asarray(advance(problem, method, state, 20, explore=True).lanes.goal_indices.goal)
+
+
+def test_the_fish_of_figure_2_keeps_its_target_between_resets(problem, tmp_path):
+    """The rules of its run with H_T = 2,000, in lanes of a task that is quicker to compute."""
+    path, _ = planned_runs("figure2", "full", tmp_path, ["fish_swim"])
+    configs = [RunConfig(**run["config"]) for run in plan(path, tmp_path / "out")["runs"].values()]
+    config = next(config for config in configs if config.env_options.get("train_horizon") == 2_000)
+    rules = config.protocol(config.build_env()).rules
+    before, within = goals_after(problem, rules, 1_000)
+    np.testing.assert_array_equal(within, before)
+    resets = [goals_after(problem, rules, step) for step in (2_000, 4_000, 6_000)]
+    assert any((after != before).any() for before, after in resets)
+
+
+def test_figure_2_takes_a_fixed_temperature_and_a_reward_scale(tmp_path):
+    options = {"fixed_temperature": True, "reward_scale": 0.1}
+    path, runs = planned_runs("figure2", "full", tmp_path, ["cheetah_run"], **options)
+    assert all(options.items() <= run.options.items() for run in runs)
+    assert len(plan(path, tmp_path / "out")["groups"]) == 1
 
 
 def test_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):

@@ -5,9 +5,10 @@ import math
 import pytest
 
 from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper.claims import best, changes_order, table2_claims
 from earl_jax.paper.tables import write_table
 from earl_jax.report.paper_rows import paper_rows
-from earl_jax.report.published import INTERVAL_RULE
+from earl_jax.report.published import INTERVAL_RULE, published_fault, published_score
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import DOOR, KITCHEN, TABLETOP, constant, count_pixels, read_csv, write_run
@@ -87,6 +88,47 @@ def test_table_2_compares_lifetime_rewards_with_bounds_and_missing_scores(tmp_pa
     text = text_file.read_text()
     assert "0.0015 (0.0000) / <0.001 / above" in text
     assert "0.5000 (0.0000) / - / -" in text
+
+
+def test_the_text_of_table_2_checks_the_papers_claims(tmp_path):
+    """Published: naive on tabletop and kitchen; the best methods agree on lightbulb and Minitaur alone."""
+    scores = {"naive": (0.2, 0.3), "fbrl": (0.9, 0.1), "r3l": (0.8, 0.2), "oracle": (1.0, 1.0)}
+    folders = [
+        write_method(tmp_path / algo, TABLETOP, algo, constant(deployed), lifetime)
+        for algo, (deployed, lifetime) in scores.items()
+    ]
+    folders.append(write_method(tmp_path / "door", DOOR, "fbrl", constant(0.5), 0.1))
+    text = write_table(2, folders, tmp_path / "out")[1].read_text()
+    published = (
+        "In the published tables naive RL is the best on 2 of 6 (tabletop_organization, franka_kitchen), the best methods of "
+        "tables 1 and 2 differ on 4 of 6, and a pair of methods changes its order on 5 of 6."
+    )
+    assert published in text
+    assert (
+        "In our runs naive RL is the best on 1 of 1 (tabletop_organization), the best methods of tables 1 and 2" in text
+    )
+    assert "changes its order on 1 of 1. The oracle is left out" in text
+    assert "Claims of the paper" not in write_table(1, folders, tmp_path / "out")[1].read_text()
+
+
+def test_a_single_method_has_no_rank(tmp_path):
+    folder = write_method(tmp_path / "a", TABLETOP, "fbrl", constant(0.5), 0.1)
+    assert "In our runs no task has two methods to compare." in table2_claims(read_methods([folder]))
+
+
+def test_ties_are_no_change_of_order():
+    assert not changes_order({"naive": (0.0, 0.1), "fbrl": (0.0, 0.2)})
+    assert not changes_order({"naive": (0.0, 0.1), "fbrl": (0.3, 0.2)})
+    assert changes_order({"naive": (0.4, 0.1), "fbrl": (0.3, 0.2)})
+    assert best({"naive": (0.0, 0.1), "fbrl": (0.0, 0.2)}, 0) == {"naive", "fbrl"}
+
+
+def test_the_contradiction_of_text_and_table_is_a_known_fault(tmp_path):
+    fault = published_fault("table1", "minitaur_pen")
+    scores = {algo: published_score("table1", "minitaur_pen", algo).mean for algo in ("r3l", "oracle")}
+    assert "had left the pen" in fault
+    assert f"the table has {scores['r3l']} for r3l and {scores['oracle']} for the oracle" in fault
+    assert float(scores["r3l"]) < float(scores["oracle"])
 
 
 def test_an_unknown_table_is_refused(tmp_path):

@@ -34,6 +34,9 @@ class SAC(struct.PyTreeNode):
     10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
     initial_temperature: float = struct.field(default=1.0, metadata=within("(0, 1000000]"))
     """alpha at step 0 (released code; not given in the paper)."""
+    fixed_temperature: bool = struct.field(pytree_node=False, default=False)
+    """Whether alpha stays at `initial_temperature`, as in the first version of SAC (arXiv 1801.01290), which the paper
+    cites for its figure 2; that version also learns a state value, which this learner lacks."""
     entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]"))
     """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
     timeout_bootstrap: bool = False
@@ -189,7 +192,12 @@ def _update_actor(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple
 
 
 def _update_temperature(sac: SAC, agent: Agent, log_prob: jax.Array, action_size: int) -> Agent:
-    """Return the agent after a descent step on `-log alpha (log pi + target entropy)`, the released code's loss."""
+    """Return the agent after a descent step on `-log alpha (log pi + target entropy)`, the released code's loss.
+
+    With `fixed_temperature` the agent is returned as it is.
+    """
+    if sac.fixed_temperature:
+        return agent
     grad = -(log_prob + sac.entropy_per_action * action_size)
     value, moments = descend(agent.log_temperature, grad, agent.moments["temperature"], sac.learning_rate)
     return agent.replace(log_temperature=value, moments={**agent.moments, "temperature": moments})

@@ -160,6 +160,16 @@ class MinitaurPen(MujocoEnv):
         """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave `map_bounds`."""
         return obs[..., 28:30]
 
+    @property
+    def map_starts(self) -> np.ndarray:
+        """The base's position at a start, [1, 2]."""
+        return self.initial_states
+
+    @property
+    def map_goals(self) -> np.ndarray:
+        """The goals, [12, 2]."""
+        return GOALS
+
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 32]`.
 

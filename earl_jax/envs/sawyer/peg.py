@@ -158,6 +158,22 @@ class SawyerPeg(Sawyer):
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
         return obs[..., self.state_size - 3 : self.state_size - 1]
 
+    @property
+    def map_starts(self) -> np.ndarray:
+        """Positions of the head at a start, [K, 2]: a grid with steps of 2 cm over the square of starts, or the listed ones."""
+        if self.reset_at_goal:
+            return self.map_goals
+        if self.listed:
+            return HEADS
+        sides = (np.linspace(low, high, 11) for low, high in zip(LOW[:2], HIGH[:2], strict=True))
+        square = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2) + HEAD[:2]
+        return np.concatenate([square, FAR_HEADS]) if self.wide else square
+
+    @property
+    def map_goals(self) -> np.ndarray:
+        """Position of the head of the inserted peg, [1, 2]."""
+        return INSERTED[None, :2]
+
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., o]`.
 

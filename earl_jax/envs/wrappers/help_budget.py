@@ -98,6 +98,14 @@ class HelpBudget(Env):
         return self.task.map_bounds
 
     @property
+    def map_starts(self) -> np.ndarray | None:
+        return self.task.map_starts
+
+    @property
+    def map_goals(self) -> np.ndarray | None:
+        return self.task.map_goals
+
+    @property
     def state_size(self) -> int:
         return self.task.state_size + 1
 

@@ -176,6 +176,13 @@ def test_an_update_moves_actor_targets_and_temperature():
     )
 
 
+def test_a_fixed_temperature_stays():
+    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    for fixed in (True, False):
+        after = sac_lib._update_temperature(SMALL.replace(fixed_temperature=fixed), agent, jnp.float32(-3.0), 2)
+        assert (float(after.log_temperature) == float(agent.log_temperature)) == fixed
+
+
 def test_sac_solves_a_chain_of_known_value():
     """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
 
