@@ -15,6 +15,7 @@ from flax import struct
 
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.state import tree_where
+from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.errors import InputError
 from earl_jax.protocol import (
     Attempt,
@@ -76,7 +77,8 @@ class Session:
     fault of the simulation. In a deployment setting the task goal changes when it is reached (sparse rewards), after
     `attempt_steps`, and at interventions, as for naive RL; in the continuing setting it changes on a schedule only.
     Mode `eval` is episodes of H_E steps from s0 ~ rho with one goal each. A fault truncates an episode in its last
-    state before the fault. A goal that the caller sets stays until the next `set_goal`, `draw_goal` or reset.
+    state before the fault; with a budget, help has no effect in them and nothing is charged. A goal that the caller sets
+    stays until the next `set_goal`, `draw_goal` or reset.
     """
 
     env: Env
@@ -107,8 +109,9 @@ class Session:
         """
         env = _make_task(task, options)
         env, setting = split_setting(env, setting_of(setting) if isinstance(setting, str) else setting)
-        env = setting.wrap(env.for_lanes(lanes))
-        return cls(env=env, protocol=setting.protocol(env), mode=mode, attempt_steps=attempt_steps)
+        helped = setting.wrap(env.for_lanes(lanes))
+        env, protocol = helped if mode == "train" else without_help(helped), setting.protocol(helped)
+        return cls(env=env, protocol=protocol, mode=mode, attempt_steps=attempt_steps)
 
     @property
     def is_training(self) -> bool:

@@ -70,7 +70,7 @@ class Result:
         return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
 
     def policy(self, seed: int = 0) -> Policy:
-        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o]."""
+        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o] of the task without help."""
         return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
 
 
