@@ -14,6 +14,7 @@ import numpy as np
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
+from earl_jax.options import LARGEST_INT
 from earl_jax.protocol import Continuing
 
 ORIGINAL_NAMES = {
@@ -130,7 +131,8 @@ class PersistentEnv:
 
     def __init__(self, task: Env, horizon: int, goal_change: int = 0):
         """Make the env of `task`: done every `horizon` steps, a new goal every `goal_change` steps (0: never)."""
-        self._env = ResetFreeEnv(dataclasses.replace(task, eval_horizon=horizon), mode="eval", render_mode="rgb_array")
+        task = dataclasses.replace(task, eval_horizon=horizon or LARGEST_INT)
+        self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array")
         self._goal_change = goal_change
         self._steps_since_change = 0
         self._seed: int | None = int(np.random.randint(2**31))

@@ -20,8 +20,9 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 class Setting:
     """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
 
-    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1)"))
-    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps."""
+    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
+    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps. With 0 and
+    `train_horizon=0` of the task there is none: full autonomy."""
     budget: float | None = dataclasses.field(default=None, metadata=within("(0, 1000000000]"))
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
