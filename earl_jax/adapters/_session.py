@@ -26,6 +26,7 @@ from earl_jax.protocol import (
     reset_where,
     setting_of,
     split_setting,
+    with_explicit_horizon,
 )
 
 MODES = ("train", "eval")
@@ -107,11 +108,10 @@ class Session:
         Raises:
             ValueError: an unknown name or option, or options beside an `Env`; the message lists the choices.
         """
-        env = _make_task(task, options)
-        env, setting = split_setting(env, setting_of(setting) if isinstance(setting, str) else setting)
-        helped = setting.wrap(env.for_lanes(lanes))
-        env, protocol = helped if mode == "train" else without_help(helped), setting.protocol(helped)
-        return cls(env=env, protocol=protocol, mode=mode, attempt_steps=attempt_steps)
+        setting = setting_of(setting) if isinstance(setting, str) else setting
+        env, setting = split_setting(_make_task(task, options), setting)
+        setting, env = with_explicit_horizon(setting, env, options), setting.wrap(env.for_lanes(lanes))
+        return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps)
 
     @property
     def is_training(self) -> bool:
@@ -275,8 +275,8 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     known = [field.name for field in dataclasses.fields(make(task))]
     for option in options:
         if option not in known:
-            own = "mode, setting, attempt_steps"
-            raise InputError(f"env {task!r} has no option {option!r}; choose from {own}, {', '.join(known)}")
+            choices = ", ".join(["mode", "setting", "attempt_steps", *known])
+            raise InputError(f"env {task!r} has no option {option!r}; choose from {choices}")
     return make(task, **options)
 
 

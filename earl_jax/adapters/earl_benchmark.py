@@ -15,7 +15,7 @@ from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
 from earl_jax.options import LARGEST_INT
-from earl_jax.protocol import Continuing
+from earl_jax.protocol import Continuing, with_explicit_horizon
 
 ORIGINAL_NAMES = {
     "tabletop_manipulation": "tabletop_organization",
@@ -62,7 +62,9 @@ class EARLEnvs:
         self._samples = options.pop("num_initial_state_samples", None)
         self._goal_change = options.pop("goal_change_frequency", None)
         name = ORIGINAL_NAMES.get(env_name, env_name)
-        self._task = make(name, **_task_options(name, reward_type, options))
+        task_options = _task_options(name, reward_type, options)
+        self._task = make(name, **task_options)
+        self._lifelong = with_explicit_horizon(Continuing(goal_change=self._goal_change), self._task, task_options)
         self._reset_at_goal = reset_train_env_at_goal
         if self._reset_at_goal and "reset_at_goal" not in _fields(self._task):
             raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
@@ -78,7 +80,7 @@ class EARLEnvs:
         task = dataclasses.replace(self._task, **{"reset_at_goal": True}) if self._reset_at_goal else self._task
         if not lifelong:
             return PersistentEnv(task, task.train_horizon)
-        protocol = Continuing(goal_change=self._goal_change).protocol(task)
+        protocol = self._lifelong.protocol(task)
         return PersistentEnv(task, protocol.train_horizon, protocol.goal_change)
 
     def get_eval_env(self) -> "PersistentEnv":
