@@ -39,6 +39,8 @@ class Interval(NamedTuple):
 
 COUNT = Interval(f"[1, {LARGEST_INT}]")
 """The valid numbers of steps or transitions."""
+COUNT_OR_NEVER = Interval(f"[0, {LARGEST_INT}]")
+"""The valid numbers of steps between two events; 0 for never."""
 
 
 def within(interval: str | Interval) -> dict[str, Interval]:

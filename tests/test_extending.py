@@ -1,14 +1,19 @@
 """The two packages of docs/extending.md, installed and used as the page says."""
 
+import importlib
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 
 from earl_jax import algos, envs
+from earl_jax.algos.goals import goal_table
+from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from tests.conftest import CACHE, write_files
 
 ROOT = Path(__file__).parents[1]
@@ -29,6 +34,7 @@ main(["list", "--json"])
 main(["train", "pasture", "--algo", "detour", *LENGTHS, "--out", "run", "--set", "home_share=0.8", "fear=0.4", *TINY])
 main(["evaluate", "run", "--episodes", "2"])
 main(["resume", "run", "--steps", "80"])
+main(["train", "pasture", "--algo", "subsets", *LENGTHS, "--out", "subsets", "--set", "reward_type=dense", *TINY])
 exec(DEMOS)
 demos = f"demo_file={Path('pasture.npz').resolve()}"
 main(["train", "pasture", "--algo", "vaprl", *LENGTHS, "--out", "vaprl", "--set", demos, *TINY])
@@ -72,6 +78,7 @@ def install(files, folder):
 def test_the_page_shows_two_whole_packages():
     assert list(PASTURE) == [
         "pyproject.toml", "src/earl_pasture/__init__.py", "src/earl_pasture/pasture.py", "src/earl_pasture/detour.py",
+        "src/earl_pasture/subsets.py",
     ]  # fmt: skip
     assert list(PENDULUM) == [
         "pyproject.toml", "src/earl_pendulum/__init__.py", "src/earl_pendulum/pendulum.xml", "src/earl_pendulum/hold.py",
@@ -88,6 +95,7 @@ def test_the_kinematic_package_is_installed_listed_trained_evaluated_and_resumed
     assert '"home_share": 0.8' in config
     assert '"fear": 0.4' in config
     assert len((tmp_path / "run" / "metrics.csv").read_text().splitlines()) == 1 + 2 * 2
+    assert len((tmp_path / "subsets" / "metrics.csv").read_text().splitlines()) == 1 + 2
 
 
 @pytest.mark.slow
@@ -108,6 +116,27 @@ def importable(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for registry in (algos._ALGOS, envs._ENVS):
         monkeypatch.setattr(registry, "_table", dict(registry._table))
+
+
+@pytest.mark.parametrize("reward_type", ["sparse", "dense"])
+def test_a_sum_of_rewards_over_subsets_is_the_reward_of_the_subset_of_each_state(importable, reward_type):
+    pasture, subsets = (importlib.import_module(f"earl_pasture.{name}") for name in ("pasture", "subsets"))
+    env = pasture.Pasture(reward_type=reward_type)
+    goals = goal_table(env)
+    near_home, near_left, near_right = env.initial_states[0] + 0.1, env.goal_states[0] - 0.1, env.goal_states[1] - 0.1
+    states = np.stack([near_home, near_home, near_left, near_right, near_right])
+    following = np.stack([env.goal_states[0], near_home, env.initial_states[0], near_right, near_right])
+    stored = np.array([0, 2, 0, 1, 1])  # under the left corner, home, the left and twice the right corner
+    none = np.zeros(5, bool)
+    flags = TransitionFlags(stored, none, none, np.array([0, 0, 0, 0, 1], bool), none)
+    batch = TransitionBatch(np.arange(5), states, np.zeros((5, 2)), following, np.full(5, 7.0), flags)
+    learnt = subsets.Subsets().relabel(jax.random.key(0), env, goals, batch)
+    goal = np.asarray(learnt.flags.goal)
+    assert goal[[0, 2, 3, 4]].tolist() == [0, 2, 2, 1]
+    assert goal[1] in (0, 1)
+    expected = env.reward(np.concatenate([following, goals.table[goal]], axis=1))
+    np.testing.assert_allclose(learnt.reward, np.where(goal == stored, 7.0, expected), rtol=1e-6)
+    assert learnt.flags.reached.tolist() == [False, False, env.sparse, False, False]
 
 
 @pytest.mark.slow

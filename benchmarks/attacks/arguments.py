@@ -17,7 +17,7 @@ SETS = (
     "batch_size=-1", "batch_size=1.5", "batch_size=1000000000000", f"batch_size={DIGITS}", "random_steps=-1",
     f"random_steps={DIGITS}", "hidden_sizes=[]", "hidden_sizes=[0]", "hidden_sizes=[-1]", "hidden_sizes=[1.5]",
     "hidden_sizes=[1000000000]", "hidden_sizes=[[16]]", "hidden_sizes=x", "hidden_sizes=16", "hidden_sizes=null",
-    "train_horizon=0", "train_horizon=-1", "train_horizon=3000000000", f"train_horizon={DIGITS}", "train_horizon=1.5",
+    "train_horizon=-1", "train_horizon=3000000000", f"train_horizon={DIGITS}", "train_horizon=1.5",
     "eval_horizon=0", "eval_horizon=-5", "eval_horizon=3000000000", "name=x", "env=x", "algo=x", "seeds=3", "steps=3",
     "out=x", "logs=x", "devices=2", "progress=1", "self=1", "cls=1", "=1", "=", "a", "a=b=c", "__class__=x", "sac=1", "task=x",
     "budget=-1", "budget=NaN", "intervention_chance=-0.1", "intervention_chance=1.1", "intervention_chance=NaN",

@@ -15,6 +15,7 @@ from flax import struct
 
 from earl_jax.envs import Env, State, current_options, make
 from earl_jax.envs.state import tree_where
+from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.errors import InputError
 from earl_jax.protocol import (
     Attempt,
@@ -25,6 +26,7 @@ from earl_jax.protocol import (
     reset_where,
     setting_of,
     split_setting,
+    with_explicit_horizon,
 )
 
 MODES = ("train", "eval")
@@ -76,7 +78,8 @@ class Session:
     fault of the simulation. In a deployment setting the task goal changes when it is reached (sparse rewards), after
     `attempt_steps`, and at interventions, as for naive RL; in the continuing setting it changes on a schedule only.
     Mode `eval` is episodes of H_E steps from s0 ~ rho with one goal each. A fault truncates an episode in its last
-    state before the fault. A goal that the caller sets stays until the next `set_goal`, `draw_goal` or reset.
+    state before the fault; with a budget, help has no effect in them and nothing is charged. A goal that the caller sets
+    stays until the next `set_goal`, `draw_goal` or reset.
     """
 
     env: Env
@@ -105,10 +108,10 @@ class Session:
         Raises:
             ValueError: an unknown name or option, or options beside an `Env`; the message lists the choices.
         """
-        env = _make_task(task, options)
-        env, setting = split_setting(env, setting_of(setting) if isinstance(setting, str) else setting)
-        env = setting.wrap(env.for_lanes(lanes))
-        return cls(env=env, protocol=setting.protocol(env), mode=mode, attempt_steps=attempt_steps)
+        setting = setting_of(setting) if isinstance(setting, str) else setting
+        env, setting = split_setting(_make_task(task, options), setting)
+        setting, env = with_explicit_horizon(setting, env, options), setting.wrap(env.for_lanes(lanes))
+        return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps)
 
     @property
     def is_training(self) -> bool:
@@ -272,8 +275,8 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     known, options = [field.name for field in dataclasses.fields(make(task))], current_options(task, options)
     for option in options:
         if option not in known:
-            own = "mode, setting, attempt_steps"
-            raise InputError(f"env {task!r} has no option {option!r}; choose from {own}, {', '.join(known)}")
+            choices = ", ".join(["mode", "setting", "attempt_steps", *known])
+            raise InputError(f"env {task!r} has no option {option!r}; choose from {choices}")
     return make(task, **options)
 
 

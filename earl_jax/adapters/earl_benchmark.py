@@ -14,7 +14,8 @@ import numpy as np
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
-from earl_jax.protocol import Continuing
+from earl_jax.options import LARGEST_INT
+from earl_jax.protocol import Continuing, with_explicit_horizon
 
 ORIGINAL_NAMES = {
     "tabletop_manipulation": "tabletop_organization",
@@ -61,7 +62,9 @@ class EARLEnvs:
         self._samples = options.pop("num_initial_state_samples", None)
         self._goal_change = options.pop("goal_change_frequency", None)
         name = ORIGINAL_NAMES.get(env_name, env_name)
-        self._task = make(name, **_task_options(name, reward_type, options))
+        task_options = _task_options(name, reward_type, options)
+        self._task = make(name, **task_options)
+        self._lifelong = with_explicit_horizon(Continuing(goal_change=self._goal_change), self._task, task_options)
         self._reset_at_goal = reset_train_env_at_goal
         if self._reset_at_goal and "reset_at_goal" not in _fields(self._task):
             raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
@@ -77,7 +80,7 @@ class EARLEnvs:
         task = dataclasses.replace(self._task, **{"reset_at_goal": True}) if self._reset_at_goal else self._task
         if not lifelong:
             return PersistentEnv(task, task.train_horizon)
-        protocol = Continuing(goal_change=self._goal_change).protocol(task)
+        protocol = self._lifelong.protocol(task)
         return PersistentEnv(task, protocol.train_horizon, protocol.goal_change)
 
     def get_eval_env(self) -> "PersistentEnv":
@@ -130,7 +133,8 @@ class PersistentEnv:
 
     def __init__(self, task: Env, horizon: int, goal_change: int = 0):
         """Make the env of `task`: done every `horizon` steps, a new goal every `goal_change` steps (0: never)."""
-        self._env = ResetFreeEnv(dataclasses.replace(task, eval_horizon=horizon), mode="eval", render_mode="rgb_array")
+        task = dataclasses.replace(task, eval_horizon=horizon or LARGEST_INT)
+        self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array")
         self._goal_change = goal_change
         self._steps_since_change = 0
         self._seed: int | None = int(np.random.randint(2**31))

@@ -7,6 +7,7 @@ from earl_jax.envs.base import Env
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import State
 from earl_jax.envs.wrappers.help_budget import HelpBudget
+from earl_jax.envs.wrappers.without_help import plain_task
 from earl_jax.errors import InputError
 from earl_jax.registry import Registry
 
@@ -20,6 +21,7 @@ __all__ = [
     "env_class",
     "list_envs",
     "make",
+    "plain_task",
     "register_env",
     "with_engine",
 ]

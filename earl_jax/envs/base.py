@@ -30,6 +30,7 @@ class Env(abc.ABC):
 
     reward_type: str = "sparse"
     train_horizon: int = 200_000
+    """H_T: steps between hard interventions in training; 0 for never, the full autonomy of the paper's definition."""
     eval_horizon: int = 200
     demo_file: str | None = None
     """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
@@ -54,8 +55,8 @@ class Env(abc.ABC):
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
-        for field in ("train_horizon", "eval_horizon"):
-            options.require(field, getattr(self, field), options.COUNT)
+        options.require("train_horizon", self.train_horizon, options.COUNT_OR_NEVER)
+        options.require("eval_horizon", self.eval_horizon, options.COUNT)
 
     def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
         """Raise a ValueError if the option `field` is not one of `choices`."""

@@ -131,8 +131,8 @@ class Protocol:
         for field in ("train_horizon", "goal_change"):
             if getattr(self, field) < 0:
                 raise InputError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
-        if not 0 <= self.intervention_chance < 1:
-            raise InputError(f"intervention_chance must lie in [0, 1), not {self.intervention_chance}")
+        if not 0 <= self.intervention_chance <= 1:
+            raise InputError(f"intervention_chance must lie in [0, 1], not {self.intervention_chance}")
 
     @property
     def rules(self) -> Rules:

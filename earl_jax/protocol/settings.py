@@ -4,12 +4,14 @@ Source: Sharma et al. 2022, section 3; the numbers follow the released code.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
+from earl_jax.envs.wrappers.without_help import plain_task
 from earl_jax.errors import InputError
-from earl_jax.options import COUNT, check, within
+from earl_jax.options import COUNT, COUNT_OR_NEVER, check, within
 from earl_jax.protocol.rules import Protocol
 
 HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
@@ -20,8 +22,9 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 class Setting:
     """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
 
-    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1)"))
-    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps."""
+    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
+    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps. With 0 and
+    `train_horizon=0` of the task there is none: full autonomy."""
     budget: float | None = dataclasses.field(default=None, metadata=within("(0, 1000000000]"))
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
@@ -75,26 +78,28 @@ class Continuing(Setting):
 
     goal_change: int | None = dataclasses.field(default=None, metadata=within(COUNT))
     """Steps between goal changes; None for the task's own."""
+    train_horizon: int | None = dataclasses.field(default=None, metadata=within(COUNT_OR_NEVER))
+    """H_T, 0 for never; None for the lifelong H_T, or for the task's `train_horizon` if that is not its default."""
 
     name: ClassVar[str] = "continuing"
 
     def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
-        """Return the protocol of a lifetime in `env`.
-
-        A `train_horizon` other than the task's default replaces the lifelong H_T.
-        """
-        task, _ = split_setting(env, self)
-        explicit = task.train_horizon != type(task).train_horizon
-        horizon = task.train_horizon if explicit else task.continuing_horizon or task.train_horizon
+        """Return the protocol of a lifetime in `env`."""
         change = env.goal_change if self.goal_change is None else self.goal_change
         return Protocol(
-            train_horizon=horizon,
+            train_horizon=self._horizon(plain_task(env)),
             eval_horizon=env.eval_horizon,
             eval_every=eval_every,
             eval_episodes=eval_episodes,
             intervention_chance=self.intervention_chance,
             goal_change=change,
         )
+
+    def _horizon(self, task: Env) -> int:
+        if self.train_horizon is not None:
+            return self.train_horizon
+        explicit = task.train_horizon != type(task).train_horizon
+        return task.train_horizon if explicit else task.continuing_horizon or task.train_horizon
 
 
 SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Deployment, Continuing)}
@@ -110,6 +115,17 @@ def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
         raise InputError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
     check(f"setting {name!r}", SETTINGS[name], options)
     return SETTINGS[name](**options)
+
+
+def with_explicit_horizon(setting: Setting, task: Env, options: Mapping[str, Any]) -> Setting:
+    """Return `setting` with the `train_horizon` of the task's `options`, if only the setting can hold it.
+
+    A value that equals the task's default cannot be told from the default in `task`.
+    """
+    asked = options.get("train_horizon")
+    if not isinstance(setting, Continuing) or setting.train_horizon is not None or asked != type(task).train_horizon:
+        return setting
+    return dataclasses.replace(setting, train_horizon=asked)
 
 
 def split_setting(env: Env, setting: Setting) -> tuple[Env, Setting]:

@@ -13,7 +13,7 @@ from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, current_options, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
-from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting
+from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
@@ -72,7 +72,7 @@ class Result:
         return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
 
     def policy(self, seed: int = 0) -> Policy:
-        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o]."""
+        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o] of the task without help."""
         return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
 
 
@@ -257,14 +257,15 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     rest = current_options(env, options)
     name = rest.pop("setting", Deployment.name)
     known = {field.name for field in dataclasses.fields(setting_of(name))}
+    fields = {field.name for field in dataclasses.fields(make(env))}
+    task_options = {option: rest.pop(option) for option in list(rest) if option in fields}
     setting_options = {option: rest.pop(option) for option in list(rest) if option in known}
     for other, setting in SETTINGS.items():
         strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
         if strays:
             raise InputError(f"{strays.pop()} is an option of the setting {other!r}, but the setting is {name!r}")
-    fields = {field.name for field in dataclasses.fields(make(env))}
-    task = make(env, **{option: rest.pop(option) for option in list(rest) if option in fields})
-    setting = setting_of(name, **setting_options)
+    task = make(env, **task_options)
+    setting = with_explicit_horizon(setting_of(name, **setting_options), task, task_options)
     reserved = RESERVED & set(rest)
     if reserved:
         raise InputError(f"there is no option {min(reserved)!r}")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import with_engine
+from earl_jax.envs import plain_task, with_engine
 from earl_jax.envs.state import all_finite
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
@@ -42,16 +42,18 @@ def has_diverged(lane: LaneState) -> jax.Array:
 
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
-    """Return the deployed evaluation of one lane's task controller after `step` steps."""
-    env, protocol = problem.env, problem.protocol
+    """Return the deployed evaluation of one lane's task controller after `step` steps, in the task without help."""
+    env, protocol = plain_task(problem.env), problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
-    return deployed(env, Policy.of(env, method, lane), key, protocol.eval_horizon, protocol.eval_episodes)
+    return deployed(env, Policy.of(problem.env, method, lane), key, protocol.eval_horizon, protocol.eval_episodes)
 
 
 def evaluate(
     folder: str | Path, episodes: int = 100, seed: int = 0, engine: str | None = None, starts: str = "initial"
 ) -> dict[str, np.ndarray]:
     """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, on new episodes.
+
+    After training with a budget for help, the episodes are those of the task without help.
 
     Args:
         folder: a run folder with policies.npz or a checkpoint.

@@ -7,7 +7,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
-from earl_jax.envs import Env
+from earl_jax.envs import Env, plain_task
 from earl_jax.errors import InputError
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
@@ -15,7 +15,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
-from earl_jax.training.policy import Policy
+from earl_jax.training.policy import Policy, plain_actor
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 
 
@@ -35,7 +35,8 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
 def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
     """Return the env and the newest task policies of a run folder, one policy with leaves [N].
 
-    They are those of policies.npz or of the newest checkpoint, whichever is newer.
+    After training with a budget for help, this is the task without help, and policies for it. They are those of
+    policies.npz or of the newest checkpoint, whichever is newer.
 
     Raises:
         ValueError: the folder has neither, or the newer one is damaged.
@@ -43,11 +44,15 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
         env, method, lanes = load_lanes(folder)
-        return env, jax.vmap(functools.partial(Policy.of, env))(method, lanes)
+        return plain_task(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
+    plain, to_plain = plain_task(env), functools.partial(plain_actor, env)
     like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.actor)
-    actor = policies.load_policies(folder.policies, like)
-    return env, Policy(method.sac, actor, env.obs_size, env.action_size)
+    if plain is not env and policies.obs_size(folder.policies) == env.obs_size:  # a file of an earlier version
+        actor = to_plain(policies.load_policies(folder.policies, like))
+    else:
+        actor = policies.load_policies(folder.policies, jax.eval_shape(to_plain, like))
+    return plain, Policy(method.sac, actor, plain.obs_size, plain.action_size)
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:

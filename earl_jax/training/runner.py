@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.algos.mixed import mix_methods
-from earl_jax.envs import Env
+from earl_jax.envs import Env, plain_task
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import Row, RunConfig, deployed_metric
@@ -30,6 +30,7 @@ from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, per_lane, prepare
+from earl_jax.training.policy import plain_actor
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
@@ -231,13 +232,14 @@ def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
     visits = gathered(state.lanes.visits)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():
+            own, plain = jax.tree.map(operator.itemgetter(span), actors), plain_task(run.env)
             save_policies(
                 run.folder.policies,
-                jax.tree.map(operator.itemgetter(span), actors),
+                plain_actor(run.env, own),
                 step=step,
                 seeds=run.config.seeds,
-                obs_size=run.env.obs_size,
-                action_size=run.env.action_size,
+                obs_size=plain.obs_size,
+                action_size=plain.action_size,
                 visits=None if visits is None else visits[span],
             )
 

@@ -21,6 +21,12 @@ def short(**options):
     return earl_benchmark.EARLEnvs("tabletop_manipulation", train_horizon=6, eval_horizon=4, **options)
 
 
+def test_without_interventions_the_train_env_never_asks_for_a_reset():
+    env = earl_benchmark.EARLEnvs("tabletop_manipulation", train_horizon=0, setup_as_lifelong_learning=True).get_envs()
+    env.reset()
+    assert not any(env.step(HOLD)[2] for _ in range(3))
+
+
 def test_a_script_of_the_original_runs():
     np.random.seed(0)
     loader = short(reward_type="sparse", reset_train_env_at_goal=False)

@@ -173,6 +173,12 @@ def test_a_set_goal_stays_until_the_choice_is_given_back():
     assert len(np.unique(goals, axis=0)) > 1
 
 
+def test_an_explicit_h_t_that_equals_the_tasks_default_holds_in_the_continuing_setting():
+    for horizon, options in [(50_000, {}), (200_000, {"train_horizon": 200_000})]:
+        env = ResetFreeEnv(TABLETOP, setting="continuing", **options)
+        assert env.session.protocol.train_horizon == horizon
+
+
 @pytest.mark.slow
 def test_a_spent_budget_ends_the_lifetime_and_a_reset_starts_another():
     env = ResetFreeEnv(TABLETOP, setting=Deployment(budget=2.0))

@@ -112,6 +112,7 @@ def test_interventions_follow_the_horizon_and_the_chance():
     assert not jax.vmap(Protocol(0, 5).rules.intervened)(steps, keys).any()
     rate = jax.vmap(Protocol(0, 5, intervention_chance=0.1).rules.intervened)(steps, keys).mean()
     assert float(rate) == pytest.approx(0.1, abs=0.015)
+    assert jax.vmap(Protocol(0, 5, intervention_chance=1.0).rules.intervened)(steps, keys).all()
 
 
 @pytest.mark.parametrize(
@@ -119,7 +120,7 @@ def test_interventions_follow_the_horizon_and_the_chance():
     [
         ({"eval_every": 0}, "eval_every must be at least 1, not 0"),
         ({"train_horizon": -1}, "train_horizon must be at least 1, or 0 for never, not -1"),
-        ({"intervention_chance": 1}, r"intervention_chance must lie in \[0, 1\), not 1"),
+        ({"intervention_chance": 1.5}, r"intervention_chance must lie in \[0, 1\], not 1.5"),
     ],
 )
 def test_a_protocol_refuses_invalid_numbers(changes, message):

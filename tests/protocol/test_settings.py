@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from earl_jax.envs import HelpBudget, make
-from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, split_setting
+from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, split_setting, with_explicit_horizon
 
 
 def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
@@ -16,6 +16,29 @@ def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
     assert Continuing(goal_change=30, intervention_chance=0.01).protocol(make("tabletop_organization")) == Protocol(
         50_000, 200, intervention_chance=0.01, goal_change=30
     )
+
+
+@pytest.mark.parametrize("setting", [Deployment, Continuing])
+def test_full_autonomy_is_a_task_without_h_t_and_the_other_extreme_a_reset_at_every_step(setting):
+    never = setting().protocol(make("sawyer_peg", physics="c", train_horizon=0)).rules
+    assert (int(never.horizon), float(never.chance)) == (0, 0.0)
+    assert float(setting(intervention_chance=1.0).protocol(make("tabletop_organization")).rules.chance) == 1.0
+
+
+def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
+    peg = make("sawyer_peg", physics="c")
+    assert Continuing().protocol(peg).train_horizon == 50_000
+    assert Continuing(train_horizon=100_000).protocol(peg).train_horizon == 100_000
+    assert Continuing(train_horizon=0).protocol(HelpBudget(peg, 1.0)).train_horizon == 0
+    asked = with_explicit_horizon(Continuing(), peg, {"train_horizon": 100_000})
+    assert asked == Continuing(train_horizon=100_000)
+    for setting, options in [
+        (Continuing(), {}),
+        (Continuing(), {"train_horizon": 700}),
+        (Continuing(train_horizon=9), {"train_horizon": 100_000}),
+        (Deployment(), {"train_horizon": 100_000}),
+    ]:
+        assert with_explicit_horizon(setting, peg, options) is setting
 
 
 def test_unknown_settings_and_options_are_refused():

@@ -42,6 +42,18 @@ def test_the_setting_and_its_budget_are_restored(env):
     assert config.protocol(config.build_env()).goal_change == 7
 
 
+def test_an_explicit_h_t_is_restored_and_a_config_without_it_keeps_its_h_t(env):
+    for setting, options, horizon in [
+        (Continuing(train_horizon=200_000), {}, 200_000),
+        (Continuing(), {}, 50_000),
+        (Continuing(), {"train_horizon": 700}, 700),
+    ]:
+        task = dataclasses.replace(env, **options)
+        config = through_json(RunConfig.from_objects(task, tiny_method("naive"), setting, **LENGTHS))
+        assert ("train_horizon" in config.setting, config.env_options) == (horizon == 200_000, options)
+        assert config.protocol(config.build_env()).train_horizon == horizon
+
+
 def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
     sparse, dense = (earl_jax.make("tabletop_organization", reward_type=kind) for kind in ("sparse", "dense"))
     assert earl_jax.method_for(sparse, "naive").sac.reward_scale == 10.0

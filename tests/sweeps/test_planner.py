@@ -21,6 +21,14 @@ def test_a_group_contains_the_runs_that_fit_one_program(tmp_path, grid):
         assert len({("fbrl" in name, "layer_norm=true" in name) for name in group["runs"]}) == 1
 
 
+def test_full_autonomy_shares_the_program_of_other_horizons(tmp_path, grid):
+    grid.write_text(GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n")
+    plan = planner.plan(grid, tmp_path)
+    assert [group["lanes"] for group in plan["groups"]] == [16]
+    horizons = [run["config"]["env_options"]["train_horizon"] for run in plan["runs"].values()]
+    assert horizons == 2 * [0, 1000, 0, 1000]
+
+
 def test_max_lanes_splits_groups_but_no_run(tmp_path, grid):
     grid.write_text(
         GRID.replace('"oracle"', '"oracle", "fbrl"') + "reward_scale = [1, 10]\nlayer_norm = [true, false]\n"

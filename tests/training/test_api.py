@@ -88,6 +88,10 @@ def test_options_are_split_into_task_setting_and_method():
     assert setting == Continuing(goal_change=5, budget=3)
     assert env == setting.wrap(earl_jax.make("tabletop_organization", wide=True))
     assert rest == {"reward_scale": 1.0}
+    env, setting, _ = split_options("tabletop_organization", {"train_horizon": 0, "intervention_chance": 1})
+    assert (setting.protocol(env).train_horizon, setting.protocol(env).intervention_chance) == (0, 1)
+    env, setting, _ = split_options("sawyer_peg", {"setting": "continuing", "train_horizon": 100_000})
+    assert setting.protocol(env).train_horizon == 100_000
     message = "goal_change is an option of the setting 'continuing', but the setting is 'deployment'"
     with pytest.raises(ValueError, match=message):
         split_options("tabletop_organization", {"goal_change": 5})

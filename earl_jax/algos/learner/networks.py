@@ -43,6 +43,26 @@ def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -
     return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init, layer_norm=layer_norm)
 
 
+def fix_input(params: Any, index: int, value: float) -> Any:
+    """Return the parameters of a `mlp` for inputs [K - 1]: `params`, leaves [..., ...], with input `index` at `value`."""
+    layers = dict(params["params"])
+    kernel, bias = layers["hidden_0"]["kernel"], layers["hidden_0"]["bias"]
+    rest = jnp.delete(kernel, index, axis=-2, assume_unique_indices=True)
+    return {"params": {**layers, "hidden_0": {"kernel": rest, "bias": bias + value * kernel[..., index, :]}}}
+
+
+def drop_action(params: Any, index: int) -> Any:
+    """Return the parameters of a policy for actions [a - 1]: `params`, leaves [..., ...], without component `index`."""
+    layers = dict(params["params"])
+    last = f"hidden_{len(layers) - 1}"
+    size = layers[last]["bias"].shape[-1] // 2
+    dropped = jnp.array([index, size + index])
+    layers[last] = {
+        name: jnp.delete(leaf, dropped, axis=-1, assume_unique_indices=True) for name, leaf in layers[last].items()
+    }
+    return {"params": layers}
+
+
 def check_precision(precision: str) -> None:
     """Raise a ValueError if `precision` is not one of `PRECISIONS`."""
     if precision not in PRECISIONS:
