@@ -1,6 +1,7 @@
 """Arguments that several commands share, and the output of a command as text or JSON."""
 
 import json
+import math
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -67,8 +68,16 @@ def parse_minutes(text: str | None) -> TimeLimit | None:
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
-    """Print `result` as one JSON object with `as_json`, else `text`."""
-    print(json.dumps(result) if as_json else text)
+    """Print `result` as one JSON object with `as_json`, else `text`; JSON has null where a number is nan."""
+    print(json.dumps(_without_nan(result)) if as_json else text)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def print_line(line: str) -> None:

@@ -56,27 +56,28 @@ def verdict(difference: float, p: float, level: float = LEVEL) -> str:
     return "above" if difference > 0 else "below"
 
 
-def mean_interval(scores: np.ndarray, level: float = LEVEL) -> Estimate:
-    """Return the mean of `scores [seeds]` with Student's interval, whose ends are nan for a single seed."""
-    sample = Sample.of(scores)
-    half = sample.stderr * stats.t.ppf(1 - level / 2, sample.seeds - 1) if sample.seeds > 1 else math.nan
-    return Estimate(sample.mean, float(sample.mean - half), float(sample.mean + half))
+def mean_interval(scores: np.ndarray) -> Estimate:
+    """Return the mean of `scores [seeds, ...]` with Student's 95 % interval, whose ends are nan for a single seed."""
+    scores = np.asarray(scores, float)
+    mean, seeds = scores.mean(axis=0), len(scores)
+    half = np.full_like(mean, math.nan)
+    if seeds > 1:
+        half = stats.t.ppf(1 - LEVEL / 2, seeds - 1) * scores.std(axis=0, ddof=1) / math.sqrt(seeds)
+    return Estimate(*(end if mean.ndim else float(end) for end in (mean, mean - half, mean + half)))
 
 
 def welch(sample: Sample, other: Sample) -> Comparison:
     """Return `sample` minus `other` by Welch's test of means with unequal variances.
 
-    If both standard errors are 0, equal means have p = 1 and others p = 0.
+    There is no interval and no p if a sample has one seed, or if neither has a spread.
     """
     difference, error, freedom = (
         sample.mean - other.mean,
         math.hypot(sample.stderr, other.stderr),
         _freedom(sample, other),
     )
-    if math.isnan(error):
+    if not error > 0:
         return Comparison(difference, math.nan, math.nan, math.nan)
-    if error == 0:
-        return Comparison(difference, difference, difference, float(difference == 0))
     half = error * stats.t.ppf(1 - LEVEL / 2, freedom)
     p = 2 * stats.t.sf(abs(difference) / error, freedom)
     return Comparison(difference, float(difference - half), float(difference + half), float(p))

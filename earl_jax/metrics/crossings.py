@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from scipy import stats
 
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate
 
 CROSSING_WINDOW = 100_000
@@ -29,12 +29,8 @@ def crossing(steps: np.ndarray, scores: np.ndarray, level: float, window: int = 
     The interval runs from the first step at which the upper end of Student's 95 % interval of the mean reaches the level
     to the first at which the lower end does. Each number is nan if the curve does not reach the level.
     """
-    curves = trailing_mean(steps, scores, window)
-    mean, seeds = curves.mean(axis=0), len(curves)
-    half = np.full_like(mean, math.nan)
-    if seeds > 1:
-        half = stats.t.ppf(0.975, seeds - 1) * curves.std(axis=0, ddof=1) / math.sqrt(seeds)
-    return Estimate(*(_first(steps, curve, level) for curve in (mean, mean + half, mean - half)))
+    mean, low, high = mean_interval(trailing_mean(steps, scores, window))
+    return Estimate(*(_first(steps, curve, level) for curve in (mean, high, low)))
 
 
 def _first(steps: np.ndarray, curve: np.ndarray, level: float) -> float:

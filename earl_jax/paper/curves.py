@@ -6,34 +6,29 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.scores import deployed_area
-from earl_jax.metrics.statistics import mean_of, stderr
-from earl_jax.report.published import (
-    FEW,
-    FEW_SEEDS,
-    LEVELS,
-    PublishedScore,
-    published_crossings,
-    published_score,
-)
+from earl_jax.metrics.statistics import stderr
+from earl_jax.report.published import LEVELS, PublishedScore, published_crossings, published_score
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
-from earl_jax.report.tables import crossing, markdown_table, millions, trailing, write
+from earl_jax.report.tables import markdown_table, millions, step_interval, trailing, write
 
 CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
 SMOOTH = " (trailing 10)"
 DESCRIPTION = (
     "Deployed performance from s0 (mean of the trailing 10 evaluations) and reward per step over the lifetime. A "
-    "line is the mean over seeds, its band the 95 % bootstrap interval of that mean. Dashes at the right edge are "
+    "line is the mean over seeds, its band Student's 95 % interval of that mean. Dashes at the right edge are "
     "the published final values. Crosses are the steps at which the published mean curves first reached 0.5 and 0.9. "
     "curves.csv has single evaluations as well."
 )
 COLUMNS = (
-    "`to 0.5` and `to 0.9`: the step at which the mean curve, over its trailing 10 evaluations, first reached that "
-    "success (`-`: not within the run, or the task is scored by return). D(A): the area under the deployed curve "
-    "divided by the steps, where each evaluation stands for the steps since the one before; the paper's D(A) is the "
-    "gap between that and the best policy. C(A): reward per step over the lifetime. J_D: the last evaluation. "
-    "Brackets: standard errors."
+    "`to 0.5` and `to 0.9`: the step at which the mean curve, over the evaluations of the last 100,000 steps, first "
+    "reached that success, with a 95 % interval (`-`: not within the run, or the task is scored by return). D(A): the "
+    "area under the deployed curve divided by the steps, where each evaluation stands for the steps since the one "
+    "before; the paper's D(A) is the gap between that and the best policy. C(A): reward per step over the lifetime. "
+    "J_D: the last evaluation. Brackets: standard errors."
 )
 
 
@@ -63,7 +58,7 @@ def _points(groups: Sequence[MethodRuns]) -> Iterator[dict[str, Any]]:
         names = (group.curves.deployed_metric, group.curves.deployed_metric + SMOOTH, CONTINUING)
         for metric, values in zip(names, (deployed, trailing(deployed), lifetime), strict=True):
             for step, scores in zip(group.curves.steps.tolist(), values.T, strict=True):
-                estimate = mean_of(scores)
+                estimate = mean_interval(scores)
                 yield {
                     "env": group.env,
                     "algo": group.label,
@@ -93,8 +88,6 @@ def _markdown(groups: Sequence[MethodRuns]) -> str:
     header += ["D(A)", "C(A)", "published", "J_D", "published"]
     notes = [f"- {group.env}, {group.label}: {options_text(group.curves.options)}" for group in groups]
     parts = ["# Learning curves", DESCRIPTION, markdown_table(header, [_line(group) for group in groups]), COLUMNS]
-    if any(len(group.curves.metrics[CONTINUING]) < FEW for group in groups):
-        parts.append(FEW_SEEDS)
     return "\n\n".join([*parts, "\n".join(["Options:", "", *notes])]) + "\n"
 
 
@@ -104,8 +97,8 @@ def _line(group: MethodRuns) -> list[str]:
     rates = group.curves.deployed_metric == SUCCESS
     crossings = []
     for level in LEVELS:
-        step = crossing(steps, scores.mean(axis=0), level) if rates else None
-        crossings += [f"{step:,}" if step else "-", millions(_crossings(group).get(level))]
+        ours = step_interval(crossing(steps, scores, level)) if rates else "-"
+        crossings += [ours, millions(_crossings(group).get(level))]
     deployed, continuing = _published("table1", group), _published("table2", group)
     digits = 3 if rates else 1
     return [

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from earl_jax.metrics.comparisons import SIGNIFICANT, Comparison, holm, welch
+from earl_jax.metrics.comparison import LEVEL, Comparison, Sample, holm, welch
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.paper.figure4_picture import THRESHOLD_TEXT, draw
 from earl_jax.paper.tasks import FIGURE4_GOAL_RADIUS, FIGURE4_LARGER
 from earl_jax.paper.visit_maps import VisitMap, checked, write_maps
-from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
+from earl_jax.report.published import estimate_text
 from earl_jax.report.style import save
 from earl_jax.report.tables import markdown_table
 
@@ -31,7 +31,7 @@ CLAIMS = (
     "The paper: the oracle's visits stay around the initial and goal distributions, FBRL's are further away and in the "
     "corners, and the oracle's peg is stuck around the goal box. Each row tests one of these claims over seeds: the "
     "difference with its 95 % interval by Welch's t-test, p, and p corrected by Holm's method for the tests in this table. "
-    f"The verdict is `as published` or `opposite to published` if the corrected p is below {SIGNIFICANT}, else "
+    f"The verdict is `as published` or `opposite to published` if the corrected p is below {LEVEL}, else "
     f"`{UNCLEAR}`. The paper makes no claim about entropy or coverage."
 )
 POOLED = (
@@ -54,7 +54,7 @@ class Verdict(NamedTuple):
     @property
     def agrees(self) -> bool:
         """Whether the sign of the difference is the published one."""
-        return self.comparison.value != 0 and (self.comparison.value > 0) == (self.larger == "fbrl")
+        return self.comparison.difference != 0 and (self.comparison.difference > 0) == (self.larger == "fbrl")
 
 
 def write_figure4(maps: Sequence[VisitMap], out: Path) -> list[Path]:
@@ -88,8 +88,6 @@ def _markdown(maps: Sequence[VisitMap]) -> str:
         parts.append(POOLED)
     missing = [_missing(maps, env) for env in dict.fromkeys(part.env for part in maps)]
     parts += [text for text in missing if text]
-    if any(part.seeds < FEW for part in maps):
-        parts.append(FEW_SEEDS)
     return "\n\n".join([*parts, PICTURE]) + "\n"
 
 
@@ -112,7 +110,7 @@ def verdicts(maps: Sequence[VisitMap]) -> list[Verdict]:
         fbrl, oracle = (scores.get((env, algo), {}).get(measure) for algo in ("fbrl", "oracle"))
         if fbrl is not None and oracle is not None:
             means = float(fbrl.mean()), float(oracle.mean())
-            results.append(Verdict(env, measure, larger, *means, comparison=welch(fbrl, oracle)))
+            results.append(Verdict(env, measure, larger, *means, comparison=welch(Sample.of(fbrl), Sample.of(oracle))))
     return results
 
 
@@ -145,12 +143,12 @@ def _p_text(p: float) -> str:
 
 def _word(verdict: Verdict, p: float) -> str:
     """Return the verdict at the corrected `p`."""
-    if verdict.comparison.value == 0:
+    if verdict.comparison.difference == 0:
         return UNCLEAR
     sign = "as published" if verdict.agrees else "opposite to published"
     if math.isnan(p):
         return f"{sign}, not tested"
-    return sign if p < SIGNIFICANT else UNCLEAR
+    return sign if p < LEVEL else UNCLEAR
 
 
 def _missing(maps: Sequence[VisitMap], env: str) -> str:

@@ -12,9 +12,10 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.claims import table2_claims
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
-from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE, PublishedScore, published_fault
+from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import colours, method_order, new_figure, save, task_title
 from earl_jax.report.tables import markdown_table, write
@@ -47,24 +48,24 @@ def _markdown(number: int, rows: Sequence[Row], claims: Sequence[str]) -> str:
     parts = [
         f"# {HEADINGS[number]}",
         DESCRIPTIONS[number],
-        "Each cell: ours, mean (standard error) / published, mean (standard error) / verdict.",
+        "Each cell: ours, mean (standard error) / published, mean (standard error) / verdict. A run that is shorter than the "
+        "published ones is not compared; its share of the steps stands there.",
         _table_by_task(rows, _comparison),
         *claims,
     ]
     if number == 1:
         parts.append(
-            "Less noisy, the mean of the last 10 evaluations: ours, mean (standard error) / of the released curves."
+            "Less noisy, the mean over the evaluations of the last 100,000 steps: ours, mean (standard error) / of the "
+            "released curves."
         )
-        parts.append(_table_by_task(rows, _last10_comparison))
-    parts.append(INTERVAL_RULE)
+        parts.append(_table_by_task(rows, _recent_comparison))
+    parts += [_tests(rows), INTERVAL_RULE]
     trained = [row for row in rows if row["seeds"] is not None]
-    if any(row["seeds"] < FEW for row in trained):
-        parts.append(FEW_SEEDS)
     faults = {env: published_fault(f"table{number}", env) for env in dict.fromkeys(row["env"] for row in trained)}
     fault_lines = [f"- {env}: {fault}" for env, fault in faults.items() if fault]
     if fault_lines:
         parts.append("\n".join(["Known faults of published scores:", "", *fault_lines]))
-    heading = "Runs (a run shorter than the published one is compared at an earlier stage of training):"
+    heading = "Runs:"
     parts.append("\n".join([heading, "", *map(_run_note, trained)]))
     return "\n\n".join([*parts, _missing(rows)]) + "\n"
 
@@ -84,12 +85,27 @@ def _comparison(row: Row) -> str:
     if row["published_mean"] == "-":
         return f"{ours} / - / -"
     share = share_of_steps(row)
-    verdict = f"{row['verdict']} at {share} of the steps" if share else row["verdict"]
+    verdict = f"at {share} of the steps" if share else row["verdict"]
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
 
 
-def _last10_comparison(row: Row) -> str:
-    return f"{_ours(row, 'last10', 'last10_stderr')} / {row['published_last10'] or '-'}"
+def _recent_comparison(row: Row) -> str:
+    return f"{_ours(row, 'recent', 'recent_stderr')} / {row['published_last10'] or '-'}"
+
+
+def _tests(rows: Sequence[Row]) -> str:
+    """Return a table of the tests against the published scores, or a line that there is none."""
+    tested = [row for row in rows if row["p"] is not None]
+    if not tested:
+        return "No run has the published length, so none is tested against the published scores."
+    header = ["env", "method", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
+    lines = []
+    for row in tested:
+        difference = Estimate(row["difference"], row["difference_low"], row["difference_high"])
+        numbers = [f"{row['p']:.2g}", "-" if row["p_holm"] is None else f"{row['p_holm']:.2g}"]
+        text = estimate_text(difference, DIGITS.get(row["metric"], 4))
+        lines.append([row["env"], row["label"], text, *numbers, row["verdict"], f"{row['detectable']:.2g}"])
+    return markdown_table(header, lines)
 
 
 def _ours(row: Row, mean: str, error: str) -> str:
@@ -161,6 +177,6 @@ def _add_legend(figure: Any) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    ours = Line2D([], [], marker="o", color="black", linewidth=1.8, label="ours: mean, 95 % bootstrap interval")
+    ours = Line2D([], [], marker="o", color="black", linewidth=1.8, label="ours: mean, Student's 95 % interval")
     published = Patch(color="0.6", alpha=0.45, label="published: mean, 95 % interval of five seeds")
     figure.legend(handles=[ours, published], loc="outside lower center", ncols=2, frameon=False, fontsize="small")

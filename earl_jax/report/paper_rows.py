@@ -3,15 +3,19 @@
 Source: Sharma et al. 2022, tables 1 and 2.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from earl_jax import assets
-from earl_jax.metrics.statistics import mean_of, stderr
-from earl_jax.report.published import published_score, published_steps, verdict
+from earl_jax.metrics.comparison import Sample, detectable_difference, holm, mean_interval, verdict, welch
+from earl_jax.metrics.statistics import stderr
+from earl_jax.report.comparison import recent_scores
+from earl_jax.report.published import published_score, published_steps
 from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.style import method_order, task_order
-from earl_jax.report.tables import WINDOW
 
 HEADINGS = {
     1: "Table 1: deployed performance of the final policy",
@@ -32,6 +36,10 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
         for algo in method_order(algo for name, algo in names if name == env):
             runs = [group for group in groups if (group.env, group.algo) == (env, algo)]
             rows += [_row(number, env, algo, group) for group in runs or [None]]
+    tested = [row for row in rows if row["p"] is not None]
+    for row, adjusted in zip(tested, holm([row["p"] for row in tested]), strict=True):
+        row["p_holm"] = None if math.isnan(adjusted) else float(adjusted)
+        row["verdict"] = verdict(row["difference"], adjusted)
     return rows
 
 
@@ -53,23 +61,40 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "published_high": high,
         "published_steps_low": steps_low,
         "published_steps_high": steps_high,
-        "verdict": verdict(ours["mean"], score.interval if score else None),
+        **dict.fromkeys(("difference", "difference_low", "difference_high", "detectable", "p", "p_holm")),
+        "verdict": "-",
     }
+    if group and score and score.sample and row["steps"] >= (steps_low or 0):
+        row |= _test(_tested_scores(number, group), score.sample)
     if number == 1:
         crossings = assets.published_row("crossings", env=env, algo=algo) if comparable else {}
         row["published_last10"] = crossings.get("last10") or None
     return row
 
 
+def _test(scores: np.ndarray, published: Sample) -> dict[str, float]:
+    """Return Welch's test of `scores [N]` against the published seeds."""
+    sample = Sample.of(scores)
+    result, detectable = welch(sample, published), detectable_difference(sample, published)
+    names = ("difference", "difference_low", "difference_high", "p", "detectable")
+    return dict(zip(names, (*result, detectable), strict=True))
+
+
+def _tested_scores(number: int, group: MethodRuns) -> np.ndarray:
+    """Return the scores [N] to test: of the last 100,000 steps for table 1, over the lifetime for table 2."""
+    curves = group.curves
+    return recent_scores(curves, int(curves.steps[-1])) if number == 1 else curves.metrics["continuing/reward"][:, -1]
+
+
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     """Return the scores of the seeds of `group`, all of them None without a run."""
     names = ["metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high"]
-    names += ["last10", "last10_stderr"] if number == 1 else []
+    names += ["recent", "recent_stderr"] if number == 1 else []
     if group is None:
         return dict.fromkeys(names)
     metric = group.curves.deployed_metric if number == 1 else "continuing/reward"
     scores = group.curves.metrics[metric]
-    estimate = mean_of(scores[:, -1])
+    estimate = mean_interval(scores[:, -1])
     row = {
         "metric": metric,
         "seeds": len(scores),
@@ -81,14 +106,14 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
         "high": estimate.high,
     }
     if number == 1:
-        recent = scores[:, -WINDOW:].mean(axis=1)
-        row |= {"last10": float(recent.mean()), "last10_stderr": float(stderr(recent))}
+        recent = _tested_scores(number, group)
+        row |= {"recent": float(recent.mean()), "recent_stderr": float(stderr(recent))}
     return row
 
 
 def share_of_steps(row: dict[str, Any]) -> str:
-    """Return the share of the published steps after which a verdict was reached; empty if it was after all of them."""
+    """Return the share of the published steps that a run has, if it is shorter than those; else an empty text."""
     least = row["published_steps_low"]
-    if row["verdict"] == "-" or not least or row["steps"] >= least:
+    if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:
         return ""
     return f"{100 * row['steps'] / least:.2g} %"

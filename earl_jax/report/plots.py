@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.statistics import bootstrap, iqm
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.runs import Curves, labels, read_all
 from earl_jax.report.style import new_figure, save
 
@@ -17,7 +17,7 @@ SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def plot_runs(folders: Sequence[Path], out: Path) -> Path:
-    """Draw deployed and continuing curves of `folders`, means with 95 % bands of the IQM, and return `out`.
+    """Draw deployed and continuing curves of `folders`, means with Student's 95 % bands, and return `out`.
 
     Raises:
         ValueError: a folder is no run, `out` has an unknown suffix, or matplotlib is not installed.
@@ -44,11 +44,11 @@ def _metric(panel: str, curves: Curves) -> str:
 
 
 def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:
-    """Draw the mean over seeds of `values [N, E]` with a bootstrap band of the IQM, or with each of up to two seeds."""
+    """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
     count = f"{len(values)} seed{'s' * (len(values) > 1)}"
-    axis.plot(curves.steps, values.mean(axis=0), color=colour, label=f"{name}, {count}")
+    mean, low, high = mean_interval(values)
+    axis.plot(curves.steps, mean, color=colour, label=f"{name}, {count}")
     if len(values) > 2:
-        low, high = np.array([bootstrap(column, iqm) for column in values.T]).T
         axis.fill_between(curves.steps, low, high, color=colour, alpha=0.2, linewidth=0)
     else:
         axis.plot(curves.steps, values.T, color=colour, alpha=0.3, linewidth=0.8)

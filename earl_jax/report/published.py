@@ -1,4 +1,4 @@
-"""The published numbers of the paper, and verdicts on ours beside them.
+"""The published numbers of the paper.
 
 Source: Sharma et al. 2022, tables 1 and 2; `crossings` and `steps` come from the released curves and configurations.
 """
@@ -6,6 +6,8 @@ Source: Sharma et al. 2022, tables 1 and 2; `crossings` and `steps` come from th
 import math
 from decimal import Decimal
 from typing import NamedTuple
+
+from scipy import stats
 
 from earl_jax import assets
 from earl_jax.metrics.comparison import Sample
@@ -15,17 +17,18 @@ LEVELS = (0.5, 0.9)
 """Success rates for which reports give the first step that reaches them."""
 SEEDS = 5
 """Number of seeds of each published score."""
-NORMAL = 1.96
-"""Standard errors on either side of the mean in a 95 % interval."""
-FEW = 5
-"""Fewer seeds than this make an interval unreliable."""
 INTERVAL_RULE = (
-    "Published interval: mean ± 1.96 standard errors of five seeds. The published tables are rounded, so the mean "
-    "and the standard error are each taken half a unit of their last printed digit wider; `<0.001` means 0 to 0.001. "
-    "The verdict says where our mean lies: within, above or below that interval. It is `-` if nothing is published "
-    "or nothing was run."
+    "Tests: Welch's test of our seeds against the five published ones, from mean, standard error and number of seeds, for runs "
+    "of the published length; table 1 by our mean over the evaluations of the last 100,000 steps. The paper's standard errors "
+    "divide by n and are converted; one printed as 0.00 counts as half a unit of its last digit. p is adjusted by Holm over the "
+    "table. The verdict is above or below if the adjusted p is under 0.05, else `cannot tell`; detectable is the difference "
+    "that such a test would find with a probability of 80 %. It is `-` if nothing is published or nothing was run. Intervals "
+    "are Student's 95 % intervals of means."
 )
-FEW_SEEDS = "An interval over fewer than five seeds is narrower than a true 95 % interval."
+
+FEW = 10
+"""Fewer seeds than this make a bootstrap interval unreliable."""
+FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
 
 
 class PublishedScore(NamedTuple):
@@ -46,17 +49,14 @@ class PublishedScore(NamedTuple):
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval: mean ± 1.96 s.e., each half a unit of its last digit wider.
-
-        `<x` gives 0 to x, `-` gives None.
-        """
-        if self.mean == "-":
-            return None
+        """Student's 95 % interval of the mean, half a unit of its last digit wider; `<x` gives 0 to x, `-` gives None."""
         if self.mean.startswith("<"):
             return 0.0, float(self.mean[1:])
-        half = 0.5 * 10.0 ** int(Decimal(self.mean).as_tuple().exponent)
-        spread = half + NORMAL * (0.0 if self.stderr == "-" else float(self.stderr) + half)
-        return float(self.mean) - spread, float(self.mean) + spread
+        sample = self.sample
+        if sample is None:
+            return None
+        spread = _half_unit(self.mean) + float(stats.t.ppf(0.975, SEEDS - 1)) * sample.stderr
+        return sample.mean - spread, sample.mean + spread
 
     @property
     def sample(self) -> Sample | None:
@@ -66,9 +66,13 @@ class PublishedScore(NamedTuple):
         """
         if self.mean in ("-", "") or self.mean.startswith("<") or self.stderr == "-":
             return None
-        half = 0.5 * 10.0 ** int(Decimal(self.stderr).as_tuple().exponent)
-        error = max(float(self.stderr), half) * math.sqrt(SEEDS / (SEEDS - 1))
+        error = max(float(self.stderr), _half_unit(self.stderr)) * math.sqrt(SEEDS / (SEEDS - 1))
         return Sample(float(self.mean), error, SEEDS)
+
+
+def _half_unit(number: str) -> float:
+    """Return half a unit of the last digit of a printed number."""
+    return 0.5 * 10.0 ** int(Decimal(number).as_tuple().exponent)
 
 
 def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
@@ -93,13 +97,6 @@ def published_fault(table: str, env: str) -> str | None:
     """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
     rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
     return " ".join(row["fault"] for row in rows) or None
-
-
-def verdict(value: float | None, interval: tuple[float, float] | None) -> str:
-    """Return where `value` lies beside `interval`: within (ends included), above or below; `-` if one is None."""
-    if value is None or interval is None or not math.isfinite(value):
-        return "-"
-    return "below" if value < interval[0] else "above" if value > interval[1] else "within"
 
 
 def word_by_sign(estimate: Estimate, positive: str, negative: str, unclear: str) -> str:

@@ -1,6 +1,7 @@
 """The paper's two tables made from run folders, beside the published scores."""
 
 import csv
+import math
 import re
 import textwrap
 from collections.abc import Sequence
@@ -10,27 +11,27 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.metrics.statistics import summarise
+from earl_jax.metrics.crossings import crossing
+from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import LEVELS, published_score
 from earl_jax.report.runs import Curves, labels, options_text, read_all
 
 WINDOW = 10
-"""Evaluations in the trailing mean from which crossings are read."""
+"""Evaluations in the trailing mean of drawn curves."""
 HEADER = (
     "env",
     "algo",
     "seeds",
     "steps",
-    "deployed",
-    "IQM [95 %]",
+    "deployed, mean [95 %]",
+    "seeds over 0.5",
     "published",
     "continuing",
     "published",
-    "to 0.5",
-    "to 0.9",
 )
-HEADER += ("steps/reward",)
+HEADER += ("to 0.5 [95 %]", "to 0.9 [95 %]", "steps/reward")
 CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
 
@@ -54,34 +55,41 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
 def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
     scores = curves.metrics[curves.deployed_metric]
-    deployed = summarise(scores[:, -last:].mean(axis=1))
-    continuing = summarise(curves.metrics["continuing/reward"][:, -1])
-    mean_curve, rates = scores.mean(axis=0), curves.deployed_metric == "deployed/success"
+    deployed, continuing = scores[:, -last:].mean(axis=1), curves.metrics["continuing/reward"][:, -1]
+    interval, rates = mean_interval(deployed), curves.deployed_metric == "deployed/success"
     return {
         "env": curves.config.env,
         "algo": name,
         "options": options_text(curves.options),
-        "seeds": deployed.seeds,
+        "seeds": len(deployed),
         "diverged": curves.diverged,
         "steps": int(curves.steps[-1]),
-        "deployed": deployed.mean,
-        "deployed_stderr": deployed.stderr,
-        "deployed_iqm": deployed.iqm,
-        "deployed_low": deployed.low,
-        "deployed_high": deployed.high,
+        "deployed": interval.value,
+        "deployed_stderr": float(stderr(deployed)),
+        "deployed_low": interval.low,
+        "deployed_high": interval.high,
+        "seeds_above_half": float((deployed > 0.5).mean()) if rates else None,
         "published_deployed": _published("table1", curves),
-        "continuing": continuing.mean,
-        "continuing_stderr": continuing.stderr,
+        "continuing": float(continuing.mean()),
+        "continuing_stderr": float(stderr(continuing)),
         "published_continuing": _published("table2", curves),
-        **{f"steps_to_{level}": crossing(curves.steps, mean_curve, level) if rates else None for level in LEVELS},
+        **_crossings(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
 
 
-def crossing(steps: np.ndarray, curve: np.ndarray, level: float) -> int | None:
-    """Return the first step at which the mean of the last 10 evaluations of `curve [E]` reaches `level`, or None."""
-    reached = np.flatnonzero(trailing(curve) >= level)
-    return int(steps[reached[0]]) if len(reached) else None
+def _crossings(curves: Curves) -> dict[str, float | None]:
+    """Return `steps_to_LEVEL` of both levels with the ends of its interval; None for what was not reached."""
+    row: dict[str, float | None] = {}
+    for level in LEVELS:
+        names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
+        row |= dict.fromkeys(names)
+        if curves.deployed_metric == "deployed/success":
+            estimate = crossing(curves.steps, curves.metrics[curves.deployed_metric], level)
+            row |= {
+                name: None if math.isnan(value) else int(value) for name, value in zip(names, estimate, strict=True)
+            }
+    return row
 
 
 def trailing(curve: np.ndarray) -> np.ndarray:
@@ -129,7 +137,7 @@ def file_table(path: Path, header: Sequence[str], lines: Sequence[Sequence[Any]]
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
-    """Return `rows` as a markdown table: mean (standard error), IQM [95 % interval], published scores beside them."""
+    """Return `rows` as a markdown table: means with intervals, published scores beside them."""
     return "\n".join([markdown_table(HEADER, _lines(rows)), "", *_notes(rows)])
 
 
@@ -137,10 +145,10 @@ def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
     return [
         [
             row["env"], row["algo"], f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}", f"{row['steps']:,}",
-            f"{row['deployed']:.3f} ({row['deployed_stderr']:.3f})",
-            f"{row['deployed_iqm']:.3f} [{row['deployed_low']:.3f}, {row['deployed_high']:.3f}]",
+            interval_text(row["deployed"], row["deployed_low"], row["deployed_high"]),
+            "-" if row["seeds_above_half"] is None else f"{row['seeds_above_half']:.0%}",
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
-            row["published_continuing"] or "-", *(millions(row[f"steps_to_{level}"]) for level in LEVELS),
+            row["published_continuing"] or "-", *(_reached(row, level) for level in LEVELS),
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
         ]
         for row in rows
@@ -151,9 +159,26 @@ def _notes(rows: list[dict[str, Any]]) -> list[str]:
     return [f"{row['algo']}: {row['options']}" for row in rows]
 
 
-def millions(step: int | None) -> str:
-    """Return a number of steps in millions, such as `2.50M`, and `-` for None."""
-    return "-" if step is None else f"{step / 1e6:.2f}M"
+def _reached(row: dict[str, Any], level: float) -> str:
+    names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
+    return step_interval(Estimate(*(math.nan if row[name] is None else row[name] for name in names)))
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """Return `value [low, high]` with three digits, without the interval if it is nan."""
+    return f"{value:.3f}" + ("" if math.isnan(low) else f" [{low:.3f}, {high:.3f}]")
+
+
+def millions(step: float | None) -> str:
+    """Return a number of steps in millions, such as `2.50M`, and `-` for None and nan."""
+    return "-" if step is None or math.isnan(step) else f"{step / 1e6:.2f}M"
+
+
+def step_interval(estimate: Estimate) -> str:
+    """Return a crossing with its interval in millions of steps; `-` stands for an end that was not reached."""
+    if all(map(math.isnan, estimate)):
+        return "-"
+    return f"{millions(estimate.value)} [{millions(estimate.low)}, {millions(estimate.high)}]"
 
 
 def write(rows: list[dict[str, Any]], path: Path) -> None:

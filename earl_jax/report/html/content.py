@@ -10,7 +10,7 @@ from earl_jax.report.html.origin import changed_options, date_range, origins, ru
 from earl_jax.report.html.runs import Line, Run
 from earl_jax.report.html.tables import STRIP_WIDTH, paper_table, seed_table, speeds, strips
 from earl_jax.report.html.text import date_text, steps_text
-from earl_jax.report.published import FEW, FEW_SEEDS, INTERVAL_RULE
+from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW
 
@@ -25,7 +25,6 @@ def page_content(lines: Sequence[Line]) -> dict[str, Any]:
     titles = [task_title(env) for env in task_order(line.group.env for line in lines)]
     sections = enumerate(_by_section(lines).items())
     tasks = [_task_section(f"t{number}", title, members, embedder) for number, (title, members) in sections]
-    few = any(len(line.seeds) < FEW for line in lines)
     return {
         "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
         "tasks": tasks,
@@ -33,7 +32,7 @@ def page_content(lines: Sequence[Line]) -> dict[str, Any]:
         "facts": _facts(lines, runs),
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
         "speeds": speeds(lines),
-        "rule": INTERVAL_RULE + (f" {FEW_SEEDS}" if few else ""),
+        "rule": INTERVAL_RULE,
         "cards": [run_card(line, run) for line in lines for run in line.runs],
         "origins": origins(runs),
         "window": WINDOW,

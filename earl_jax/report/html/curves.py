@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.metrics.statistics import bootstrap, iqm
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.html.runs import Line
 from earl_jax.report.published import published_crossings, published_score, published_steps
 from earl_jax.report.tables import WINDOW, trailing
@@ -82,16 +82,11 @@ def thinned(count: int) -> np.ndarray:
 
 
 def banded(values: np.ndarray) -> dict[str, Any]:
-    """Return the mean of `values [N, E]`, the 95 % band of the interquartile mean if seeds suffice, and every seed."""
-    few = len(values) < FEWEST
-    low, high = (None, None) if few else np.array([_band(column) for column in values.T]).T
-    return {"mean": _plain(values.mean(axis=0)), "low": _plain(low), "high": _plain(high), "each": _plain(values)}
-
-
-def _band(scores: np.ndarray) -> tuple[float, float]:
-    """Return the bootstrap interval of the interquartile mean of `scores [N]`, at once if all are the same."""
-    first = float(scores[0])
-    return (first, first) if (scores == first).all() else bootstrap(scores, iqm)
+    """Return the mean of `values [N, E]`, Student's 95 % band if seeds suffice, and every seed."""
+    mean, low, high = mean_interval(values)
+    if len(values) < FEWEST:
+        low = high = None
+    return {"mean": _plain(mean), "low": _plain(low), "high": _plain(high), "each": _plain(values)}
 
 
 def _plain(values: np.ndarray | None) -> Any:

@@ -1,5 +1,6 @@
 """The tables of a page as text: tables 1 and 2 of the paper, speed of learning, and final scores of seeds."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -63,6 +64,7 @@ def _paper_row(number: int, row: dict[str, Any], lines: Sequence[Line]) -> dict[
         "published": "–" if published.mean == "-" else published.text.replace("-", "−"),
         "verdict": "" if row["verdict"] == "-" else row["verdict"],
         "share": f"at {share} of steps" if share else "",
+        "p": f"p = {row['p_holm']:.2g}" if row["p_holm"] is not None else "",
     }
     if line is None:
         return texts
@@ -70,9 +72,7 @@ def _paper_row(number: int, row: dict[str, Any], lines: Sequence[Line]) -> dict[
     texts["size"] = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
     texts |= {name: number_text(row[name], digits) for name in ("mean", "stderr", "low", "high")}
     if number == 1:
-        scores = row_of(line.curves, 1, "")
-        texts |= {name: number_text(scores[f"deployed_{name}"], digits) for name in ("iqm", "low", "high")}
-        texts |= {name: number_text(row[name], digits) for name in ("last10", "last10_stderr")}
+        texts |= {name: number_text(row[name], digits) for name in ("recent", "recent_stderr")}
         texts["published_last10"] = row["published_last10"] or "–"
     return texts
 
@@ -138,7 +138,9 @@ def _strip(
         "line": line,
         "dots": _dots([(scale.x(value), seed, value) for seed, value in zip(line.seeds, final, strict=True)]),
         "mean": scale.x(final.mean()),
-        "iqm": [scale.x(row["deployed_low"]), scale.x(row["deployed_high"])],
+        "interval": None
+        if math.isnan(row["deployed_low"])
+        else [scale.x(row["deployed_low"]), scale.x(row["deployed_high"])],
         "published": [scale.x(end) for end in published] if published else None,
         "text": f"{number_text(final.mean(), digits + 1)} ({number_text(float(stderr(final)), digits + 1)})",
         "values": [number_text(value, digits) for value in sorted(final.tolist())],

@@ -2,14 +2,15 @@
 
 import datetime
 import json
+import math
 from typing import Any
 
 import numpy as np
 
 
 def number_text(value: float | None, digits: int) -> str:
-    """Return a number with `digits` after the point, `–` for None."""
-    return "–" if value is None else f"{value:,.{digits}f}".replace("-", "−")
+    """Return a number with `digits` after the point, `–` for None and nan."""
+    return "–" if value is None or math.isnan(value) else f"{value:,.{digits}f}".replace("-", "−")
 
 
 def steps_text(steps: int | None) -> str:

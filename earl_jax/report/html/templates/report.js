@@ -69,7 +69,7 @@
   }
 
   function meanTrace(x, part, base, digits) {
-    const spread = part.low ? `<br>95 % of the IQM: %{customdata[0]:.${digits}~g} to %{customdata[1]:.${digits}~g}` : "";
+    const spread = part.low ? `<br>95 % of the mean: %{customdata[0]:.${digits}~g} to %{customdata[1]:.${digits}~g}` : "";
     return {
       ...base, x, y: part.mean, mode: x.length > 1 ? "lines" : "markers", marker: { size: 7 },
       customdata: part.low ? part.low.map((low, i) => [low, part.high[i]]) : undefined,
