@@ -16,7 +16,7 @@ def files(tmp_path_factory):
     root = tmp_path_factory.mktemp("curves")
     scores = [[0.2, 1.0], [0.4, 0.6]]
     folders = [
-        write_run(root / "a", TABLETOP, "fbrl", scores, metrics={"continuing/reward": 0.004}),
+        write_run(root / "a", TABLETOP, "fbrl", scores, steps=(100_000, 200_000), metrics={"continuing/reward": 0.004}),
         write_run(root / "b", KITCHEN, "oracle", [[100.0, 300.0]], steps=(20, 40), metrics={"continuing/reward": 0.0}),
     ]
     return write_curves(folders, root / "new" / "out")
@@ -24,16 +24,19 @@ def files(tmp_path_factory):
 
 def test_curves_hold_means_and_intervals(files):
     rows = {(row["env"], row["metric"], int(row["step"])): row for row in read_csv(files[0])}
-    last = rows[TABLETOP, "deployed/success", 20]
-    assert [float(last[name]) for name in ("mean", "low", "high", "seeds")] == pytest.approx([0.8, 0.6, 1.0, 2])
-    assert float(rows[TABLETOP, "deployed/success (trailing 10)", 20]["mean"]) == pytest.approx(0.55)
+    last = rows[TABLETOP, "deployed/success", 200_000]
+    assert [float(last[name]) for name in ("mean", "low", "high", "seeds")] == pytest.approx(
+        [0.8, 0.8 - 12.7062 * 0.2, 0.8 + 12.7062 * 0.2, 2], abs=1e-4
+    )
+    assert float(rows[TABLETOP, "deployed/success (trailing 10)", 200_000]["mean"]) == pytest.approx(0.55)
     assert float(rows[KITCHEN, "deployed/return", 40]["mean"]) == 300
 
 
 def test_the_text_has_crossings_and_areas(files):
     text = files[1].read_text()
     line = (
-        "| tabletop_organization | fbrl | 2 | 20 | 20 | 0.86M | - | 2.07M | 0.550 (0.035) | 0.0040 (0.0000) | 0.005 |"
+        "| tabletop_organization | fbrl | 2 | 200,000 | 0.20M [0.10M, -] | 0.86M | - [0.10M, -] | 2.07M | 0.550 (0.035) | "
+        "0.0040 (0.0000) | 0.005 |"
     )
     assert f"{line} 0.800 (0.141) | 0.94 |" in text
     assert "| - | - | - | - | 200.0 (0.0) | 0.0000 (0.0000) | - | 300.0 (0.0) | 1203.88 |" in text

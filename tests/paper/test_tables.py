@@ -2,7 +2,9 @@
 
 import math
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.claims import best, changes_order, table2_claims
@@ -14,6 +16,7 @@ from earl_jax.report.style import COLOURS
 from tests.report.run_files import DOOR, KITCHEN, TABLETOP, constant, count_pixels, read_csv, write_run
 
 PEG = "sawyer_peg"
+REWARD = {"continuing/reward": 0.0}
 
 
 def write_method(path, env, algo, deployed, lifetime=0.0, **options):
@@ -38,15 +41,36 @@ def table1(tmp_path_factory):
 def test_table_1_scores_a_method_by_its_last_evaluation(table1):
     rows = {(row["env"], row["label"]): row for row in read_csv(table1[0])}
     naive = rows[TABLETOP, "naive"]
-    expected = {"mean": 0.8, "stderr": 0.1 / math.sqrt(2), "low": 0.7, "high": 0.9}
-    expected |= {"last10": 0.5, "last10_stderr": 0.15 / math.sqrt(2), "published_low": -0.028}
-    assert {name: float(naive[name]) for name in expected} == pytest.approx(expected)
-    assert (naive["verdict"], naive["seeds"], naive["steps"], naive["published_last10"]) == ("above", "2", "20", "0.33")
-    assert rows[TABLETOP, "fbrl"]["verdict"] == "below"
+    half = 12.7062 * 0.1  # Student's t of one degree, times the error of 0.7 and 0.9
+    expected = {"mean": 0.8, "stderr": 0.1 / math.sqrt(2), "low": 0.8 - half, "high": 0.8 + half}
+    expected |= {"recent": 0.5, "recent_stderr": 0.15 / math.sqrt(2)}
+    assert {name: float(naive[name]) for name in expected} == pytest.approx(expected, abs=1e-4)
+    assert (naive["verdict"], naive["seeds"], naive["steps"], naive["published_last10"]) == ("-", "2", "20", "0.33")
     assert rows[TABLETOP, "fbrl (reward_scale=1.0)"]["mean"] == "0.5"
-    assert rows[DOOR, "oracle"]["verdict"] == "below"
-    assert rows[KITCHEN, "naive"]["verdict"] == "within"
     assert rows[KITCHEN, "r3l"]["mean"] == ""
+
+
+def test_runs_of_the_published_length_are_tested_by_welch_and_holm(tmp_path):
+    """Ten seeds of naive at 0.95 (0.01) against 0.32 (0.19), and of VaPRL at 0.5 (0.01) against 0.98 (0.022)."""
+    spread = np.tile([-0.03, 0.03], 5)
+    folders = [
+        write_run(
+            tmp_path / algo, TABLETOP, algo, constant(*(mean + spread)), steps=[1_250_000, 2_500_000], metrics=REWARD
+        )
+        for algo, mean in (("naive", 0.95), ("vaprl", 0.5))
+    ]
+    csv_file, text_file, _ = write_table(1, folders, tmp_path / "out")
+    rows = {row["algo"]: row for row in read_csv(csv_file) if row["p"]}
+    naive = stats.ttest_ind_from_stats(
+        0.95, 0.03 * math.sqrt(10 / 9), 10, 0.32, 0.17 * math.sqrt(25 / 4), 5, equal_var=False
+    )
+    assert float(rows["naive"]["p"]) == pytest.approx(naive.pvalue)
+    assert float(rows["naive"]["p_holm"]) == pytest.approx(naive.pvalue)
+    assert float(rows["vaprl"]["p_holm"]) == pytest.approx(2 * float(rows["vaprl"]["p"]))
+    assert [rows[algo]["verdict"] for algo in ("naive", "vaprl")] == ["above", "below"]
+    text = text_file.read_text()
+    assert "| naive | 0.980 (0.009) / 0.32 (0.17) / above |" in text or "/ 0.32 (0.17) / above |" in text
+    assert "| tabletop_organization | vaprl | -0.480 [" in text
 
 
 def test_the_tasks_of_table_1_are_in_the_order_of_the_paper(table1):
@@ -57,8 +81,9 @@ def test_the_tasks_of_table_1_are_in_the_order_of_the_paper(table1):
 
 def test_the_text_of_table_1_compares_ours_with_the_published_scores(table1):
     text = table1[1].read_text()
-    assert "| naive | 0.800 (0.071) / 0.32 (0.17) / above at 0.0008 % of the steps | - / 0.00 (0.00) / - |" in text
-    assert "| -2700.00 (141.42) / -2705.21 (167.10) / within at 0.0004 % of the steps |" in text
+    assert "| naive | 0.800 (0.071) / 0.32 (0.17) / at 0.0008 % of the steps | - / 0.00 (0.00) / - |" in text
+    assert "| -2700.00 (141.42) / -2705.21 (167.10) / at 0.0004 % of the steps |" in text
+    assert "No run has the published length" in text
     assert "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published" in text
     assert "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)" in text
     assert INTERVAL_RULE in text
@@ -77,16 +102,17 @@ def test_the_picture_of_table_1_shows_the_methods_that_were_run(table1):
 
 
 def test_table_2_compares_lifetime_rewards_with_bounds_and_missing_scores(tmp_path):
-    rewards = {(PEG, "naive"): 0.0015, (PEG, "oracle"): 0.5, (PEG, "r3l"): 0.0, (TABLETOP, "vaprl"): 0.0094}
+    """Two seeds with the same reward have no spread; the published 0.009 (0.000) and 0.329 (0.080) do."""
+    rewards = {(PEG, "naive"): 0.0015, (PEG, "oracle"): 0.5, (TABLETOP, "vaprl"): 0.0094, (DOOR, "fbrl"): 0.9}
     folders = [
-        write_method(tmp_path / f"{env}-{algo}", env, algo, constant(0.0, 0.0), reward)
+        write_method(tmp_path / f"{env}-{algo}", env, algo, constant(0.0, 0.0), reward, steps=[3_000_000, 6_000_000])
         for (env, algo), reward in rewards.items()
     ]
     csv_file, text_file, _ = write_table(2, folders, tmp_path / "out")
     verdicts = {(row["env"], row["algo"]): row["verdict"] for row in read_csv(csv_file) if row["mean"]}
-    assert verdicts == dict(zip(rewards, ("above", "-", "within", "within"), strict=True))
+    assert verdicts == dict(zip(rewards, ("-", "-", "cannot tell", "above"), strict=True))
     text = text_file.read_text()
-    assert "0.0015 (0.0000) / <0.001 / above" in text
+    assert "0.0015 (0.0000) / <0.001 / -" in text
     assert "0.5000 (0.0000) / - / -" in text
 
 

@@ -7,6 +7,8 @@ from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.report.run_files import TABLETOP, read_csv, write_run
 
+REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
+
 
 def write_three_evaluations(path, seeds=(0, 1), **options):
     """Write a run whose seeds score 0, 0.5, 1 and more, and whose reward per step rises to 0.02."""
@@ -43,11 +45,14 @@ def test_runs_in_the_continuing_setting_have_no_published_scores(tmp_path):
     assert continuing["options"] == "goal_change=7, setting=continuing"
 
 
-def test_crossings_are_read_from_the_trailing_mean():
-    steps, curve = np.arange(1, 31) * 10, np.concatenate([np.zeros(10), np.ones(20)])
-    assert tables.crossing(steps, curve, 0.5) == 150
-    assert tables.crossing(steps, curve, 0.9) == 190
-    assert tables.crossing(steps, 0.4 * curve, 0.5) is None
+def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_path):
+    steps, late = list(range(20_000, 500_001, 20_000)), [[0.0] * 10 + [1.0] * 15, [0.0] * 12 + [1.0] * 13]
+    [row] = tables.tabulate([write_run(tmp_path / "a", TABLETOP, "naive", late, steps=steps, metrics=REWARDS)])
+    assert [row[f"steps_to_0.5{end}"] for end in ("_low", "", "_high")] == [220_000, 280_000, 340_000]
+    assert "| 0.28M [0.22M, 0.34M] |" in tables.markdown([row])
+    never = tables.tabulate([write_three_evaluations(tmp_path / "b")])[0]
+    assert never["steps_to_0.5"] is None
+    assert tables.markdown([never]).count("| - | - | 50.0 |") == 1
 
 
 def test_markdown_names_the_options_in_which_runs_differ(tmp_path):
@@ -63,9 +68,9 @@ def test_tables_are_written_as_markdown_and_csv(tmp_path):
     tables.write(rows, tmp_path / "t.csv")
     assert read_csv(tmp_path / "t.csv")[0]["published_continuing"] == "0.012 (0.004)"
     tables.write(rows, tmp_path / "t.md")
-    assert "1.050 (0.035)" in (tmp_path / "t.md").read_text()
+    assert "| 1.050 [0.415, 1.685] | 100% |" in (tmp_path / "t.md").read_text()
     tables.write(rows, tmp_path / "t.tex")
-    assert "1.050 (0.035)" in (tmp_path / "t.tex").read_text()
+    assert r"& 1.050 [0.415, 1.685] & 100\%" in (tmp_path / "t.tex").read_text()
     with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 

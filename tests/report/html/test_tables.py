@@ -4,6 +4,7 @@ import pytest
 
 from earl_jax.report.html.runs import find_runs, gather
 from earl_jax.report.html.tables import paper_table, seed_table, speeds, strips
+from tests.report.run_files import constant, write_page_run
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +31,13 @@ def test_the_paper_table_names_known_faults_of_published_scores(lines):
     assert "counts steps twice" in faults["sawyer_door"]
 
 
-def test_speeds_have_our_crossings_beside_the_published(lines):
+def test_speeds_have_our_crossings_beside_the_published(lines, tmp_path):
     rows = {row["line"].group.label: row for row in speeds(lines)[0]["rows"]}
-    assert rows["fbrl"]["levels"] == [("220", "860k"), ("–", "2.07M")]
+    assert rows["fbrl"]["levels"] == [("–", "860k"), ("–", "2.07M")], "shorter than the window of 100,000 steps"
     assert rows["fbrl"]["published_steps_per_reward"] == "92"
+    write_page_run(tmp_path / "fbrl", "fbrl", constant(0.6, 0.8), steps=[200_000, 400_000])
+    [row] = speeds(gather(find_runs([tmp_path]))[0])[0]["rows"]
+    assert row["levels"] == [("200k", "860k"), ("–", "2.07M")]
 
 
 def test_the_strip_of_seeds_has_a_dot_for_each_by_value(fbrl):
