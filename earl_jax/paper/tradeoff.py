@@ -38,14 +38,17 @@ RULES = (
 
 
 class Point(NamedTuple):
-    """The lifetimes of one method on one task with one epsilon or budget; arrays are [N] seeds."""
+    """The lifetimes of one method on one task with one epsilon or budget; arrays are [N] seeds.
+
+    `mean_deployed`: the area under the deployed curve, per step.
+    """
 
     env: str
     algo: str
     kind: str
     value: float
     final: np.ndarray
-    area: np.ndarray
+    mean_deployed: np.ndarray
     spent: np.ndarray
     ended: np.ndarray
     steps: int
@@ -97,7 +100,7 @@ def _point(curves: Curves) -> Point:
         kind="budget" if budgeted else "epsilon",
         value=float(setting.budget if setting.budget is not None else setting.intervention_chance),
         final=scores[:, -WINDOW:].mean(axis=1),
-        area=deployed_area(curves.steps, scores),
+        mean_deployed=deployed_area(curves.steps, scores),
         spent=np.sum(spent, axis=0),
         ended=curves.metrics["help/over"][:, -1] if budgeted else np.zeros(len(scores)),
         steps=int(curves.steps[-1]),
@@ -107,7 +110,12 @@ def _point(curves: Curves) -> Point:
 def _rows(point: Point) -> list[dict[str, Any]]:
     """Return one row per seed."""
     key = {"env": point.env, "algo": point.algo, "kind": point.kind, "value": point.value, "steps": point.steps}
-    arrays = {"interventions": point.spent, "final": point.final, "area": point.area, "ended": point.ended}
+    arrays = {
+        "interventions": point.spent,
+        "final": point.final,
+        "deployed_area": point.mean_deployed,
+        "ended": point.ended,
+    }
     return [
         {**key, "lane": lane, **{name: float(values[lane]) for name, values in arrays.items()}}
         for lane in range(len(point.final))
@@ -147,7 +155,7 @@ def _markdown(points: Sequence[Point]) -> str:
 
 
 def _line(point: Point) -> list[str]:
-    texts = [f"{values.mean():.3f} ({stderr(values):.3f})" for values in (point.final, point.area)]
+    texts = [f"{values.mean():.3f} ({stderr(values):.3f})" for values in (point.final, point.mean_deployed)]
     spent = f"{point.spent.mean():,.1f} ({stderr(point.spent):,.1f})"
     counts = [str(len(point.final)), f"{point.steps:,}", spent]
     return [point.env, point.algo, point.kind, f"{point.value:g}", *counts, *texts, f"{point.ended.mean():.2f}"]
@@ -160,7 +168,7 @@ def _draw(points: Sequence[Point]) -> Any:
     palette = colours(point.algo for point in points)
     for (env, algo, kind), line in _lines(points).items():
         column = axes[:, envs.index(env)]
-        for axis, name in zip(column, ("final", "area"), strict=True):
+        for axis, name in zip(column, ("final", "mean_deployed"), strict=True):
             _draw_line(axis, line, name, palette[algo], KINDS[kind], f"{algo}, {kind}")
     for env, column in zip(envs, axes.T, strict=True):
         column[0].set(title=task_title(env), ylabel="final deployed score")

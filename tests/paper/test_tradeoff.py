@@ -35,7 +35,7 @@ def test_each_seed_has_its_scores_and_all_interventions(files):
     rows = {(row["algo"], row["kind"], row["value"], row["lane"]): row for row in read_csv(files[0])}
     assert len(rows) == 10
     late = rows["naive", "epsilon", "0.01", "1"]
-    assert [float(late[name]) for name in ("interventions", "final", "area")] == pytest.approx([300, 0.4, 0.4])
+    assert [float(late[name]) for name in ("interventions", "final", "deployed_area")] == pytest.approx([300, 0.4, 0.4])
     helped = rows["naive", "budget", "10.0", "0"]
     assert [float(helped[name]) for name in ("interventions", "final", "ended")] == pytest.approx([15, 0.1, 1])
 
