@@ -16,7 +16,7 @@ from earl_jax.cli.arguments import (
 
 
 def reproduce(
-    name: Positional[Literal["table1", "table2", "curves", "figure2", "figure4", "figure5"]],
+    name: Positional[Literal["table1", "table2", "curves", "figure2", "figure4", "figure5", "tradeoff"]],
     scale: Literal["smoke", "short", "full"] = "smoke",
     out: Path | None = None,
     tasks: tuple[str, ...] = (),
@@ -31,7 +31,7 @@ def reproduce(
     """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
 
     Args:
-        name: Table or figure.
+        name: Table or figure, or the trade-off of learning against interventions that the conclusion names.
         scale: smoke trains one task for a few hundred steps; short, a tenth of the published steps; full, all of them.
         out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
         tasks: Tasks to include. By default those of the scale.

@@ -1,7 +1,8 @@
 """Every table and figure of the paper by name: the runs that it takes at a scale, and the report made of them.
 
-Runs of one folder are shared: both tables, the curves, and figures 4 and 5 read the same ones. The grid of the runs is
-written beside them, so that `earl-jax sweep` can train the same ones.
+The trade-off of the conclusion is one more, which the paper names and does not show. Runs of one folder are shared:
+both tables, the curves, and figures 4 and 5 read the same ones. The grid of the runs is written beside them, so that
+`earl-jax sweep` can train the same ones.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import write_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.tables import write_table
+from earl_jax.paper.tradeoff import write_tradeoff
 from earl_jax.paper.visit_maps import visit_map
 from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
@@ -47,6 +49,8 @@ class Scale:
     eval_episodes: int = 10
     tasks: int | None = None
     """Number of a result's tasks to run, the first ones; None for all."""
+    blocks: int | None = None
+    """Number of blocks of runs on a task, the first ones; None for all."""
     options: Options = dataclasses.field(default_factory=dict)
 
     def length(self, published: int, eval_every: int) -> int:
@@ -57,7 +61,7 @@ class Scale:
 
 SMALL = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 100}
 SCALES = {
-    "smoke": Scale(seeds=2, steps=200, eval_every=100, eval_episodes=2, tasks=1, options=SMALL),
+    "smoke": Scale(seeds=2, steps=200, eval_every=100, eval_episodes=2, tasks=1, blocks=1, options=SMALL),
     "short": Scale(seeds=3, share=0.1),
     "full": Scale(seeds=5),
 }
@@ -105,6 +109,17 @@ def _horizon_blocks(env: str) -> list[Block]:
     ]
 
 
+def _tradeoff_blocks(env: str) -> list[Block]:
+    """Return the runs of the trade-off on one task: every epsilon without a budget, and every budget without an epsilon."""
+    varied: list[Options] = [{"intervention_chance": list(paper_tasks.TRADEOFF_CHANCES)}]
+    varied += [{"budget": budget} for budget in paper_tasks.TRADEOFF_BUDGETS]
+    return [
+        Block(env, (algo,), paper_tasks.TRADEOFF_STEPS, options)
+        for algo in paper_tasks.methods_on(env, paper_tasks.TRADEOFF_METHODS)
+        for options in varied
+    ]
+
+
 def _figure4_report(folders: Sequence[Path], out: Path) -> list[Path]:
     """Draw figure 4 from the maps of visited positions of `folders`, which need no checkpoints."""
     maps = []
@@ -147,6 +162,7 @@ RESULTS = {
         blocks=functools.partial(_table_blocks, paper_tasks.FIGURE5_METHODS),
         report=_figure5_report,
     ),
+    "tradeoff": PaperResult(paper_tasks.TRADEOFF_TASKS, _tradeoff_blocks, write_tradeoff),
 }
 
 
@@ -194,7 +210,7 @@ def reproduce(
         if task not in result.tasks:
             raise InputError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
     out = out or Path("runs") / f"reproduce-{scale}"
-    blocks = [block for task in tasks or result.tasks[: chosen.tasks] for block in result.blocks(task)]
+    blocks = [block for task in tasks or result.tasks[: chosen.tasks] for block in result.blocks(task)[: chosen.blocks]]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, grid_text(blocks, chosen, options or {}))

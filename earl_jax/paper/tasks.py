@@ -39,6 +39,15 @@ FIGURE4_GOAL_RADIUS = {"sawyer_peg": 0.12}
 FIGURE5_TASKS = ("tabletop_organization",)
 FIGURE5_METHODS = ("fbrl", "vaprl", "oracle")
 
+TRADEOFF_TASKS = ("tabletop_organization", "sawyer_door")
+TRADEOFF_METHODS = ("naive", "fbrl")
+TRADEOFF_STEPS = 1_000_000
+"""Training steps of the trade-off of the conclusion, for which the paper has no experiment; all its numbers are ours."""
+TRADEOFF_CHANCES = (0.0, 1e-5, 1e-4, 1e-3, 5e-3)
+"""epsilon: at the largest one an intervention follows after 200 steps on average, about as often as an episode ends."""
+TRADEOFF_BUDGETS = (10.0, 100.0, 1_000.0)
+"""h_max, at a cost of 1 for each intervention."""
+
 
 def training_steps(env: str) -> int:
     """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""

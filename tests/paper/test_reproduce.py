@@ -23,11 +23,12 @@ FILES = {
     "curves": {"curves.csv", "curves.md", "curves.png"},
     "figure4": {"figure4.csv", "figure4_visits.csv", "figure4.md", "figure4.png"},
     "figure5": {"figure5.csv", "figure5_seeds.csv", "figure5.md", "figure5.png"},
+    "tradeoff": {"tradeoff.csv", "tradeoff.md", "tradeoff.png"},
     "figure2": {"figure2.csv", "figure2_curves.csv", "figure2.md", "figure2.png"},
 }
 PUBLISHED = {
     "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "curves": "0.33M", "figure4": "oracle", "figure5": "37.4 %",
-    "figure2": "200,000",
+    "figure2": "200,000", "tradeoff": "The paper's conclusion",
 }  # fmt: skip
 """A text of each report that comes from the paper."""
 
@@ -54,10 +55,10 @@ def planned_runs(name, scale, tmp_path, envs=None, **options):
 
 @pytest.mark.parametrize("name", FILES)
 def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys):
-    """In this order: the runs of the first table serve all but figure 2."""
+    """In this order: the runs of the first table serve all but figure 2 and the trade-off."""
     main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
     output = capsys.readouterr().out
-    trains = name in ("table1", "figure2")
+    trains = name in ("table1", "figure2", "tradeoff")
     assert ("0 done now, 0 failed" in output) != trains, output
     assert {path.name for path in (folder / name).iterdir()} == FILES[name]
     assert all(str(folder / name / file) in output for file in FILES[name])
@@ -135,6 +136,17 @@ def test_figure_2_takes_a_fixed_temperature_and_a_reward_scale(tmp_path):
     path, runs = planned_runs("figure2", "full", tmp_path, ["cheetah_run"], **options)
     assert all(options.items() <= run.options.items() for run in runs)
     assert len(plan(path, tmp_path / "out")["groups"]) == 1
+
+
+def test_the_trade_off_varies_epsilon_and_the_budget_on_two_tasks(tmp_path):
+    path, runs = planned_runs("tradeoff", "full", tmp_path)
+    assert {run.env for run in runs} == {"tabletop_organization", "sawyer_door"}
+    varied = {(run.algo, *run.options.items()) for run in runs}
+    values = [("intervention_chance", value) for value in tasks.TRADEOFF_CHANCES]
+    values += [("budget", value) for value in tasks.TRADEOFF_BUDGETS]
+    assert varied == {(algo, value) for algo in ("naive", "fbrl") for value in values}
+    lanes = sorted(group["lanes"] for group in plan(path, tmp_path / "out")["groups"])
+    assert lanes == [5] * 12 + [25] * 4
 
 
 def test_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):
