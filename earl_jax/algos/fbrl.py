@@ -4,9 +4,11 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.method import RETURN, Method
+from earl_jax.options import within
 
 
 class FBRL(Method):
@@ -17,10 +19,17 @@ class FBRL(Method):
     92 steps.
     """
 
+    controllers: int = struct.field(pytree_node=False, default=2, metadata=within("[1, 2]"))
+    """2, or 1 for one goal-conditioned agent that does both ("the same policy with different task variables", A.3)."""
+    fixed_phases: bool = struct.field(pytree_node=False, default=False)
+    """Whether every phase lasts H_E steps, without an end on success ("for a fixed number of environment steps", A.3)."""
+
     name: ClassVar[str] = "fbrl"
-    controllers: ClassVar[int] = 2
     phases: ClassVar[int] = 2
     demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+
+    def ends_on_success(self, phase: jax.Array) -> bool:
+        return not self.fixed_phases
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any

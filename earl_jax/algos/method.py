@@ -55,6 +55,14 @@ class Method(struct.PyTreeNode):
         del phase
         return env.eval_horizon
 
+    def phase_age(self, step: jax.Array, phase_step: jax.Array) -> jax.Array:
+        """Return the steps that count towards `phase_length` before step `step`, counted from 0; by default `phase_step`.
+
+        `phase_step` are the steps since the phase began.
+        """
+        del step
+        return phase_step
+
     def ends_on_success(self, phase: jax.Array) -> jax.Array | bool:
         """Return whether reaching the goal ends `phase` (sparse tasks only)."""
         del phase

@@ -64,6 +64,9 @@ class MixedMethod(Method):
     def phase_length(self, env: Env, phase: jax.Array) -> jax.Array:
         return self._select(lambda member: member.phase_length(env, phase))
 
+    def phase_age(self, step: jax.Array, phase_step: jax.Array) -> jax.Array:
+        return self._select(lambda member: member.phase_age(step, phase_step))
+
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
         return self._select(lambda member: member.ends_on_success(phase))
 

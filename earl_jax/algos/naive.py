@@ -20,7 +20,14 @@ class Naive(Method):
     episode_length: int = struct.field(pytree_node=False, default=1000, metadata=within(COUNT))
     """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
 
+    global_clock: bool = struct.field(pytree_node=False, default=False)
+    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, the letter of section 5.1,
+    instead of `episode_length` steps after the last goal."""
+
     name: ClassVar[str] = "naive"
 
     def phase_length(self, env: Env, phase: jax.Array) -> int:
         return self.episode_length
+
+    def phase_age(self, step: jax.Array, phase_step: jax.Array) -> jax.Array:
+        return step % self.episode_length if self.global_clock else phase_step

@@ -48,20 +48,28 @@ def typed(leaves: dict[str, Any], like: Any) -> Any:
 def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
     """Return the written part of the replay for the lanes `span`, as the arrays of a checkpoint.
 
-    `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller.
+    `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller. Of a replay
+    that evicts transitions, all is saved.
     """
-    row, capacity, counts = int(gathered(replay.row)), replay.capacity, gathered(replay.counts)[span]
+    row, slots, counts = int(gathered(replay.row)), len(replay.index), gathered(replay.counts)[span]
+    next_row = row
     first, second = (int(count) for count in counts.max(axis=0))
+    if replay.evicts:
+        row = replay.capacity
+        first = int(gathered(replay.demos)[0]) + row - int(gathered(replay.first_row)) - 1
+        second = slots - first
     rows = {
         "state": _rows(replay.state, 0, row + 1, span),
         "action": _rows(replay.action, 0, row, span),
         "flags": _rows(replay.flags, 0, row, span),
         "reward": _rows(replay.reward, 0, row, span),
         "mine": _rows(replay.index, 0, first, span),
-        "other": _rows(replay.index, capacity - second, capacity, span),
+        "other": _rows(replay.index, slots - second, slots, span),
         "counts": counts,
         "demos": gathered(replay.demos),
-        "row": np.asarray(row, np.int32),
+        "row": np.asarray(next_row, np.int32),
+        "first_row": gathered(replay.first_row),
+        "oldest": gathered(replay.oldest)[span],
     }
     return {name: array for name, array in rows.items() if array.size}
 
@@ -82,13 +90,14 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
 
     The capacity can be larger than before. The buffer stays on the host; the caller moves it to devices.
     """
-    names = ("state", "action", "flags", "reward", "index", "counts")
+    names = ("state", "action", "flags", "reward", "index", "counts", "oldest")
     buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
     targets = {"mine": buffers["index"], "other": buffers["index"][::-1]}
     start = 0
     for saved, size in zip(parts, sizes, strict=True):
         span = slice(start, start := start + size)
         buffers["counts"][span] = saved["counts"]
+        buffers["oldest"][span] = saved.get("oldest", 0)
         for name in names[:4]:
             rows = saved.get(name, saved.get(EARLIER_NAMES.get(name, name)))
             if rows is not None:
@@ -98,4 +107,5 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
                 rows = saved[name] if name == "mine" else saved[name][::-1]
                 target[: len(rows), span] = rows
     arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
+    arrays["first_row"] = parts[0].get("first_row", np.zeros((), np.int32))
     return Replay(**arrays)

@@ -72,15 +72,29 @@ def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
 
 
 def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
-    """Return the number of replay rows for `steps` steps and the demonstrations; no row is ever evicted."""
-    demos = demo_rows(problem, method)
+    """Return the number of replay rows for the demonstrations and `steps` steps, or as many as the replay keeps of them.
+
+    If it evicts transitions, one row more holds the state after the newest one.
+    """
+    demos, most = demo_rows(problem, method), method.sac.replay_capacity
+    if most is not None:
+        return min(steps, most) + 1 + (0 if demos is None else len(demos.states))
     return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
+
+
+def list_slots(method: Method, demos: DemoRows | None, capacity: int) -> int:
+    """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
+    if method.sac.replay_capacity is None:
+        return capacity
+    states, copies = (0, 0) if demos is None else (len(demos.states), int(demos.copies.sum()))
+    return copies + method.controllers * (capacity - states - 1)
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
     """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse)
+    slots = None if method.sac.replay_capacity is None else list_slots(method, demos, capacity)
+    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
     if demos is None:
         return replay
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
@@ -93,7 +107,7 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
     )
     first, second = demos.listed(0), demos.listed(1)
     index = replay.index.at[: len(first)].set(first[:, None])
-    index = index.at[capacity - len(second) :].set(second[::-1, None])
+    index = index.at[len(index) - len(second) :].set(second[::-1, None])
     return replay.replace(
         state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
         action=replay.action.at[demos.rows].set(demos.actions[:, None]),
@@ -103,4 +117,5 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
         counts=jnp.broadcast_to(jnp.array([len(first), len(second)], jnp.int32), (lanes, 2)),
         demos=jnp.array([len(first), len(second)], jnp.int32),
         row=jnp.asarray(len(demos.states), jnp.int32),
+        first_row=jnp.asarray(len(demos.states), jnp.int32),
     )

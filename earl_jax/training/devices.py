@@ -25,6 +25,8 @@ _REPLAY: dict[str, Any] = {
     "counts": LANES,
     "demos": REPLICATED,
     "row": REPLICATED,
+    "first_row": REPLICATED,
+    "oldest": LANES,
 }
 _TRAIN_STATE: dict[str, Any] = {"lanes": LANES, "replay": Replay(**_REPLAY), "step": REPLICATED}
 TRAIN_STATE = TrainState(**_TRAIN_STATE)

@@ -136,7 +136,7 @@ def _step_end(
 ) -> StepEnd:
     attempt = Attempt(
         is_task=lane.phase == TASK,
-        age=lane.phase_step,
+        age=method.phase_age(step, lane.phase_step),
         limit=method.phase_length(problem.env, lane.phase),
         ends_on_success=method.ends_on_success(lane.phase),
         reset_at_end=method.resets,

@@ -11,7 +11,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.errors import InputError
-from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.demo_rows import demo_rows, list_slots, replay_capacity
 from earl_jax.training.init import init_train_state
 from earl_jax.training.state import Problem, TrainState
 
@@ -51,17 +51,19 @@ class Need:
 
 
 def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
-    """Return the bytes of one lane's replay for `steps` steps; no row is ever evicted."""
+    """Return the bytes of one lane's replay for `steps` steps."""
     env, rows = problem.env, replay_capacity(problem, method, steps)
-    return rows * replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
+    more_slots = list_slots(method, demo_rows(problem, method), rows) - rows
+    size = replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
+    return rows * size + more_slots * replay_lib.SLOT_BYTES
 
 
 def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
     """Return the memory that `lanes` lanes of `steps` steps need."""
     sac = method.sac
-    capacity = replay_capacity(problem, method, steps)
+    capacity = replay_capacity(problem, method, 1)
     shape = jax.eval_shape(
-        lambda key: init_train_state(problem, _single(method), key[None], 1 + capacity - steps), jax.random.key(0)
+        lambda key: init_train_state(problem, _single(method), key[None], capacity), jax.random.key(0)
     )
     networks = (1 + method.critics) * sum(sac.hidden_sizes)
     return Need(

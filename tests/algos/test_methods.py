@@ -8,10 +8,10 @@ import pytest
 from earl_jax import assets
 from earl_jax.algos import Method, list_algos, make_algo, register_algo
 from earl_jax.algos.goals import GoalIndices, goal_table
-from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
+from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags, unpack
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.demo_rows import demo_rows
-from tests.conftest import ALGOS, make_train_state, take_lane, tiny_method
+from tests.conftest import ALGOS, make_train_state, run_whole, take_lane, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 300)
 CURRENT = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
@@ -70,6 +70,34 @@ def test_methods_with_one_controller_draw_any_task_goal(env, algo):
 
 def test_the_episode_length_of_naive_is_an_option(env):
     assert make_algo("naive", episode_length=400).phase_length(env, TASK) == 400
+
+
+def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(problem):
+    method = tiny_method("naive", episode_length=8, global_clock=True)
+    state = make_train_state(problem, method, [0, 1])
+    first = int(state.replay.row)
+    lanes = state.lanes.replace(phase_step=jnp.array([5, 0], jnp.int32))  # the last goal was reached 5 steps ago
+    state = run_whole(problem, method, state.replace(lanes=lanes), 16, explore=True)
+    timeouts = np.asarray(unpack(state.replay.flags[first : first + 16]).timeout)
+    np.testing.assert_array_equal(timeouts, np.tile(np.arange(1, 17)[:, None] % 8 == 0, 2))
+    assert make_algo("naive").phase_age(jnp.asarray(3), jnp.asarray(7)) == 7
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_phases_of_fbrl_have_a_fixed_length_on_request(fixed):
+    method = make_algo("fbrl", fixed_phases=fixed)
+    assert [bool(method.ends_on_success(jnp.asarray(phase))) for phase in (TASK, RETURN)] == [not fixed] * 2
+
+
+def test_fbrl_with_one_controller_is_one_agent_with_all_demonstrations(problem):
+    method = tiny_method("fbrl", controllers=1)
+    assert demo_rows(problem, method).listed(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
+    state = jax.eval_shape(lambda: make_train_state(problem, method, [0, 1]))
+    assert {leaf.shape[:2] for leaf in jax.tree.leaves(state.lanes.agent.actor)} == {(2, 1)}
+    goals = goal_table(problem.env)
+    assert (next_goals(method, goals, RETURN).goal == 4).all()
+    with pytest.raises(ValueError, match=r"controllers must lie in \[1, 2\], not 3"):
+        make_algo("fbrl", controllers=3)
 
 
 def test_fbrl_returns_to_initial_states_and_keeps_its_task(env):

@@ -81,6 +81,15 @@ def test_success_requires_gripper_and_mug_together(env):
     assert not success((0.25, 0), (0, 2))
 
 
+def test_success_can_count_the_mug_alone_from_the_usual_start():
+    env = make("tabletop_organization", mug_only=True)
+    state = start_state(env, [2.0, 2.0, 0.0, 1.9, *FREE], env.goal_states[2])
+    assert bool(env.success(state.obs))
+    assert not bool(make("tabletop_organization").success(state.obs))
+    assert not bool(env.success(state.obs.at[3].set(1.7)))
+    np.testing.assert_array_equal(env.reset(jax.random.key(0)).obs[:6], env.initial_states[0])
+
+
 def test_dense_reward_is_the_released_formula():
     env = make("tabletop_organization", reward_type="dense")
     obs = np.array([0.3, -0.1, 0.5, 0.2, -1, -1, 0, 0, 0.45, 0.25, -1, -1], np.float32)

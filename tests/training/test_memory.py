@@ -38,6 +38,17 @@ def test_replay_and_agent_occupy_the_computed_bytes(problem, algo):
     assert replay_capacity(problem, method, steps) >= steps
 
 
+@pytest.mark.parametrize("algo", ["naive", "fbrl", "vaprl"])
+def test_the_capacity_of_a_replay_bounds_its_bytes(problem, algo):
+    method, steps = tiny_method(algo, lanes=3, replay_capacity=50), 300
+    need = memory.need(problem, method, 3, steps)
+    state = jax.eval_shape(lambda: make_train_state(problem, method, range(3), steps))
+    occupied = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(state.replay))
+    assert abs(occupied - 3 * need.replay) < 250
+    assert need.replay < memory.need(problem, tiny_method(algo), 3, steps).replay
+    assert need == memory.need(problem, method, 3, 10 * steps)
+
+
 def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes_nothing(monkeypatch, tmp_path):
     need = memory.need(make_problem(make("sawyer_door")), make_algo("naive"), 1, 80)
     monkeypatch.setattr(memory, "free_bytes", lambda device: 3 * need.lane + 1)

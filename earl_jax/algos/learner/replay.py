@@ -1,8 +1,11 @@
-"""One time-ordered replay buffer for all lanes, written in place; no transition is ever evicted.
+"""One time-ordered replay buffer for all lanes, written in place; by default, no transition is ever evicted.
 
 Rows are steps: row t of `state` is s_t, row t of `action` is a_t, and s_{t+1} is row t + 1. Goals are indices into a
 static table, so relabelling needs no copies. A list for each lane holds the rows that its controllers can sample: the
 task controller's rows fill it from the left, the other controller's rows from the right.
+
+With a capacity (`SAC.replay_capacity`), the rows after the demonstrations and both lists are rings, in which the oldest
+transition makes room for a new one. Demonstrations stay.
 
 Every function works on the whole batch of lanes. `jax.vmap` would turn a write into a scatter over the buffer and a
 read into a transpose of it.
@@ -15,6 +18,8 @@ import jax.numpy as jnp
 from flax import struct
 
 GOAL_BITS = 16
+SLOT_BYTES = 4
+"""Bytes of a place in a list."""
 REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED = (1 << (GOAL_BITS + bit) for bit in range(4))
 
 
@@ -56,7 +61,9 @@ class Replay(struct.PyTreeNode):
 
     `state [C + 1, N, s]`, `action [C, N, a]`, packed `flags [C, N]` and `reward [C or 0, N]`, which has no rows if the
     reward is a success bit. `index [C, N]` lists row numbers: `counts [N, 2]` of them for each controller, of which the
-    first `demos [2]` are demonstrations. `row []` is the next free row.
+    first `demos [2]` are demonstrations. `row []` is the next free row, `first_row []` the one after the demonstrations.
+    If transitions are evicted, `oldest [N, 2]` is the place of each controller's oldest own row in its ring, and `index`
+    has another length; else `oldest` is [N, 0].
     """
 
     state: jax.Array
@@ -67,29 +74,55 @@ class Replay(struct.PyTreeNode):
     counts: jax.Array
     demos: jax.Array
     row: jax.Array
+    first_row: jax.Array
+    oldest: jax.Array
 
     @property
     def capacity(self) -> int:
-        """Number of transitions that the buffer can hold."""
+        """Number of rows of transitions."""
         return self.action.shape[0]
+
+    @property
+    def evicts(self) -> bool:
+        """Whether the oldest transition makes room for a new one."""
+        return self.oldest.shape[1] > 0
+
+    def successor(self, row: jax.Array) -> jax.Array:
+        """Return the row [...] of the state that follows that of `row [...]`."""
+        return jnp.where(row + 1 == self.capacity, self.first_row, row + 1) if self.evicts else row + 1
+
+    def slot(self, number: jax.Array, lane: jax.Array, controller: jax.Array) -> jax.Array:
+        """Return the places [...] in `index` of the `number`-th entries of the lists of `controller`, oldest first."""
+        if self.evicts:
+            demos, size = self.demos[controller], self.capacity - self.first_row - 1
+            in_ring = demos + (self.oldest[lane, controller] + number - demos) % size
+            number = jnp.where(number < demos, number, in_ring)
+        return jnp.where(controller == 0, number, len(self.index) - 1 - number)
 
 
 def bytes_per_transition(state_size: int, action_size: int, sparse: bool) -> int:
-    """Return the size of one transition of one lane, in bytes."""
+    """Return the size of one transition of one lane in bytes, with one place in a list."""
     return 4 * (state_size + action_size + 2 + (not sparse))
 
 
-def create(capacity: int, lanes: int, state_size: int, action_size: int, sparse: bool) -> Replay:
-    """Return an empty buffer; goals are packed into 16 bits, so a goal table can have 65,536 entries."""
+def create(
+    capacity: int, lanes: int, state_size: int, action_size: int, sparse: bool, slots: int | None = None
+) -> Replay:
+    """Return an empty buffer; goals are packed into 16 bits, so a goal table can have 65,536 entries.
+
+    With `slots`, the length of both lists, transitions are evicted.
+    """
     return Replay(
         state=jnp.zeros((capacity + 1, lanes, state_size)),
         action=jnp.zeros((capacity, lanes, action_size)),
         flags=jnp.zeros((capacity, lanes), jnp.int32),
         reward=jnp.zeros((0 if sparse else capacity, lanes)),
-        index=jnp.zeros((capacity, lanes), jnp.int32),
+        index=jnp.zeros((capacity if slots is None else slots, lanes), jnp.int32),
         counts=jnp.zeros((lanes, 2), jnp.int32),
         demos=jnp.zeros((2,), jnp.int32),
         row=jnp.zeros((), jnp.int32),
+        first_row=jnp.zeros((), jnp.int32),
+        oldest=jnp.zeros((lanes, 0 if slots is None else 2), jnp.int32),
     )
 
 
@@ -117,22 +150,33 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
     After a reset, `transition.next_state` is the new start, and the successor is not stored.
     """
     row, lanes = replay.row, jnp.arange(valid.shape[0])
+    following = replay.successor(row)
+    replay = _without_row(replay, following) if replay.evicts else replay
 
     def put(buffer, values, at_row):
         return jax.lax.dynamic_update_slice(buffer, values[None], (at_row,) + (0,) * values.ndim)
 
     filled = replay.counts[lanes, controller]
-    slot = jnp.where(controller == 0, filled, replay.capacity - 1 - filled)
-    slot = jnp.where(valid, slot, replay.capacity)
+    slot = jnp.where(valid, replay.slot(filled, lanes, controller), len(replay.index))
     return replay.replace(
-        state=put(replay.state, transition.next_state, row + 1),
+        state=put(replay.state, transition.next_state, following),
         action=put(replay.action, transition.action, row),
         flags=put(replay.flags, pack(transition.flags), row),
         reward=put(replay.reward, transition.reward, row) if replay.reward.shape[0] else replay.reward,
         index=replay.index.at[slot, lanes].set(row, mode="drop"),
         counts=replay.counts.at[lanes, controller].add(valid.astype(jnp.int32)),
-        row=row + 1,
+        row=following,
     )
+
+
+def _without_row(replay: Replay, row: jax.Array) -> Replay:
+    """Return the replay without the transition in `row []`, the oldest one, whose state is about to be overwritten."""
+    lane, controller = jnp.arange(len(replay.counts))[:, None], jnp.arange(2)[None]
+    own = replay.counts - replay.demos
+    oldest = replay.index[replay.slot(jnp.broadcast_to(replay.demos, own.shape), lane, controller), lane]
+    evicted = (own > 0) & (oldest == row)
+    size = replay.capacity - replay.first_row - 1
+    return replay.replace(oldest=(replay.oldest + evicted) % size, counts=replay.counts - evicted)
 
 
 @jax.named_scope("sample")
@@ -147,11 +191,11 @@ def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, de
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
     listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
-    slot = jnp.where(controller[:, None] == 0, listed, replay.capacity - 1 - listed)
-    rows = replay.index[slot, lanes]
+    rows = replay.index[replay.slot(listed, lanes, controller[:, None]), lanes]
     flags = unpack(replay.flags[rows, lanes])
     reward = replay.reward[rows, lanes] if replay.reward.shape[0] else flags.reached.astype(jnp.float32)
-    state, action, following = replay.state[rows, lanes], replay.action[rows, lanes], replay.state[rows + 1, lanes]
+    state, action = replay.state[rows, lanes], replay.action[rows, lanes]
+    following = replay.state[replay.successor(rows), lanes]
     return TransitionBatch(rows, state, action, following, reward, flags)
 
 

@@ -14,7 +14,7 @@ from flax import struct
 
 from earl_jax.algos.learner import networks
 from earl_jax.algos.learner.networks import TanhNormal, mlp
-from earl_jax.options import LARGEST_INT, within
+from earl_jax.options import COUNT, LARGEST_INT, within
 
 SOFT_CRITICS = 2
 DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
@@ -51,6 +51,9 @@ class SAC(struct.PyTreeNode):
     layer_norm: bool = struct.field(pytree_node=False, default=False)
     """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
     stability."""
+    replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
+    """Own transitions of a lane that the replay keeps, first in, first out; None: all. The paper gives 20M and 10M, more
+    than any of its runs has."""
     random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
     """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     precision: str = struct.field(pytree_node=False, default="tf32")

@@ -1,5 +1,7 @@
 """The replay: written in place, and sampled by the controller that a transition belongs to."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +9,9 @@ import pytest
 
 from earl_jax.algos.learner import replay
 from earl_jax.algos.learner.replay import Transition, TransitionFlags
+from earl_jax.runs import snapshot
 from earl_jax.training.scan import run_steps
-from tests.conftest import make_train_state, tiny_method
+from tests.conftest import assert_equal_trees, make_train_state, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 2)
 NO_DEMO_SHARE = jnp.zeros(2)
@@ -23,8 +26,8 @@ def make_transition(step, lanes=2):
     return Transition(action=number[:, None], next_state=number[:, None] + 1000, reward=number, flags=flags)
 
 
-def fill_replay(controllers, valid, sparse=False):
-    buffer = replay.create(len(controllers), 2, 1, 1, sparse)
+def fill_replay(controllers, valid, sparse=False, buffer=None):
+    buffer = replay.create(len(controllers), 2, 1, 1, sparse) if buffer is None else buffer
     for step, (controller, keep) in enumerate(zip(controllers, valid, strict=True)):
         buffer = replay.write(buffer, make_transition(step), jnp.array(keep), jnp.array(controller))
     return buffer
@@ -83,6 +86,77 @@ def test_a_share_of_the_batch_comes_from_the_demonstrations():
     assert abs((batch.row[1] < 2).mean() - 0.25) < 0.02
 
 
+def kept_steps(buffer, controller, lane):
+    """Return the steps of `make_transition` that `controller` samples in `lane`, whose rows must be consistent."""
+    batch = replay.sample(buffer, KEYS, jnp.full(2, controller), 200, NO_DEMO_SHARE)
+    action = np.asarray(batch.action[lane, :, 0])
+    np.testing.assert_allclose(batch.next_state[lane, :, 0], action + 1000)
+    np.testing.assert_allclose(batch.state[lane, :, 0], np.where(action < 10, 0, action + 990))
+    np.testing.assert_array_equal(batch.flags.goal[lane], (action - lane) / 10)
+    return set(batch.flags.goal[lane].tolist())
+
+
+RNG = np.random.default_rng(0)
+LONG = RNG.integers(2, size=(30, 2)), RNG.random((30, 2)) < 0.8
+"""Controllers and validity [30, 2] of thirty steps of two lanes."""
+
+
+@pytest.mark.parametrize("length", [3, 4, 5, 9, 30])
+def test_a_replay_with_a_capacity_keeps_the_newest_transitions_of_each_controller(length):
+    controllers, valid = LONG[0][:length], LONG[1][:length]
+    buffer = fill_replay(controllers, valid, buffer=replay.create(4 + 1, 2, 1, 1, False, slots=2 * 4))
+    newest = np.arange(length) >= length - 4
+    for controller, lane in itertools.product(range(2), range(2)):
+        steps = np.flatnonzero(newest & valid[:, lane] & (controllers[:, lane] == controller))
+        assert buffer.counts[lane, controller] == len(steps)
+        if len(steps):
+            assert kept_steps(buffer, controller, lane) == set(steps.tolist())
+
+
+def with_demonstrations(own):
+    """Return a replay of `own` transitions after a demonstration of 2 steps, 3 states, which controller 0 lists."""
+    buffer = replay.create(3 + own + 1, 2, 1, 1, False, slots=2 + own)
+    two = jnp.full((2, 2), 2).at[:, 1].set(0)
+    return buffer.replace(
+        index=buffer.index.at[1].set(1), counts=two, demos=two[0], row=jnp.asarray(3), first_row=jnp.asarray(3)
+    )
+
+
+def test_a_replay_with_a_capacity_keeps_its_demonstrations():
+    buffer = fill_replay([(0, 0)] * 11, [(True, True)] * 11, buffer=with_demonstrations(3))
+    batch = replay.sample(buffer, KEYS, jnp.zeros(2, int), 200, NO_DEMO_SHARE)
+    rows, steps = np.asarray(batch.row[0]), np.asarray(batch.flags.goal[0])
+    assert set(rows[rows < 3].tolist()) == {0, 1}
+    assert set(steps[rows >= 3].tolist()) == {8, 9, 10}
+    np.testing.assert_allclose(batch.next_state[0, rows >= 3, 0], 1000 + 10.0 * steps[rows >= 3])
+    shared = replay.sample(buffer, KEYS, jnp.zeros(2, int), 200, jnp.ones(2))
+    assert set(np.asarray(shared.row).ravel().tolist()) == {0, 1}
+
+
+def test_a_capacity_that_is_never_reached_changes_no_sample():
+    plain = fill_replay(*LONG)
+    buffer = fill_replay(*LONG, buffer=replay.create(30 + 1, 2, 1, 1, False, slots=2 * 30))
+    for controller in (0, 1):
+        batches = [replay.sample(each, KEYS, jnp.full(2, controller), 50, NO_DEMO_SHARE) for each in (plain, buffer)]
+        assert_equal_trees(*batches)
+
+
+def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_is_full():
+    def create(own):
+        return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
+
+    full = fill_replay(*LONG, buffer=create(4))
+    assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], create(4)), full)
+    controllers, valid = LONG[0][:6], LONG[1][:6]
+    short = fill_replay(controllers, valid, buffer=create(6))
+    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], create(9)))
+    expected = fill_replay(controllers, valid, buffer=create(9))
+    for controller in (0, 1):
+        batches = [replay.sample(each, KEYS, jnp.full(2, controller), 50, NO_DEMO_SHARE) for each in (grown, expected)]
+        assert_equal_trees(*batches)
+    assert int(grown.row) == int(expected.row)
+
+
 def total_bytes(tree):
     return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))
 
@@ -93,13 +167,14 @@ def test_bytes_per_transition_are_those_of_the_arrays(sparse):
     assert total_bytes(large) - total_bytes(small) == 200 * 3 * replay.bytes_per_transition(6, 3, sparse)
 
 
-def test_no_step_copies_the_buffer(problem):
+@pytest.mark.parametrize("capacity", [None, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_step_copies_the_buffer(problem, capacity):
     """The buffer enters as a donated argument, as it does after a resume; a hidden copy would be ten times the bound."""
-    method = tiny_method("fbrl")
+    method = tiny_method("fbrl", **({} if capacity is None else {"replay_capacity": capacity}))
     state = make_train_state(problem, method, [0, 1], steps=200_000)
     run = jax.jit(lambda m, state: run_steps(problem, m, state, 20), donate_argnums=1)
     memory = run.lower(method, state).compile().memory_analysis()
     buffer_bytes = total_bytes(state.replay)
-    assert buffer_bytes > 10_000_000
+    assert buffer_bytes > (10_000_000 if capacity is None else 8_000_000)
     assert memory.temp_size_in_bytes < buffer_bytes / 10
     assert memory.alias_size_in_bytes > buffer_bytes
