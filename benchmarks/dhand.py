@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.output import save
 from earl_jax.envs import make
-from earl_jax.envs.dhand import REST, TARGET
+from earl_jax.envs.dhand.lightbulb import REST, TARGET
 
 POLICIES = ("zero", "random", "scripted")
 OFFSETS = np.array([[0.0, 0.0], [0.04, 0.0], [-0.04, 0.0], [0.0, 0.04], [0.0, -0.04]], np.float32)

@@ -42,7 +42,7 @@ _ENVS = Registry(
     "env",
     {
         "cheetah_run": "earl_jax.envs.dm_control.cheetah_run:CheetahRun",
-        "dhand_lightbulb": "earl_jax.envs.dhand:DHandLightbulb",
+        "dhand_lightbulb": "earl_jax.envs.dhand.lightbulb:DHandLightbulb",
         "fish_swim": "earl_jax.envs.dm_control.fish_swim:FishSwim",
         "franka_kitchen": "earl_jax.envs.kitchen.franka_kitchen:FrankaKitchen",
         "minitaur_pen": "earl_jax.envs.minitaur.pen:MinitaurPen",

@@ -32,6 +32,17 @@ def test_state_keeps_structure_dtypes_and_weak_types(name, reward_type):
     assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
 
 
+@pytest.mark.parametrize("name", ["dhand_lightbulb", "franka_kitchen", "minitaur_pen", "sawyer_door", "sawyer_peg"])
+def test_the_papers_variant_keeps_structure_and_sizes(name):
+    env = make(name, variant="paper")
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    after = jax.eval_shape(env.step, state, jax.ShapeDtypeStruct((env.action_size,), jnp.float32))
+    shapes = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree) for tree in (state, after)]
+    assert shapes[0] == shapes[1]
+    assert state.obs.shape == (env.obs_size,)
+    assert env.goal_states.shape[1:] == env.initial_states.shape[1:] == (env.goal_size,)
+
+
 @DEFAULT_REWARD
 def test_step_is_traced_once_and_scans(name, reward_type):
     env = make(name, reward_type=reward_type)

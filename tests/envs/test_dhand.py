@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks import dhand as benchmark
 from benchmarks.safety import make_actions
-from earl_jax import physics
-from earl_jax.envs import dhand as task
+from earl_jax import assets, demos, physics
 from earl_jax.envs import make
+from earl_jax.envs.dhand import lightbulb as task
 from tests.conftest import assert_all_finite, take_lane
 
 
@@ -114,6 +115,62 @@ def test_the_observation_is_mujocos_own(env, start_at, step):
     late.ctrl[:] = np.clip(fingers + 0.8 * action[:16], task.FINGER_LOW, task.FINGER_HIGH)
     mujoco.mj_step(model, late, env.substeps)
     np.testing.assert_allclose(obs[26:29], late.site("grasp").xpos, atol=1e-5)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_papers_variant_observes_the_euler_angle_of_mujocos_wrist_target(env, start_at, step, direction):
+    paper, action = dataclasses.replace(env, variant="paper"), jnp.zeros(22).at[21].set(direction)
+    first = state = start_at(jnp.array([0.7, 0.2]))
+    for _ in range(5):
+        state = step(state, action)
+    sensors = jnp.tile(state.obs[26:29], 9)
+    vector = np.asarray(paper.observe(state, action, state.data, sensors)[1])
+    before, after = (physics.mujoco_data(env.name, data) for data in (first.data, state.data))
+    target = Rotation.from_euler("XYZ", vector[26:29]).as_matrix()
+    np.testing.assert_allclose(target, after.body("mocap").xmat.reshape(3, 3), atol=1e-6)
+    np.testing.assert_allclose(vector[26:29], [-np.pi, 0.0, 0.1 * direction], atol=1e-5)
+    turns = [after.body(body).xmat.reshape(3, 3) @ before.body(body).xmat.reshape(3, 3).T for body in ("mocap", "tool")]
+    np.testing.assert_allclose(*turns, atol=0.03, err_msg="the hand follows the target")
+    np.testing.assert_array_equal(np.delete(vector, [26, 27, 28]), np.delete(state.obs[:32], [26, 27, 28]))
+
+
+def test_the_papers_variant_has_the_same_task(env, start_at):
+    paper, rng = dataclasses.replace(env, variant="paper"), np.random.default_rng(3)
+    assert (paper.obs_size, paper.state_size, paper.action_size) == (35, 32, 22)
+    start = paper.start_at(jnp.array([0.7, 0.2]))
+    np.testing.assert_allclose(start.obs[26:29], [-np.pi, 0.0, 0.0], atol=1e-6)
+    assert not bool(paper.fault(start))
+    obs = np.tile(start_at(jnp.array([0.7, 0.2])).obs, (50, 1))
+    obs[:, 23:26] = rng.uniform([0.5, 0, 0.77], [0.9, 0.3, 1.1], (50, 3))
+    obs[::2, 23:26] = task.TARGET + rng.uniform(-0.1, 0.1, (25, 3))
+    obs[:, 26:29] = rng.uniform([0.5, 0, 0.68], [0.9, 0.3, 1.0], (50, 3))
+    obs[:, 29:32] = obs[:, 26:29] - obs[:, 23:26]
+    listed = obs.copy()
+    listed[:, 26:29] = [-np.pi, 0.0, 0.3]
+    np.testing.assert_allclose(paper.reward(jnp.asarray(listed)), env.reward(jnp.asarray(obs)), atol=1e-5)
+    np.testing.assert_array_equal(paper.success(listed), env.success(obs))
+    assert np.asarray(paper.success(listed)).any()
+    np.testing.assert_array_equal(paper.map_position(listed), env.map_position(obs))
+    experts = [jax.vmap(variant.expert)(rows) for variant, rows in ((paper, listed), (env, obs))]
+    np.testing.assert_allclose(*experts, atol=1e-4)
+    with pytest.raises(ValueError, match="reconstruction, paper"):
+        make("dhand_lightbulb", variant="released")
+
+
+def test_demonstrations_of_the_other_variant_are_an_error(env, start_at, tmp_path):
+    tasks = {variant: dataclasses.replace(env, variant=variant) for variant in ("reconstruction", "paper")}
+    for recorded, recorder in tasks.items():
+        state = np.asarray(recorder.start_at(jnp.array([0.7, 0.2])).obs)
+        rows = (state[None, :32], state[None, 32:], np.zeros((1, 22)), state[None, :32], np.ones(1), np.ones(1, bool))
+        file = tmp_path / f"{recorded}.npz"
+        demos.save({"forward": assets.Demos(*rows)}, file)
+        for variant, other in tasks.items():
+            reader = dataclasses.replace(other, demo_file=str(file))
+            if variant == recorded:
+                np.testing.assert_array_equal(reader.demos("forward").states, state[None, :32])
+            else:
+                with pytest.raises(ValueError, match=f"recorded with variant '{recorded}', not '{variant}'"):
+                    reader.demos("forward")
 
 
 def test_starts_cover_the_table_and_stay_inside(env):

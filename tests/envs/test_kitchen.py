@@ -24,6 +24,7 @@ from earl_jax.envs.kitchen.franka_kitchen import (
     MOCAP_LOW,
     NOISE,
     PAIRS,
+    TEXT_GOALS,
 )
 from tests.conftest import take_lane
 
@@ -182,6 +183,52 @@ def test_the_papers_reward_and_the_sparse_reward(env):
     np.testing.assert_array_equal(env.success(batch), [False, True])
     np.testing.assert_array_equal(sparse.reward(batch), [0.0, 1.0])
     assert env.reward(batch).shape == paper.reward(batch[None]).shape[1:] == (2,)
+
+
+def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitchen(env):
+    paper = dataclasses.replace(env, variant="paper", noise=False)
+    assert (paper.obs_size, paper.goal_states.shape, paper.initial_states.shape) == (46, (7, 23), (1, 23))
+    indices = {"micro": {22}, "hinge": {20, 21}, "slide": {19}, "burner": {11, 12}}
+    changed = [set(np.flatnonzero(goal != CLOSED).tolist()) - {20} for goal in paper.goal_states]
+    assert changed == [set().union(*(indices[name] for name in group)) - {20} for group in TEXT_GOALS]
+    assert not {17, 18} & set().union(*changed), "the text has no light"
+    assert {22, 21, 11, 12} in changed, "the text's example: microwave, door and burner"
+    states = jax.jit(jax.vmap(paper.reset))(jax.random.split(jax.random.key(1), 100))
+    assert np.abs(states.obs[:, 9:23] - CLOSED[9:]).max() < 0.01, "everything is closed at the start"
+    assert len(np.unique(states.obs[:, 23:], axis=0)) == 7, "every goal is drawn"
+    assert not np.asarray(states.metrics["success"]).any()
+    assert not np.asarray(jax.vmap(paper.fault)(states)).any()
+
+
+def test_a_goal_of_the_papers_variant_is_reached_when_its_appliances_are_open_in_the_model(env):
+    """The joints are set in the physics, so plate and block follow knob and switch as the model couples them."""
+    paper = dataclasses.replace(env, variant="paper", noise=False)
+    state = paper.reset(jax.random.key(0))
+    joints = {
+        "micro": (17, -0.7),
+        "hinge": (16, 1.45),
+        "slide": (14, 0.37),
+        "burner": (10, -0.88),
+        "light": (13, -0.69),
+    }
+
+    def arrive(opened, goal):
+        qpos = np.array(state.data.qpos)
+        for name in opened:
+            qpos[joints[name][0]] = joints[name][1]
+        obs = jnp.asarray(np.concatenate([kitchen_reward.observed(qpos), goal]), jnp.float32)
+        return bool(paper.success(obs)), float(paper.reward(obs))
+
+    for goal, group in zip(paper.goal_states, TEXT_GOALS, strict=True):
+        closed, reached = arrive((), goal), arrive(group, goal)
+        assert (closed[0], reached[0]) == (False, True)
+        assert reached[1] > 7.5 - 0.2, "all 8 components are within tolerance, the arm is near its goal"
+        for missing in group:
+            partly = arrive([name for name in group if name != missing], goal)
+            assert not partly[0]
+            assert closed[1] <= partly[1] < reached[1] - 1.0
+        if "burner" in group:
+            assert not arrive([name.replace("burner", "light") for name in group], goal)[0]
 
 
 @pytest.mark.parametrize("name", list(benchmark.SCRIPTS))

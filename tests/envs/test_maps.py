@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import dhand as dhand_lightbulb
 from earl_jax.envs import list_envs, make, tabletop
+from earl_jax.envs.dhand import lightbulb as dhand_lightbulb
 from earl_jax.envs.sawyer import peg as sawyer_peg
 
 MAPPED = ["dhand_lightbulb", "fish_swim", "minitaur_pen", "sawyer_door", "sawyer_peg", "tabletop_organization"]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -99,6 +100,30 @@ def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(name):
     assert bool(env.success(near))
     with pytest.raises(ValueError, match="released, paper"):
         make(name, variant="other")
+
+
+def test_the_experts_of_the_papers_variant(door, peg):
+    paper_door, paper_peg = (dataclasses.replace(env, variant="paper") for env in (door, peg))
+    states = [env.reset(jax.random.key(1)) for env in (door, paper_door)]
+    np.testing.assert_array_equal(door.expert(states[0].obs), paper_door.expert(states[1].obs))
+    with pytest.raises(ValueError, match="which variant 'paper' omits"):
+        paper_peg.expert(paper_peg.reset(jax.random.key(1)).obs)
+
+
+@EVERY_TASK
+@pytest.mark.parametrize("grip", [1.0, -1.0, 0.5])
+def test_the_grippers_action_is_a_normalized_force_to_within_16_newtons(name, grip):
+    """The paper's text calls it a torque; the released actuators set a position, and a finger moves by 4 cm at most."""
+    env = make(name, physics="c")
+    model = physics.load_model(name)
+    state = env.reset(jax.random.key(0))
+    data = physics.mujoco_data(name, state.data)
+    for opening in (0.0, 0.5, 1.0):
+        data.qpos[7:9] = [0.04 * opening, -0.03 * opening]
+        data.ctrl[:] = env.control(state, jnp.array([0.0, 0.0, 0.0, grip]))[1]
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.actuator_force, [400 * grip, -400 * grip], atol=16.01)
+    assert np.abs(data.actuator_force - [400 * grip, -400 * grip]).max() > 15.9
 
 
 def test_door_dense_reward_by_hand(door):

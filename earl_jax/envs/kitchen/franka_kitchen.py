@@ -1,7 +1,8 @@
 """Franka kitchen: close the open appliances; a reset-free agent must open them again itself.
 
 Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our
-own MJCF (assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference.
+own MJCF (assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference. The paper's text has other
+appliances and the other direction than the release: `variant="paper"`.
 """
 
 import dataclasses
@@ -40,11 +41,21 @@ CLOSED = np.array(
     np.float32,
 )  # fmt: skip
 """The goal: a noisy observation, as published."""
-OPEN = {"micro": {22: -0.7}, "hinge": {20: 0.0, 21: 1.45}, "slide": {19: 0.37}, "light": {17: -0.69, 18: -0.05}}
-"""For each open appliance: indices into a state and their values."""
+OPEN = {
+    "micro": {22: -0.7}, "hinge": {20: 0.0, 21: 1.45}, "slide": {19: 0.37}, "light": {17: -0.69, 18: -0.05},
+    "burner": {11: -0.88, 12: -0.01},
+}  # fmt: skip
+"""For each open appliance: indices into a state and their values. The final release has no burner; this is the
+`bottom_burner` of its earlier versions."""
 PAIRS = (
     ("micro", "hinge"), ("micro", "slide"), ("micro", "light"), ("light", "slide"), ("light", "hinge"), ("slide", "hinge"),
 )  # fmt: skip
+TEXT_GOALS = (
+    ("micro", "hinge"), ("micro", "slide"), ("micro", "burner"), ("burner", "slide"), ("burner", "hinge"), ("slide", "hinge"),
+    ("micro", "hinge", "burner"),
+)  # fmt: skip
+"""The open appliances in each goal of `variant="paper"`: the released pairs with the burner that the paper's text names
+in the place of the light, and the text's example, to open microwave, door and burner."""
 MIDDLE = (-0.44, 0.1, 2.226)
 ARM_QPOS = (
     -0.41348427, -1.71317005, 1.42235766, -2.50195035, 0.646138996, 1.25936986, 0.868014878, 0.0399940302, 9.35269783e-05,
@@ -81,8 +92,12 @@ class FrankaKitchen(MujocoEnv):
     fingers' targets are the observed angles of the first two arm joints plus `FINGER_REACH * action[:2]`, which clips
     to closed or open depending on the arm's pose, and the other components are dropped. The metric is the return over
     `eval_horizon` steps. Success is reported as well: the 14 object numbers are within 0.3 of the goal. `noise=False`
-    observes exactly. `variant="paper"` has the reward of the paper's text, as `reward.published` reads it.
-    `substeps=40` is the released time step of 2 ms.
+    observes exactly. `substeps=40` is the released time step of 2 ms.
+
+    `variant="paper"` has the appliances, direction and reward of the paper's text: everything is closed at the start,
+    and a goal is one of `TEXT_GOALS`. The text names microwave, hinged cabinet, burner and slide cabinet, and opening
+    as its example. It leaves open the joint values, the other tasks, the start and the success; ours are the
+    release's. The reward is `reward.published`.
     """
 
     reward_type: str = "dense"
@@ -113,18 +128,15 @@ class FrankaKitchen(MujocoEnv):
 
     @property
     def goal_states(self) -> np.ndarray:
-        return CLOSED[None].copy()
+        return with_open(TEXT_GOALS) if self.variant == "paper" else CLOSED[None].copy()
 
     @property
     def initial_states(self) -> np.ndarray:
-        states = np.tile(CLOSED, (len(PAIRS), 1))
-        for state, pair in zip(states, PAIRS, strict=True):
-            for appliance in pair:
-                state[list(OPEN[appliance])] = list(OPEN[appliance].values())
-        return states
+        return CLOSED[None].copy() if self.variant == "paper" else with_open(PAIRS)
 
     def reset(self, key: jax.Array) -> State:
         pair_key, noise_key = jax.random.split(key)
+        goal = self.sample_goal(pair_key)  # of the pair and the goal, either variant has only a single choice
         starts = self.initial_states[:, rewards.FIRST[rewards.ROBOT :]]
         untouched = starts == CLOSED[rewards.FIRST[rewards.ROBOT :]]
         start_objects = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), starts))
@@ -139,7 +151,7 @@ class FrankaKitchen(MujocoEnv):
         )
         vector, changed = self._observe(data, jax.random.key_data(noise_key))
         sites = rewards.site_positions(rewards.observed(qpos))
-        return self.make_state(data, vector, {"goal": jnp.asarray(CLOSED), "sites": sites, **changed})
+        return self.make_state(data, vector, {"goal": goal, "sites": sites, **changed})
 
     def _observe(self, data: PhysicsState, noise: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Return the observation [23] of `data`, and the changed fields of `info`: noise key and mocap position."""
@@ -193,6 +205,15 @@ class FrankaKitchen(MujocoEnv):
         slack = np.where(np.arange(len(low)) < rewards.ROBOT, np.float32(ARM_SLACK), np.float32(OBJECT_SLACK))
         inside = (state.data.qpos > low - slack) & (state.data.qpos < high + slack)
         return super().fault(state) | ~inside.all()
+
+
+def with_open(groups: tuple[tuple[str, ...], ...]) -> np.ndarray:
+    """Return a state for each of n `groups` of appliances, float32 [n, 23]: these are open, the others closed."""
+    states = np.tile(CLOSED, (len(groups), 1))
+    for state, group in zip(states, groups, strict=True):
+        for appliance in group:
+            state[list(OPEN[appliance])] = list(OPEN[appliance].values())
+    return states
 
 
 def _target(state: State, action: jax.Array) -> jax.Array:

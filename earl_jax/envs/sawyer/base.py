@@ -26,7 +26,7 @@ POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0], np.float32) / np.float32(np.sqrt(
 OPENING = 0.1
 """Metres between the finger tips at which the gripper reads 1."""
 GRIPPER = 3
-"""Index of the gripper's opening in a state; the paper's observation omits it."""
+"""Index of the gripper's opening in a state; `variant="paper"` omits it."""
 VARIANTS = ("released", "paper")
 ARM = 9
 """Number of joints of arm and fingers; the object's joints follow."""
@@ -57,9 +57,14 @@ class Pose(NamedTuple):
 class Sawyer(MujocoEnv):
     """An arm and an object: `obs [14]` = hand 3, gripper opening 1, object 3, goal 7; `action [4]` = dx, dy, dz, grip.
 
-    A step moves the mocap target by up to 1 cm along each axis; `grip` +1 closes, -1 opens. `variant="paper"` omits the
-    gripper from state and goal (obs [12]), as the paper's text does. `reset_at_goal` starts at the task's goal, as the
-    released option for backward evaluations and demonstrations does. The released 5 `substeps` are 2.5 ms each.
+    A step moves the mocap target by up to 1 cm along each axis; `grip` +1 closes, -1 opens. `reset_at_goal` starts at
+    the task's goal, as the released option for backward evaluations and demonstrations does. The released 5 `substeps`
+    are 2.5 ms each.
+
+    The paper's text contradicts itself about the observation: it says 12 numbers, but lists the gripper's state, with
+    which there are 14, as released. `variant="paper"` has the number, 12: state and goal without the gripper. The text
+    calls the fourth action the normalized gripper torque. It sets the targets of the fingers' position actuators, as
+    released: the force on a finger is 400 N times `grip` minus at most 16 N, which depends on the finger's position.
     """
 
     substeps: int = 5

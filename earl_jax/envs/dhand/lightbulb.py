@@ -2,8 +2,8 @@
 
 Source: Sharma et al. 2022 name and describe this task but released no code for it. Robot, table, action and reward
 terms have the numbers of the authors' earlier MTRF (Gupta et al. 2021), in which a Sawyer arm with a DHand picks up an
-object. Observation, start and reward size are our reconstruction. docs/environments.md lists what is known and what is
-not.
+object. Observation, start and reward size are our reconstruction; `variant="paper"` observes what the paper's text
+lists. docs/environments.md lists what is known and what is not.
 """
 
 import dataclasses
@@ -14,15 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import assets
+from earl_jax.envs.dhand import grasp, observation
+from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import DemoStart, NextState, State
+from earl_jax.errors import InputError
 from earl_jax.physics import EngineCost, PhysicsState
 
-FINGERS, ARM = 16, 7
 SPAN = 0.8
 """Radians by which a finger's target leads its joint at action 1."""
-REACH = 0.01
-"""Metres that the mocap target moves at action 1."""
 TURN = 0.02
 """Radians that the target turns about the vertical at action 1."""
 LOW = np.array([0.42, 0.035, 0.825], np.float32)
@@ -35,7 +36,6 @@ FINGER_LOW[12:14], FINGER_HIGH[12:14] = (-0.2, -2.57), (1.57, 0.57)
 """Range of motor commands: three fingers with spread, knuckle, middle and tip, then the thumb, whose knuckle comes
 first."""
 
-TABLE = 0.72
 TARGET = np.array([0.72, 0.15, 0.92], np.float32)
 START_LOW = np.array([0.58, 0.03], np.float32)
 START_HIGH = np.array([0.86, 0.3], np.float32)
@@ -63,6 +63,8 @@ STILL = 0.05
 """Metres per second: a slower bulb that is out of reach does not roll back."""
 STRAY = 0.3
 """Metres beyond its range at which the hand counts as a broken simulation."""
+HAND_NEVER = -1.0
+"""Metres: the hand's x is always larger, and the wrist's roll [rad] always smaller. It tells demonstrations apart."""
 FROM_TARGET = np.array([0.1256, -0.032, -0.1406], np.float32)
 """Offset of the hand (the point between the fingers) from the mocap target."""
 
@@ -76,27 +78,6 @@ CLEARANCE = 0.03
 NEAR, NEARER = (0.1, 0.2, 0.9), (0.04, 0.1, 2.25)
 """Two bonuses: largest height difference to the goal, largest distance to the goal, and the reward for each."""
 
-OPENED = np.array(
-    [0.189, 0.197, -0.139, 0.352, 0.0, 0.197, -0.139, 0.352, -0.189, 0.197, -0.139, 0.352, 0.732, -0.143, 0.286, 0.531],
-    np.float32,
-)
-CLOSED = np.array(
-    [0.189, 0.874, 1.018, 0.816, 0.0, 0.874, 1.018, 0.816, -0.189, 0.874, 1.018, 0.816, 1.457, -0.143, 1.536, 1.559],
-    np.float32,
-)
-"""Finger joints of the scripted grasp: before it, and the target of the squeeze. Determined by search."""
-BENDS = OPENED != CLOSED
-PALM_OVER = np.array([-0.027, -0.022, -0.009], np.float32)
-"""Offset of the hand from the bulb in the scripted grasp."""
-GRIPS, MARGINS = np.array([0.1, 0.4], np.float32), np.array([0.012, 0.06], np.float32)
-"""The grasp continues while the hand is within `MARGINS` of that offset; interpolated over `GRIPS`, the hand's
-closure."""
-HELD = 0.65
-CLOSING, OPENING = 1.3, 3.0
-TRAVEL, CARRY = 0.865, 0.86
-"""Heights [m] at which the hand travels to the bulb and the bulb to its goal."""
-PACE = 0.7
-
 
 @dataclasses.dataclass(frozen=True)
 class DHandLightbulb(MujocoEnv):
@@ -105,7 +86,8 @@ class DHandLightbulb(MujocoEnv):
     Actions 0 to 15 set the fingers' targets up to 0.8 rad from the joints. Actions 16 to 18 move the wrist by up to 1
     cm along each axis, and action 21 turns it by up to 0.02 rad about the vertical. Actions 19 and 20, roll and pitch,
     have no effect, as in MTRF. Success: the bulb's centre is within 10 cm of its goal. MTRF has 40 `substeps` of 2.5
-    ms.
+    ms. `variant="paper"` observes the wrist's Euler angle 3, which the paper's text lists, in the place of the hand 3;
+    the rest is the same.
 
     A difference from MTRF: while a finger or the bulb is pressed into the table, the wrist does not move down. The weld
     is nearly rigid and would push fingers 6 cm into the table and 90 degrees past their stops.
@@ -115,6 +97,7 @@ class DHandLightbulb(MujocoEnv):
     train_horizon: int = 400_000
     eval_horizon: int = 400
     substeps: int = 10
+    variant: str = VARIANTS[0]
 
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
@@ -127,13 +110,17 @@ class DHandLightbulb(MujocoEnv):
     demo_count: ClassVar[int] = 20
     """Number of scripted demonstrations, all forward. The paper has none, and none ship."""
 
+    def __post_init__(self):
+        super().__post_init__()
+        self._require_choice("variant", VARIANTS)
+
     @property
     def title(self) -> str:
         return "DHand lightbulb"
 
     @property
     def state_size(self) -> int:
-        return FINGERS + ARM + 9
+        return observation.STATE
 
     @property
     def goal_size(self) -> int:
@@ -164,10 +151,26 @@ class DHandLightbulb(MujocoEnv):
             mocap_quat=palm_down(jnp.zeros(()))[None],
         )
         info = {"goal": jnp.asarray(TARGET), "pressed": jnp.zeros((), bool)}
-        return self.make_state(data, observed(data.qpos, jnp.asarray(START_HAND, jnp.float32)), info)
+        hand = jnp.asarray(START_HAND, jnp.float32)
+        return self.make_state(data, observed(data.qpos, hand, data.mocap_quat[0], self.variant), info)
 
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.with_goal(self.start_at(vector[FINGERS + ARM : FINGERS + ARM + 2]), goal)
+
+    def demos(self, direction: str) -> assets.Demos:
+        """Return the demonstrations of `direction` in `demo_file`.
+
+        Raises:
+            ValueError: as in `Env.demos`, or they were recorded with the other variant, whose states differ.
+        """
+        demos = super().demos(direction)
+        recorded = VARIANTS[int((demos.states[:, POSE : POSE + 1] < HAND_NEVER).any())]
+        if recorded != self.variant:
+            raise InputError(
+                f"{self.demo_file} was recorded with variant {recorded!r}, not {self.variant!r}: record demonstrations "
+                "of this variant with earl_jax.demos.make and earl_jax.demos.save"
+            )
+        return demos
 
     def demo_starts(self, seed: int) -> Iterator[DemoStart]:
         for key in jax.random.split(jax.random.key(seed), self.demo_count):
@@ -184,8 +187,9 @@ class DHandLightbulb(MujocoEnv):
         return data.replace(mocap_pos=target[None], mocap_quat=palm_down(yaw)[None]), ctrl
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
-        vector, links = observed(data.qpos, sensors[:3]), sensors[3:].reshape(-1, 3)
-        pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (parts(vector)[1][2] < REST - PRESS)
+        vector = observed(data.qpos, sensors[:3], data.mocap_quat[0], self.variant)
+        links, bulb = sensors[3:].reshape(-1, 3), self._parts(vector)[1]
+        pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (bulb[2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
 
     def render_goal(self, state: State) -> PhysicsState:
@@ -194,12 +198,12 @@ class DHandLightbulb(MujocoEnv):
         return state.data.replace(qpos=jnp.concatenate([joints, state.info["goal"], upright]))
 
     def success(self, obs: jax.Array) -> jax.Array:
-        _, bulb, _, goal = parts(obs)
+        _, bulb, _, goal = self._parts(obs)
         return jnp.linalg.norm(bulb - goal, axis=-1) < RADIUS
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the bulb's x, y [..., 2] in `obs [..., 35]`, metres."""
-        return parts(obs)[1][..., :2]
+        return self._parts(obs)[1][..., :2]
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 35]`.
@@ -212,7 +216,7 @@ class DHandLightbulb(MujocoEnv):
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
-        _, bulb, hand, goal = parts(obs)
+        _, bulb, hand, goal = self._parts(obs)
         apart = bulb - goal
         across, height = jnp.linalg.norm(apart[..., :2], axis=-1), jnp.abs(apart[..., 2])
         distance = jnp.linalg.norm(apart, axis=-1)
@@ -223,18 +227,12 @@ class DHandLightbulb(MujocoEnv):
         return -cost
 
     def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [22] of a scripted grasp: over the bulb, down, close, lift, carry to the goal of `obs`.
+        """Return the action [22] of a scripted grasp: over the bulb, down, close, lift, carry to the goal of `obs`."""
+        return grasp.action(*self._parts(obs))
 
-        It has no memory: it continues to close or starts to lift depending on the closure of the fingers.
-        """
-        fingers, bulb, hand, goal = parts(obs)
-        opened, closed = jnp.asarray(OPENED), jnp.asarray(CLOSED)
-        grip = ((fingers - opened) * BENDS).sum() / ((closed - opened) * BENDS).sum()
-        grasp_position = bulb + PALM_OVER
-        around = jnp.abs(hand - grasp_position).max() < jnp.interp(grip, GRIPS, MARGINS)
-        move = jnp.where(around, jnp.where(grip > HELD, _carry(bulb, goal), 0.0), _approach(hand, grasp_position, grip))
-        squeeze = jnp.where(around, CLOSING * (closed - fingers), OPENING * (opened - fingers))
-        return jnp.clip(jnp.concatenate([squeeze, move, jnp.zeros(3)]), -1.0, 1.0)
+    def _parts(self, obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Return from `obs [..., 35]` fingers [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
+        return observation.parts(obs, self.variant)
 
     def irreversible(self, state: State) -> jax.Array:
         """Return whether the bulb is below or beyond the table (a `fault`), or at rest out of the hand's reach.
@@ -242,59 +240,11 @@ class DHandLightbulb(MujocoEnv):
         A tether keeps the bulb over the table, so it never falls to the floor.
         """
         speed = jnp.linalg.norm(state.data.qvel[ARM + FINGERS : ARM + FINGERS + 3])
-        unreachable = (parts(state.obs)[1][0] < NEAREST) & (speed < STILL)
+        unreachable = (self._parts(state.obs)[1][0] < NEAREST) & (speed < STILL)
         return super().irreversible(state) | unreachable
 
     def fault(self, state: State) -> jax.Array:
-        _, bulb, hand, _ = parts(state.obs)
+        _, bulb, hand, _ = self._parts(state.obs)
         inside = ((bulb >= BULB_LOW) & (bulb <= BULB_HIGH)).all()
         inside &= ((hand >= LOW + FROM_TARGET - STRAY) & (hand <= HIGH + FROM_TARGET + STRAY)).all()
         return super().fault(state) | ~inside
-
-
-def parts(obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return from `obs [..., 35]` the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
-    return obs[..., :FINGERS], obs[..., 23:26], obs[..., 26:29], obs[..., 32:35]
-
-
-def observed(qpos: jax.Array, hand: jax.Array) -> jax.Array:
-    """Return the state [32] for joints `qpos [30]` and the point between the fingers at `hand [3]`.
-
-    The order is MTRF's, fingers before the arm. As in MTRF, joints and bulb are current and the hand lags by one
-    substep.
-    """
-    arm, fingers, bulb = qpos[:ARM], qpos[ARM : ARM + FINGERS], qpos[ARM + FINGERS : ARM + FINGERS + 3]
-    return jnp.concatenate([fingers, arm, bulb, hand, hand - bulb])
-
-
-def palm_down(yaw: jax.Array) -> jax.Array:
-    """Return the mocap target's orientation [4]: roll by -pi, then `yaw`; MTRF's yaw is clockwise from above."""
-    zero = jnp.zeros_like(yaw)
-    return jnp.stack([zero, jnp.cos(yaw / 2), -jnp.sin(yaw / 2), zero])
-
-
-def yaw_of(quat: jax.Array) -> jax.Array:
-    """Return the yaw [] of a palm-down orientation `quat [4]`."""
-    return -2.0 * jnp.arctan2(quat[2], quat[1])
-
-
-def _approach(hand: jax.Array, target: jax.Array, grip: jax.Array) -> jax.Array:
-    """Return the wrist's move [3] to `target [3]`: up if the hand is low and far, across, down if it is open."""
-    away = jnp.linalg.norm((target - hand)[:2])
-    across = jnp.where((hand[2] < TRAVEL - 0.025) & (away > 0.05), hand[:2], target[:2])
-    height = jnp.where((away > 0.012) | (grip > 0.4), jnp.maximum(target[2], TRAVEL), target[2])
-    return _towards(jnp.append(across, height) - hand)
-
-
-def _carry(bulb: jax.Array, goal: jax.Array) -> jax.Array:
-    """Return the wrist's move [3] that carries a held `bulb [3]` to `goal [3]`: up, across, and down to a low goal."""
-    apart = goal - bulb
-    far = jnp.linalg.norm(apart[:2]) > 0.03
-    height = jnp.where(far, jnp.maximum(goal[2], CARRY), goal[2])
-    across = jnp.where(bulb[2] > TABLE + RADIUS, apart[:2], 0.0)
-    return _towards(jnp.append(across, height - bulb[2]))
-
-
-def _towards(step: jax.Array) -> jax.Array:
-    """Return the move [3] for `step [3]` metres, clipped to `PACE`."""
-    return jnp.clip(PACE * step / REACH, -PACE, PACE)

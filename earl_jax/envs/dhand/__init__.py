@@ -1,0 +1,1 @@
+"""DHand lightbulb."""
