@@ -37,7 +37,7 @@ from IPython.display import Image
 import earl_jax
 from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
-from earl_jax.metrics.statistics import summarise
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.plots import plot_runs
 
 # %matplotlib inline
@@ -96,7 +96,7 @@ result = earl_jax.train(
 """
 Left, the deployed setting: every 10,000 steps the policy is evaluated from fresh starts, without
 learning. Right, the continuing setting: the reward that the agent earned during training. The line is
-the mean over seeds, the band the 95 % bootstrap interval of the interquartile mean.
+the mean over seeds, the band Student's 95 % interval of that mean.
 """
 
 # %%
@@ -115,10 +115,9 @@ last = result.metrics["deployed/success"][:, -3:].mean(axis=1)
 rewards = result.metrics["continuing/reward"][:, -1]
 for seed, success, reward in zip(result.seeds, last, rewards, strict=True):
     print(f"seed {seed}: success {success:.2f}, reward per step {reward:.4f}")
-final = summarise(last)
-print(
-    f"mean {final.mean:.2f}, standard error {final.stderr:.2f}, IQM {final.iqm:.2f} [{final.low:.2f}, {final.high:.2f}]"
-)
+mean = mean_interval(last)
+share = f"{np.mean(last > 0.5):.0%} of the seeds over 0.5"
+print(f"mean {mean.value:.2f}, 95 % interval [{mean.low:.2f}, {mean.high:.2f}], {share}")
 print(f"interventions: {result.metrics['interventions'][:, -1].astype(int).tolist()}")
 
 # %% [markdown]

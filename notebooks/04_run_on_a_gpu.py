@@ -37,7 +37,7 @@ import numpy as np
 from IPython.display import Image, Markdown
 
 import earl_jax
-from earl_jax.metrics.statistics import summarise
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.plots import plot_runs
 from earl_jax.training.memory import free_bytes, need
 
@@ -156,16 +156,16 @@ Image(plot_runs([RUNS / "vaprl"], RUNS / "curves.png"), width=900)
 ## More seeds
 
 Five seeds give a mean. Fifty seeds show the distribution behind it: whether most agents are alike, or some
-learn and others never do. The interval is that of the interquartile mean.
+learn and others never do. The interval is Student's of the mean.
 """
 
 # %%
 last = result.metrics["deployed/success"][:, -5:].mean(axis=1)
-final = summarise(last)
+final = mean_interval(last)
 figure, axis = plt.subplots(figsize=(5.5, 3), layout="constrained")
 axis.hist(last, bins=np.linspace(0, 1, 21).tolist(), color="C0", rwidth=0.9)
 axis.axvspan(
-    final.low, final.high, color="C1", alpha=0.3, label=f"IQM {final.iqm:.2f} [{final.low:.2f}, {final.high:.2f}]"
+    final.low, final.high, color="C1", alpha=0.3, label=f"mean {final.value:.2f} [{final.low:.2f}, {final.high:.2f}]"
 )
 axis.set(xlabel="success of a seed, last five evaluations", ylabel="seeds", xlim=(0, 1))
 axis.legend(frameon=False)
