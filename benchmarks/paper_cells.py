@@ -1,23 +1,26 @@
-"""The runs at the paper's settings as tables: `python -m benchmarks.paper_cells` writes cells.csv and cells.md beside them.
+"""The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper_cells`.
 
-`cells`: each run with the mean over seeds of the final and of the last ten evaluations. A run of the published length is
-compared with the published final score by Welch's test from means, standard errors and numbers of seeds. `PAIRS`: runs that
-differ in one option, at equal steps, by a permutation test of the seeds' means over ten evaluations.
+A cell is a task and a method, trained at the paper's settings. Its score is the mean over the evaluations of the last 100,000
+steps. Runs of the published length are tested against the published score, and PAIRS, runs that differ in one option, against
+each other at equal steps; both as `earl-jax compare` does. Writes cells.csv, cells.md, pairs.csv, pairs.md, a figure of each
+task that was run, curves.png in its folder, and the tables between comments in docs/results.md and README.md.
 """
 
+import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy import stats
-
-from earl_jax.report.published import published_score, published_steps
-from earl_jax.report.runs import Curves, read
-from earl_jax.report.tables import WINDOW, markdown_table, write
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.paper.tasks import METHODS, methods_on, training_steps
+from earl_jax.report.comparison import RULE, compare, pair_row, recent_scores, table_text, with_verdicts
+from earl_jax.report.plots import plot_runs
+from earl_jax.report.published import published_score
+from earl_jax.report.runs import Curves, MethodRuns, read
+from earl_jax.report.tables import interval_text, markdown_table, millions, write
 
 ROOT = Path(__file__).parent / "results" / "paper"
-PUBLISHED_SEEDS = 5
-TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
+TABLETOP, PEG, DHAND = "tabletop_organization", "sawyer_peg", "dhand_lightbulb"
 PAIRS = [
     (f"{TABLETOP}/fbrl", f"{TABLETOP}/fbrl/tf32"),
     (f"{TABLETOP}/naive", f"{TABLETOP}/naive/episode_200"),
@@ -25,99 +28,151 @@ PAIRS = [
     (f"{TABLETOP}/naive", f"{TABLETOP}/naive/random_10000"),
     (f"{PEG}/oracle", f"{PEG}/oracle/reward_scale_1"),
 ]
-PERMUTATIONS = 100_000
+OURS = "not compared: the task is our reconstruction"
+NOT_RUN = "not run"
+START, END = "<!-- cells -->", "<!-- end of cells -->"
+PAGES = ROOT.parents[2]
+HEADER = (
+    "task",
+    "method",
+    "seeds",
+    "steps",
+    "of",
+    "mean [95 %]",
+    "published",
+    "difference [95 %]",
+    "adjusted p",
+    "verdict",
+)
+HEADER += ("detectable", "largest critic loss", "commit")
 
 
-def cell(name: str, curves: Curves) -> dict[str, Any]:
-    """Return the row of a run: scores, the largest critic loss, and the comparison at the published length."""
-    scores = curves.metrics[curves.deployed_metric]
-    final, recent = scores[:, -1], scores[:, -WINDOW:].mean(axis=1)
-    half = stats.t.ppf(0.975, len(recent) - 1) * stats.sem(recent)
-    row = {
-        "run": name,
-        "metric": curves.deployed_metric,
+def cells(root: Path = ROOT) -> list[dict[str, Any]]:
+    """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
+    folders = [root / env / algo for env in PAPER_TASKS for algo in methods_on(env, METHODS)]
+    finished = [folder for folder in folders if (folder / "metrics.csv").exists()]
+    tests = {(row["env"], row["first"]): row for row in compare(finished, against="published")}
+    return [_cell(folder, tests.get((folder.parent.name, folder.name))) for folder in folders]
+
+
+def _cell(folder: Path, test: dict[str, Any] | None) -> dict[str, Any]:
+    env, algo = folder.parent.name, folder.name
+    score = published_score("table1", env, algo)
+    row = dict.fromkeys(("seeds", "steps", "mean", "low", "high", "difference", "difference_low", "difference_high"))
+    row |= dict.fromkeys(("p", "p_holm", "detectable", "largest_critic_loss", "commit"))
+    names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
+    if not (folder / "metrics.csv").exists():
+        return {**names, **row, "verdict": NOT_RUN}
+    curves = read(folder)
+    mean = mean_interval(recent_scores(curves, int(curves.steps[-1])))
+    row |= {
         "seeds": curves.seeds,
         "steps": int(curves.steps[-1]),
-        "of": curves.config.steps,
-        "final": final.mean(),
-        "final_stderr": stats.sem(final),
-        "last10": recent.mean(),
-        "last10_stderr": stats.sem(recent),
-        "low": recent.mean() - half,
-        "high": recent.mean() + half,
-        "reward": curves.metrics["continuing/reward"][:, -1].mean(),
-        "largest_critic_loss": curves.metrics["critic_loss"].max(),
+        "mean": mean.value,
+        "low": mean.low,
+        "high": mean.high,
     }
-    return {**row, **_against_published(name, curves, final)}
+    row |= {"largest_critic_loss": float(curves.metrics["critic_loss"].max()), "commit": commit_of(folder)[:9]}
+    if env == DHAND or test is None:
+        return {**names, **row, "verdict": OURS}
+    row |= {name: test[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
+    return {**names, **row, "difference_low": test["low"], "difference_high": test["high"]}
 
 
-def _against_published(name: str, curves: Curves, final: np.ndarray) -> dict[str, Any]:
-    """Return the published score of the cell, and for its own run of that length the difference, interval and p."""
-    config, steps = curves.config, published_steps(curves.config.env)
-    score = published_score("table1", config.env, config.algo)
-    texts = {"published": score.text if score else None}
-    is_variant, length = name.count("/") > 1, steps and steps[0]
-    if score is None or is_variant or not length or curves.steps[-1] < length:
-        return {**texts, "difference": None, "difference_low": None, "difference_high": None, "p": None}
-    difference = final.mean() - float(score.mean)
-    errors = np.array([stats.sem(final), float(score.stderr)]) ** 2
-    freedom = errors.sum() ** 2 / (errors**2 / (np.array([len(final), PUBLISHED_SEEDS]) - 1)).sum()
-    spread = np.sqrt(errors.sum())
-    half = stats.t.ppf(0.975, freedom) * spread
-    p = 2 * stats.t.sf(abs(difference) / spread, freedom)
-    return {
-        **texts,
-        "difference": difference,
-        "difference_low": difference - half,
-        "difference_high": difference + half,
-        "p": p,
-    }
+def commit_of(folder: Path) -> str:
+    """Return the commit that made the run of `folder`."""
+    return json.loads((folder / "config.json").read_text())["provenance"]["commit"]
 
 
-def pair(first: str, second: str, runs: dict[str, Curves]) -> dict[str, Any]:
-    """Return the comparison of two runs at the last step that both have."""
-    step = min(runs[first].steps[-1], runs[second].steps[-1])
-    scores = [_recent_at(runs[name], step) for name in (first, second)]
-    test = stats.permutation_test(
-        scores, lambda a, b: b.mean() - a.mean(), n_resamples=PERMUTATIONS, rng=np.random.default_rng(0)
+def cells_text(rows: list[dict[str, Any]]) -> str:
+    """Return the rows of `cells` as a markdown table."""
+    return markdown_table(HEADER, [_line(row) for row in rows])
+
+
+def _line(row: dict[str, Any]) -> list[str]:
+    names = [row["env"], row["algo"]]
+    if row["seeds"] is None:
+        return [
+            *names,
+            "-",
+            "-",
+            millions(row["of"]),
+            "-",
+            row["published"] or "-",
+            "-",
+            "-",
+            row["verdict"],
+            "-",
+            "-",
+            "-",
+        ]
+    tested = row["p"] is not None and row["p"] == row["p"]
+    difference = interval_text(row["difference"], row["difference_low"], row["difference_high"]) if tested else "-"
+    numbers = (
+        [f"{row['p_holm']:.2g}", row["verdict"], f"{row['detectable']:.2g}"] if tested else ["-", row["verdict"], "-"]
     )
-    return {
-        "first": first,
-        "second": second,
-        "steps": int(step),
-        **{f"{name}_mean": values.mean() for name, values in zip(("first", "second"), scores, strict=True)},
-        "difference": test.statistic,
-        "p": test.pvalue,
-    }
+    return [
+        *names, str(row["seeds"]), millions(row["steps"]), millions(row["of"]),
+        interval_text(row["mean"], row["low"], row["high"]), row["published"] or "-", difference, *numbers,
+        f"{row['largest_critic_loss']:.2g}", row["commit"],
+    ]  # fmt: skip
 
 
-def _recent_at(curves: Curves, step: int) -> np.ndarray:
-    """Return each seed's mean over the ten evaluations up to `step`."""
-    end = int(np.searchsorted(curves.steps, step)) + 1
-    return curves.metrics[curves.deployed_metric][:, end - WINDOW : end].mean(axis=1)
+def cells_summary(rows: list[dict[str, Any]]) -> str:
+    """Return the rows of `cells` without the columns that docs/results.md has no room for."""
+    return markdown_table(HEADER[:-3], [_line(row)[:-3] for row in rows])
 
 
-def _text(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:,}" if isinstance(value, int) else f"{value:.3g}" if isinstance(value, float) else str(value)
+def tested_summary(rows: list[dict[str, Any]]) -> str:
+    """Return the tested ones of the rows of `cells`, for README.md."""
+    lines = []
+    for row in rows:
+        if row["p"] is not None and row["p"] == row["p"]:
+            ours, difference = (
+                (row["mean"], row["low"], row["high"]),
+                ("difference", "difference_low", "difference_high"),
+            )
+            texts = [interval_text(*ours), row["published"], interval_text(*(row[name] for name in difference))]
+            lines.append([row["env"], row["algo"], str(row["seeds"]), *texts, f"{row['p_holm']:.2g}"])
+    header = ["task", "method", "seeds", "success [95 %]", "published (s.e.)", "difference [95 %]", "adjusted p"]
+    return markdown_table(header, lines)
 
 
-def _markdown(rows: list[dict[str, Any]]) -> str:
-    plain = [{name: value.item() if hasattr(value, "item") else value for name, value in row.items()} for row in rows]
-    return markdown_table(list(rows[0]), [list(map(_text, row.values())) for row in plain])
+def with_table(page: str, table: str) -> str:
+    """Return the text of `page` with `table` between the comments that mark its place."""
+    before, _, rest = page.partition(START)
+    _, _, after = rest.partition(END)
+    return f"{before}{START}\n\n{table}\n\n{END}{after}"
+
+
+def pairs(root: Path = ROOT) -> list[dict[str, Any]]:
+    """Return the comparisons of `PAIRS`."""
+    return with_verdicts([pair_row(_named(root, first), _named(root, second)) for first, second in PAIRS])
+
+
+def _named(root: Path, name: str) -> MethodRuns:
+    env, label = name.split("/", 1)
+    curves: Curves = read(root / name)
+    return MethodRuns(env, curves.config.algo, label, curves)
 
 
 def main() -> None:
-    """Write cells.csv, pairs.csv and cells.md."""
-    paths = sorted(path.parent for path in ROOT.rglob("metrics.csv"))
-    runs = {str(path.relative_to(ROOT)): read(path) for path in paths}
-    cells = [cell(name, curves) for name, curves in runs.items()]
-    pairs = [pair(first, second, runs) for first, second in PAIRS]
-    write(cells, ROOT / "cells.csv")
-    write(pairs, ROOT / "pairs.csv")
-    (ROOT / "cells.md").write_text(f"{_markdown(cells)}\n\n{_markdown(pairs)}\n")
-    print((ROOT / "cells.md").read_text())
+    """Write the tables and figures."""
+    rows, tested = cells(), pairs()
+    write(rows, ROOT / "cells.csv")
+    write(tested, ROOT / "pairs.csv")
+    (ROOT / "cells.md").write_text(f"{cells_text(rows)}\n\n{RULE}\n")
+    (ROOT / "pairs.md").write_text(f"{table_text(tested)}\n")
+    for env in dict.fromkeys(row["env"] for row in rows if row["seeds"]):
+        plot_runs(
+            [ROOT / env / row["algo"] for row in rows if row["env"] == env and row["seeds"]], ROOT / env / "curves.png"
+        )
+    for page, table in (
+        (PAGES / "docs" / "results.md", cells_summary(rows)),
+        (PAGES / "README.md", tested_summary(rows)),
+    ):
+        page.write_text(with_table(page.read_text(), table))
+    print((ROOT / "cells.md").read_text(), (ROOT / "pairs.md").read_text(), sep="\n")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget, kernels, per_device, redraw, run
+from benchmarks import budget, kernels, paper_cells, per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
@@ -208,6 +208,18 @@ def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
     assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * rows[-1]["hours"], abs=0.05)
     with pytest.raises(ValueError, match="no rate of one program on sawyer_peg"):
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
+
+
+def test_the_tables_of_cells_in_the_docs_are_those_of_the_runs():
+    rows = paper_cells.cells()
+    assert len(rows) == 27
+    for page, table in (
+        ("docs/results.md", paper_cells.cells_summary(rows)),
+        ("README.md", paper_cells.tested_summary(rows)),
+    ):
+        text = (paper_cells.PAGES / page).read_text()
+        assert paper_cells.with_table(text, table) == text, "run python -m benchmarks.paper_cells"
+        assert paper_cells.with_table(text, "| another |") != text
 
 
 def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():

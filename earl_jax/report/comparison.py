@@ -62,6 +62,11 @@ def compare(folders: Sequence[Path], against: Literal["runs", "published"] = "ru
     if not rows:
         choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
+    return with_verdicts(rows)
+
+
+def with_verdicts(rows: list[Row]) -> list[Row]:
+    """Return `rows` with p adjusted by Holm over all of them, and with the verdict of those that have none yet."""
     for row, adjusted in zip(rows, holm([row["p"] for row in rows]), strict=True):
         row["p_holm"] = float(adjusted)
         row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
@@ -77,10 +82,15 @@ def recent_scores(curves: Curves, step: int) -> np.ndarray:
 
 def _pair_rows(groups: Sequence[MethodRuns]) -> list[Row]:
     pairs = [(a, b) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
-    return [_pair_row(first, second) for first, second in pairs]
+    return [pair_row(first, second) for first, second in pairs]
 
 
-def _pair_row(first: MethodRuns, second: MethodRuns) -> Row:
+def pair_row(first: MethodRuns, second: MethodRuns) -> Row:
+    """Return the comparison of two methods on a task at the last step that both have, without an adjusted p.
+
+    Raises:
+        ValueError: one is scored by success and the other by return.
+    """
     step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
     scores, others = recent_scores(first.curves, step), recent_scores(second.curves, step)
     if first.curves.deployed_metric != second.curves.deployed_metric:

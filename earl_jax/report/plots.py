@@ -31,6 +31,8 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
             _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}", name)
         metric = _metric(panel, runs[0])
         axis.set(title=PANELS[panel], ylabel=AXES[metric], xlabel="environment steps of a seed", xlim=(0, None))
+        if metric == "deployed/success":
+            axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
         axis.xaxis.set_major_formatter("{x:,.0f}")
         axis.locator_params(axis="x", nbins=6)
         axis.grid(alpha=0.3)
