@@ -1,0 +1,270 @@
+"""docs/coverage.md names objects, files and options that exist, and the paper's numbers are those of the code.
+
+The links of the page are checked with those of all pages, in tests/test_docs.py.
+"""
+
+import dataclasses
+import importlib
+import inspect
+import json
+import re
+from collections import Counter
+from typing import Any, NamedTuple
+
+import pytest
+
+from earl_jax import algos, assets, envs, protocol, training
+from earl_jax.paper import reproduce
+from tests.test_docs import DOCS, PAGES
+
+ROOT = DOCS.parent
+PAGE = DOCS / "coverage.md"
+CLASSES = ("exact", "differs", "option", "open")
+OBJECT, OPTION, FILE = r"(earl_jax[\w.]*):([\w.]+)", r"([a-z]\w*): (\w+)=(\S+)", r"assets/[\w./]+"
+LINK = r"\]\([\w./]+\.md#[\w-]+\)"
+
+
+class Item(NamedTuple):
+    """A row of the tables: the paper's statement, the code in backticks, its class, and the remark."""
+
+    statement: str
+    where: str
+    kind: str
+    how: str
+
+
+def items_of(text: str) -> list[Item]:
+    """Return the items of a page of coverage; comments in it are left out.
+
+    Raises:
+        ValueError: a row of a table of items has another number of cells.
+    """
+    items = []
+    for table in re.findall(r"^\| item \| where \| class \| how \|\n\|[-| ]*\n((?:\|.*\n)*)", text, flags=re.MULTILINE):
+        for row in re.sub(r"<!--.*?-->", "", table).splitlines():
+            cells = [cell.strip() for cell in row.strip("|").split("|")]
+            if len(cells) != len(Item._fields):
+                raise ValueError(f"{row}: expected {len(Item._fields)} cells")
+            items.append(Item(*cells))
+    return items
+
+
+def attribute(path: str) -> Any:
+    """Return the object `module:name`; a field without a default returns its declaration.
+
+    Raises:
+        ImportError, AttributeError: there is no such object.
+    """
+    module, names = path.split(":")
+    found = importlib.import_module(module)
+    for name in names.split("."):
+        declared = dataclasses.fields(found) if dataclasses.is_dataclass(found) else ()
+        field = next((field for field in declared if field.name == name), None)
+        found = field if field and not hasattr(found, name) else getattr(found, name)
+    return found
+
+
+def build(name: str, field: str, value: str) -> Any:
+    """Return the task, method or setting `name` with one option.
+
+    Raises:
+        ValueError: nothing has that name, or it has no such option or value.
+    """
+    kinds = (
+        (envs.list_envs(), envs.make),
+        (algos.list_algos(), algos.make_algo),
+        (protocol.SETTINGS, protocol.setting_of),
+    )
+    makers = [make for names, make in kinds if name in names]
+    if not makers:
+        raise ValueError(f"no task, method or setting is called {name}")
+    try:
+        return makers[0](name, **{field: json.loads(value)})
+    except json.JSONDecodeError:
+        return makers[0](name, **{field: value})
+
+
+def fault_of_reference(text: str) -> str | None:
+    """Return what is wrong with a reference, the text between two backticks; None if it is an object, option or file."""
+    option = re.fullmatch(OPTION, text)
+    try:
+        if re.fullmatch(OBJECT, text):
+            attribute(text)
+        elif option:
+            build(*option.groups())
+        elif not (re.fullmatch(FILE, text) and (ROOT / text).is_file()):
+            return f"{text} is no object, option or file"
+    except (ImportError, AttributeError, ValueError) as error:
+        return f"{text}: {error}"
+    return None
+
+
+def faults(text: str) -> list[str]:
+    """Return everything that is wrong with the items of a page, and with its counts of them."""
+    items, wrong = items_of(text), []
+    for item in items:
+        references = re.findall(r"`([^`]+)`", item.where)
+        if item.kind not in CLASSES:
+            wrong.append(f"{item.statement} has the class {item.kind!r}, not one of {', '.join(CLASSES)}")
+        if not references and item.kind != "open":
+            wrong.append(f"{item.statement} names no code")
+        if re.sub(r"`[^`]+`|[, ]", "", item.where) not in ("", "-"):
+            wrong.append(f"{item.statement}: {item.where} has more than references in backticks")
+        if (item.kind == "option") != any(re.fullmatch(OPTION, reference) for reference in references):
+            wrong.append(f"{item.statement}: an option is named in rows of the class option only")
+        if item.kind == "differs" and not re.search(LINK, item.how):
+            wrong.append(f"{item.statement} differs without a link to the place that says why")
+        if item.kind != "exact" and not item.how:
+            wrong.append(f"{item.statement} has no remark")
+        wrong += filter(None, map(fault_of_reference, references))
+    counts = Counter(item.kind for item in items)
+    counts["all"] = len(items)
+    stated = re.findall(r"^\| `?(exact|differs|option|open|all)`? \| (\d+) \|", text, flags=re.MULTILINE)
+    if {kind: int(number) for kind, number in stated} != {kind: counts[kind] for kind in (*CLASSES, "all")}:
+        wrong.append(f"the counts of the page are {dict(stated)}, those of its items {dict(counts)}")
+    return wrong
+
+
+def test_the_page_names_what_exists_and_counts_right():
+    assert faults(PAGE.read_text()) == []
+
+
+def test_every_part_of_the_page_has_items_and_its_links_are_checked():
+    parts = re.split(r"^##+ ", PAGE.read_text(), flags=re.MULTILINE)[1:]
+    assert [part.splitlines()[0] for part in parts if not items_of(part)] == []
+    assert PAGE in PAGES
+
+
+ROW = "| a thing | `earl_jax.envs:Env.step` | exact | |"
+HEAD = "| `exact` | 1 | |\n| `differs` | 0 | |\n| `option` | 0 | |\n| `open` | 0 | |\n| all | 1 | |\n\n"
+TABLE = HEAD + "| item | where | class | how |\n| --- | --- | --- | --- |\n"
+WRONG = {
+    "| a thing | `earl_jax.envs:Env.stride` | exact | |": "no attribute 'stride'",
+    "| a thing | `earl_jax.envz:Env` | exact | |": "No module named",
+    "| a thing | `assets/mjcf/none.xml` | exact | |": "is no object, option or file",
+    "| a thing | the loop | exact | |": "names no code",
+    "| a thing | `earl_jax.envs:Env`, the loop | exact | |": "more than references",
+    "| a thing | `earl_jax.envs:Env` | same | why |": "has the class 'same'",
+    "| a thing | `earl_jax.envs:Env` | differs | why |": "without a link",
+    "| a thing | `earl_jax.envs:Env` | open | |": "has no remark",
+    "| a thing | `earl_jax.envs:Env` | option | why |": "rows of the class option only",
+    "| a thing | `sawyer_door: varient=paper` | option | why |": "has no option 'varient'",
+    "| a thing | `sawyer_door: variant=papers` | option | why |": "variant 'papers' is not one of",
+    "| a thing | `sawyer_doors: variant=paper` | option | why |": "no task, method or setting",
+    f"{ROW}\n{ROW}": "the counts of the page",
+}
+
+
+@pytest.mark.parametrize("rows", WRONG)
+def test_a_wrong_row_is_a_fault(rows):
+    assert faults(f"{TABLE}{ROW}\n") == []
+    assert any(WRONG[rows] in fault for fault in faults(f"{TABLE}{rows}\n"))
+
+
+def test_a_row_with_another_number_of_cells_is_refused():
+    with pytest.raises(ValueError, match="expected 4 cells"):
+        items_of(f"{TABLE}| a thing | exact |\n")
+
+
+TASKS = {
+    "tabletop_organization": (12, 3, 200_000, 200, "sparse", (12, 12)),
+    "sawyer_door": (14, 4, 200_000, 300, "sparse", (5, 5)),
+    "sawyer_peg": (14, 4, 100_000, 200, "sparse", (10, 10)),
+    "franka_kitchen": (46, 9, 100_000, 400, "dense", ()),
+    "dhand_lightbulb": (35, 22, 400_000, 400, "dense", ()),
+    "minitaur_pen": (32, 8, 100_000, 1_000, "dense", ()),
+}
+"""Sizes of observation (of the released code) and action, H_T, H_E, reward, and numbers of demonstrations."""
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_task_has_the_numbers_of_the_paper(name):
+    env = envs.make(name)
+    demos = tuple(int(env.demos(direction).ends.sum()) for direction in env.demo_directions)
+    numbers = (env.obs_size, env.action_size, env.train_horizon, env.eval_horizon, env.reward_type, demos)
+    assert numbers == TASKS[name]
+
+
+NUMBERS = {
+    "earl_jax.algos:SAC.learning_rate": 3e-4,
+    "earl_jax.algos:SAC.discount": 0.99,
+    "earl_jax.algos:SAC.target_rate": 0.005,
+    "earl_jax.algos:SAC.batch_size": 256,
+    "earl_jax.algos:SAC.hidden_sizes": (256, 256),
+    "earl_jax.algos:SAC.random_steps": 1_000,
+    "earl_jax.algos:SAC.timeout_bootstrap": False,
+    "earl_jax.algos:SAC.demo_share": 0.0,
+    "earl_jax.algos.learner.networks:LOG_STD_RANGE": (-20.0, 2.0),
+    "earl_jax.algos.naive:Naive.episode_length": 1_000,
+    "earl_jax.algos.r3l:R3L.rnd_decay": 0.99,
+    "earl_jax.algos.r3l:_NETWORK.layer_sizes": [256, 256, 512],
+    "earl_jax.protocol:Protocol.eval_every": 10_000,
+    "earl_jax.protocol:Protocol.eval_episodes": 10,
+    "earl_jax.protocol:Protocol.intervention_chance": 0.0,
+    "earl_jax.envs.tabletop:TOLERANCE": 0.2,
+    "earl_jax.envs.sawyer.door:SawyerDoor.radius": {"released": 0.02, "paper": 0.08},
+    "earl_jax.envs.sawyer.peg:SawyerPeg.radius": {"released": 0.05, "paper": 0.05},
+    "earl_jax.envs.dhand.observation:FINGERS": 16,
+    "earl_jax.envs.dhand.observation:ARM": 7,
+    "earl_jax.envs.minitaur.motors:MOTORS": 8,
+    "earl_jax.envs.minitaur.pen:EFFORT": {"released": -0.005 * 0.002, "paper": 0.02},
+    "earl_jax.paper.tasks:FIGURE2_HORIZONS": (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000),
+    "earl_jax.envs.dm_control.cheetah_run:CheetahRun.eval_horizon": 1_000,
+    "earl_jax.envs.dm_control.fish_swim:FishSwim.eval_horizon": 1_000,
+    "earl_jax.paper.tasks:METHODS": ("naive", "fbrl", "r3l", "vaprl", "oracle"),
+    "earl_jax.paper.tasks:FIGURE4_TASKS": ("tabletop_organization", "sawyer_peg", "minitaur_pen"),
+    "earl_jax.paper.tasks:FIGURE5_METHODS": ("fbrl", "vaprl", "oracle"),
+    "earl_jax.paper.tasks:FIGURE2_TASKS": ("cheetah_run", "fish_swim"),
+}
+"""Numbers and lists of the paper, by the object that has them."""
+
+
+@pytest.mark.parametrize("path", NUMBERS)
+def test_the_code_has_a_number_of_the_paper(path):
+    assert attribute(path) == NUMBERS[path]
+
+
+def published(table: str, key: str, column: str) -> dict[str, str]:
+    return {row[key]: row[column] for row in assets.published(table)}
+
+
+MEASURED = {
+    "observed numbers of the Sawyer tasks by the text": (
+        lambda: [envs.make(name, variant="paper").obs_size for name in ("sawyer_door", "sawyer_peg")],
+        [12, 12],
+    ),
+    "object numbers of the kitchen": (lambda: sum(map(len, attribute("earl_jax.envs.kitchen.reward:COMPONENTS"))), 14),
+    "goals": (lambda: [len(envs.make(name).goal_states) for name in TASKS], [4, 1, 1, 1, 1, 12]),
+    "demonstrations of each tabletop goal": (
+        lambda: list(Counter(map(tuple, demonstrated_goals("tabletop_organization"))).values()),
+        [3, 3, 3, 3],
+    ),
+    "seeds": (lambda: [reproduce.SCALES["full"].seeds, default(training.train, "seeds")], [5, 5]),
+    "evaluations": (lambda: [default(training.train, f"eval_{name}") for name in ("every", "episodes")], [10_000, 10]),
+    "steps": (
+        lambda: [int(steps) for steps in published("steps", "env", "low").values()],
+        [2_500_000, 4_000_000, 4_300_000, 5_000_000, 5_000_000, 3_000_000],
+    ),
+    "cells of tables 1 and 2": (lambda: [len(assets.published(name)) for name in ("table1", "table2")], [27, 21]),
+    "drops of figure 5 in %": (
+        lambda: published("figure5", "algo", "drop_percent"),
+        {"oracle": "37.4", "fbrl": "14.3", "vaprl": "2"},
+    ),
+}
+"""How to measure further numbers of the paper, and their values."""
+
+
+def demonstrated_goals(name: str) -> Any:
+    """Return the goals [D, g] of the forward demonstrations of a task."""
+    demos = envs.make(name).demos("forward")
+    return demos.goals[demos.ends]
+
+
+def default(function: Any, name: str) -> Any:
+    return inspect.signature(function).parameters[name].default
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_a_measured_number_is_that_of_the_paper(name):
+    measure, number = MEASURED[name]
+    assert measure() == number
