@@ -128,14 +128,14 @@ def variants(host: c.Host, rows: np.ndarray) -> dict[str, Advance]:
     chosen = c.WorkerPool(host, cores)._threads(count)
     steps = {
         "rollout": Rollouts(host, count, former_threads(count, cores, bool(simulator.actuator))).advance,
-        "batch": Simulations(host, count, chosen).advance,
+        "batch": host.simulations(count, chosen).advance,
     }
     for threads in sorted({1, 2, 3, cores // 4, cores // 2, cores * 3 // 4, cores} - {chosen, 0}):
         if threads <= min(count, cores):
-            steps[f"batch, {threads} threads"] = Simulations(host, count, threads).advance
+            steps[f"batch, {threads} threads"] = host.simulations(count, threads).advance
     if simulator.actuator:
-        steps["batch, unbound"] = unbound(Simulations(host, count, chosen), simulator)
-        steps["batch, held"] = held(Simulations(host, count, chosen))
+        steps["batch, unbound"] = unbound(host.simulations(count, chosen), simulator)
+        steps["batch, held"] = held(host.simulations(count, chosen))
     return steps
 
 

@@ -168,7 +168,7 @@ def measure(lanes: int, repeats: int, pause: float) -> list[dict[str, Any]]:
     rows = rows_of(env, lanes)
     host = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size)
     threads = c.WorkerPool(host, usable_cores())._threads(lanes)
-    simulations = Simulations(host, lanes, threads)
+    simulations = host.simulations(lanes, threads)
     dcmotors = Dcmotors(simulations, threads)
     steps: dict[str, Callable] = {"shipped": simulations.advance, "dcmotor": dcmotors.advance}
     if importlib.util.find_spec("numba"):

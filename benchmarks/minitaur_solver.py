@@ -23,7 +23,6 @@ from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.minitaur import motors
 from earl_jax.physics.engines import c
-from earl_jax.physics.engines.simulations import Simulations
 from earl_jax.report.tables import write
 
 NAME, LANES, REPEATS = "minitaur_pen", 4, 500
@@ -70,7 +69,7 @@ VARIANTS: dict[str, tuple[int, Callable[[Any], None]]] = {
 def relative_time(substeps: int, model: Any) -> float:
     """Return the time of a control step of `model` relative to the shipped one."""
     env = make(NAME, physics="c", randomize=False)
-    simulations = Simulations(c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size), LANES, 1)
+    simulations = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size).simulations(LANES, 1)
     rows = rows_of(env, LANES)
     for part, columns in simulations.inputs:
         part[:] = rows[:, columns]

@@ -162,7 +162,7 @@ def test_few_rows_use_few_threads():
 def test_a_worker_pool_keeps_the_simulations_of_a_few_numbers_of_rows():
     simulator = make("cheetah_run", physics="c").simulator
     worker_pool = c.WorkerPool(c.host_of(simulator, 0), 1)
-    width = sum(part.shape[1] for part in c.Simulations(worker_pool.host, 1, 1).outputs) + simulator.mujoco_model().nv
+    width = sum(part.shape[1] for part in worker_pool.host.simulations(1, 1).outputs) + simulator.mujoco_model().nv
     for count in range(1, c.ROW_COUNTS + 3):
         worker_pool.advance(np.zeros((count, width + simulator.mujoco_model().nu), np.float32))
     assert list(worker_pool.simulations) == list(range(3, c.ROW_COUNTS + 3))

@@ -87,6 +87,10 @@ class Host:
             worker_pool = self.worker_pools[stream]
         return worker_pool.advance(rows)
 
+    def simulations(self, count: int, threads: int) -> Simulations:
+        """Return `count` new simulations on `threads` threads."""
+        return Simulations(self.simulator, self.model, self.memory, count, threads)
+
 
 class WorkerPool:
     """The threads of one stream: a set of simulations for each of the last numbers of rows."""
@@ -103,7 +107,7 @@ class WorkerPool:
             if count not in self.simulations:
                 if len(self.simulations) == ROW_COUNTS:
                     del self.simulations[next(iter(self.simulations))]
-                self.simulations[count] = Simulations(self.host, count, self._threads(count))
+                self.simulations[count] = self.host.simulations(count, self._threads(count))
             return self.simulations[count].advance(rows)
 
     def _threads(self, rows: int) -> int:

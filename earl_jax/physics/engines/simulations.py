@@ -8,7 +8,7 @@ import numpy as np
 from earl_jax.physics.state import Actuator, HostActuator
 
 if TYPE_CHECKING:
-    from earl_jax.physics.engines.c import Host
+    from earl_jax.physics import Simulator
 
 STATE = ("time", "qpos", "qvel", "act")
 
@@ -30,29 +30,29 @@ class UnboundActuator:
 
 
 class Simulations:
-    """`count` simulations on `threads` threads, of which the calling thread is one.
+    """`count` simulations of MuJoCo's `model` on `threads` threads, of which the calling thread is one.
 
     MuJoCo's batch holds the state of each simulation. Its threads wait actively for 50 us after a call, so a control
-    step with an actuator, which is one call for each substep, wakes them once.
+    step with an actuator, which is one call for each substep, wakes them once. The actuator has `memory` numbers.
     """
 
-    def __init__(self, host: "Host", count: int, threads: int):
+    def __init__(self, simulator: "Simulator", model: Any, memory: int, count: int, threads: int):
         batch: Any = importlib.import_module("mujoco.batch")
-        self.substeps, self.timestep = host.simulator.substeps, host.model.opt.timestep
-        self.batch = batch.Batch(host.model, count, threads)
+        self.substeps, self.timestep = simulator.substeps, model.opt.timestep
+        self.batch = batch.Batch(model, count, threads)
         self.outputs = [self._rows(field) for field in STATE]
         self.warmstart, self.ctrl = self._rows("qacc_warmstart"), self._rows("ctrl")
         self.qpos, self.qvel = self.outputs[1:3]
-        self.sensors = self._rows("sensordata") if host.model.nsensordata else np.zeros((count, 0))
-        self.recorded = {"qvel": np.zeros((count, self.substeps, host.model.nv))}
+        self.sensors = self._rows("sensordata") if model.nsensordata else np.zeros((count, 0))
+        self.recorded = {"qvel": np.zeros((count, self.substeps, model.nv))}
         mocap = [self._rows(field) for field in ("mocap_pos", "mocap_quat")]
-        varied = [self.batch.expand(field).reshape(count, -1) for field in host.simulator.varied]
+        varied = [self.batch.expand(field).reshape(count, -1) for field in simulator.varied]
         before, after = [*self.outputs, self.warmstart], [*mocap, *varied]
-        ends = np.cumsum([*(part.shape[1] for part in before), host.memory, *(part.shape[1] for part in after)])
+        ends = np.cumsum([*(part.shape[1] for part in before), memory, *(part.shape[1] for part in after)])
         columns = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
         self.memory, self.command = columns.pop(len(before)), slice(ends[-1], None)
         self.inputs = [(part, column) for part, column in zip(before + after, columns, strict=True) if part.size]
-        self.actuator = self._bind(host.simulator.actuator)
+        self.actuator = self._bind(simulator.actuator)
 
     def _rows(self, field: str) -> np.ndarray:
         """Return a live view [count, k] of `field` of all simulations."""
