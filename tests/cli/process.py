@@ -8,27 +8,29 @@ import sys
 import warnings
 
 from earl_jax import cli
-from tests.conftest import CACHE
+from tests.conftest import CACHE, TESTS
 
 LENGTHS = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
-ENVIRONMENT = {
-    **os.environ,
+ADDED = {
     "JAX_PLATFORMS": "cpu",
     "JAX_COMPILATION_CACHE_DIR": str(CACHE),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+    "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS.parent), os.environ.get("PYTHONPATH")])),
 }
+"""Variables that let a process find the tests and share their compiled programs."""
+ENVIRONMENT = {**os.environ, **ADDED}
 
 
-def start(*arguments):
-    """Return the running process of one command."""
-    command = [sys.executable, "-m", "earl_jax.cli", *map(str, arguments)]
+def start(*arguments, python=(sys.executable, "-m")):
+    """Return the running process of one command; `tests.child.COMMAND` as `python` gives it the tests' random hash."""
+    command = [*python, "earl_jax.cli", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
 
 
-def run_process(*arguments):
-    """Return exit code, stdout and stderr of one command in its own process."""
-    process = start(*arguments)
+def run_process(*arguments, **options):
+    """Return exit code, stdout and stderr of one command in its own process, with the options of `start`."""
+    process = start(*arguments, **options)
     out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 

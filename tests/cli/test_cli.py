@@ -8,6 +8,7 @@ import time
 import pytest
 
 from earl_jax import cli
+from tests.child import COMMAND
 from tests.cli.process import run, run_process, snapshot, start, train
 
 TASKS = [
@@ -67,7 +68,7 @@ def test_run_folder_contains_config_and_metrics(finished):
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
     whole, _ = finished
     folder = tmp_path / "killed"
-    process = start(*train(folder))
+    process = start(*train(folder), python=COMMAND)
     deadline = time.monotonic() + 240
     while not list(folder.glob("checkpoints/0*")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -128,7 +129,7 @@ def test_damaged_checkpoints_end_with_a_one_line_error_and_stay_unchanged(finish
 def test_resume_uses_the_previous_checkpoint_if_the_newest_is_damaged(finished, tmp_path):
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
     truncate_largest_file(folder / "checkpoints/000000400")
-    code, _, err = run_process("resume", folder)
+    code, _, err = run_process("resume", folder, python=COMMAND)
     assert code == 0, err
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
     assert "000000400 is damaged" in err

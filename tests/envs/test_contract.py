@@ -1,6 +1,7 @@
 """The contract of an env, for every task of the registry."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +22,16 @@ def describe(tree):
     return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), jax.tree.map(jax.typeof, tree))
 
 
+@functools.cache
+def first_state(name, reward_type):
+    """Return a state after a reset, by one program instead of one for every operation."""
+    return jax.jit(make(name, reward_type=reward_type).reset)(jax.random.key(0))
+
+
 @EVERY_REWARD
 def test_state_keeps_structure_dtypes_and_weak_types(name, reward_type):
     env = make(name, reward_type=reward_type)
-    state = jax.jit(env.reset)(jax.random.key(0))
+    state = first_state(name, reward_type)
     after = jax.jit(env.step)(state, jnp.zeros(env.action_size))
     assert describe(state) == describe(after)
     assert describe(state) == describe(env.with_goal(after, jnp.asarray(env.initial_states[0])))
@@ -53,7 +60,7 @@ def test_step_is_traced_once_and_scans(name, reward_type):
         traces.append(1)
         return env.step(state, action)
 
-    state = env.reset(jax.random.key(0))
+    state = first_state(name, reward_type)
     for _ in range(3):
         state = step(state, jnp.ones(env.action_size))
     assert len(traces) == 1
@@ -88,11 +95,11 @@ def test_a_goal_is_a_success_of_itself_and_every_goal_is_drawn(name, reward_type
     assert env.goal_states.shape[1] == env.goal_size
     if env.goal_size == env.state_size:
         assert np.asarray(env.success(jnp.concatenate([env.goal_states, env.goal_states], axis=1))).all()
-    state = env.reset(jax.random.key(0))
+    state = first_state(name, reward_type)
     goal = jnp.asarray(env.goal_states[-1])
     np.testing.assert_array_equal(env.with_goal(state, goal).obs[env.state_size :], goal)
     count = max(200, 12 * len(env.goal_states))
-    draws = jax.vmap(env.sample_goal)(jax.random.split(jax.random.key(5), count))
+    draws = jax.jit(jax.vmap(env.sample_goal))(jax.random.split(jax.random.key(5), count))
     assert {tuple(row) for row in np.asarray(draws).tolist()} == {tuple(row) for row in env.goal_states.tolist()}
 
 
@@ -108,7 +115,7 @@ def test_an_env_is_a_hashable_constant(name, reward_type):
 @pytest.mark.parametrize("bad", ["shape", "nan", "inf"])
 def test_bad_actions_are_refused(name, reward_type, bad):
     env = make(name, reward_type=reward_type)
-    state = env.reset(jax.random.key(0))
+    state = first_state(name, reward_type)
     action = np.zeros(env.action_size + (bad == "shape"), np.float32)
     action[-1] = {"shape": 0.0, "nan": np.nan, "inf": np.inf}[bad]
     with pytest.raises(ValueError, match="shape" if bad == "shape" else "not finite"):

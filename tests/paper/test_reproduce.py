@@ -11,10 +11,12 @@ from earl_jax.cli.main import main
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import reproduce, tasks
 from earl_jax.runs.config import RunConfig
-from earl_jax.sweeps import grid
+from earl_jax.sweeps import grid, launcher
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.planner import plan
-from tests.conftest import CACHE, advance, make_train_state, tiny_method
+from tests.child import COMMAND
+from tests.cli.process import ADDED
+from tests.conftest import advance, make_train_state, tiny_method
 from tests.report.run_files import read_csv
 
 FILES = {
@@ -39,10 +41,17 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def _shared_cache(monkeypatch):
-    """Let the workers of a sweep use the suite's compiled programs."""
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(CACHE))
-    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+def _shared_programs(monkeypatch):
+    """Let the workers of a sweep use the suite's random hash and its compiled programs."""
+    monkeypatch.setattr(launcher, "WORKER", [*COMMAND, "earl_jax.sweeps"])
+    for name, value in ADDED.items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.fixture
+def planner_in_process(monkeypatch):
+    """Plan in this process; the test of table 1 starts the planner's own, which takes seconds to import."""
+    monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None: plan(path, out.resolve(), lanes))
 
 
 def planned_runs(name, scale, tmp_path, envs=None, **options):
@@ -54,8 +63,10 @@ def planned_runs(name, scale, tmp_path, envs=None, **options):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys):
+def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, request):
     """In this order: the runs of the first table serve all but figure 2 and the trade-off."""
+    if name != "table1":
+        request.getfixturevalue("planner_in_process")
     main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
     output = capsys.readouterr().out
     trains = name in ("table1", "figure2", "tradeoff")
@@ -67,6 +78,7 @@ def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys):
     assert len(read_csv(folder / name / f"{name}.csv")) >= 2
 
 
+@pytest.mark.usefixtures("planner_in_process")
 @pytest.mark.parametrize("name", ["figure4", "figure5"])
 def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
     """After the test above, which trains the runs."""
@@ -176,6 +188,7 @@ def test_the_number_of_programs_on_a_gpu_reaches_the_sweep(tmp_path, monkeypatch
     assert given["per_device"] == "auto"
 
 
+@pytest.mark.usefixtures("planner_in_process")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -30,7 +30,7 @@ def compile_lanes(name, engine, function):
 
 
 def reset_lanes(env, count):
-    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), count))
+    return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
 
 
 def observe_demonstrations(name, engine, episodes=2, steps=60):

@@ -72,8 +72,8 @@ def test_invalid_numbers_are_refused(changed, message):
 
 
 def test_steps_that_are_no_multiple_of_the_refresh_period_are_trained():
-    result = tiny_train("vaprl", steps=50, eval_every=50)
-    assert int(result.train_state.step) == 50
+    result = tiny_train("vaprl", refresh_every=16)
+    assert int(result.train_state.step) == 120
     assert (result.train_state.lanes.method_state.values != 0).all()
 
 

@@ -56,9 +56,9 @@ def test_the_row_of_a_fault_is_never_sampled(door):
 
 def test_faults_are_reported(door):
     method = tiny_method("naive", 2)
-    state = advance(door, method, break_lane(make_train_state(door, method, [0, 1]), 0, "nan"), 5, explore=True)
+    state = advance(door, method, break_lane(make_train_state(door, method, [0, 1]), 0, "nan"), 20, explore=True)
     lane = take_lane(state.lanes, 0)
-    _, metrics = continuing(lane.counters, lane.env_state, jnp.array(5.0), jnp.array(5.0))
+    _, metrics = continuing(lane.counters, lane.env_state, jnp.array(20.0), jnp.array(20.0))
     assert int(metrics["faults"]) == 1
     assert np.isfinite(metrics["continuing/reward"])
 

@@ -1,6 +1,7 @@
 """MJX inside the learner's scan: every method on a pendulum, and one on a Sawyer task."""
 
 import dataclasses
+import functools
 import importlib.util
 import json
 
@@ -52,6 +53,7 @@ def pendulum(tmp_path_factory):
     return Demonstrated(engine="mjx", eval_horizon=6)
 
 
+@functools.cache
 def trained(env, algo, steps=STEPS):
     """Return the first and the last state of two lanes after `steps` steps with updates, in one scan."""
     problem, method = make_problem(env), tiny_method(algo)

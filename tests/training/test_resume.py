@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -78,11 +79,18 @@ def whole(tmp_path_factory):
     return train_meadow(out=tmp_path_factory.mktemp("meadow") / "whole")
 
 
-@pytest.fixture
-def folder(tmp_path):
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
     """The folder of the same run, stopped after 80 of its 120 steps."""
-    train_meadow(out=tmp_path / "part", steps=80)
-    return tmp_path / "part"
+    path = tmp_path_factory.mktemp("meadow") / "part"
+    train_meadow(out=path, steps=80)
+    return path
+
+
+@pytest.fixture
+def folder(part, tmp_path):
+    """A copy of `part`."""
+    return shutil.copytree(part, tmp_path / "part")
 
 
 def test_a_folder_names_the_classes_of_unregistered_objects(folder):

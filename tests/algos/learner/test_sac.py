@@ -17,37 +17,44 @@ from earl_jax.algos.learner.sac import SAC, Batch
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
 
-def make_batch(size=8, terminal=None, seed=0, obs_size=4, action_size=2):
-    keys = jax.random.split(jax.random.key(seed), 4)
+# Each is one program; called eagerly, every operation would be one.
+init = jax.jit(sac_lib.init, static_argnames=("obs_size", "action_size", "critics"))
+td_target = jax.jit(sac_lib.td_target)
+q_values = jax.jit(sac_lib.q_values)
+
+
+@functools.partial(jax.jit, static_argnames="size")
+def make_batch(size=8, terminal=None):
+    keys = jax.random.split(jax.random.key(0), 4)
     return Batch(
-        obs=jax.random.normal(keys[0], (size, obs_size)),
-        action=jax.random.uniform(keys[1], (size, action_size), minval=-1, maxval=1),
+        obs=jax.random.normal(keys[0], (size, 4)),
+        action=jax.random.uniform(keys[1], (size, 2), minval=-1, maxval=1),
         reward=jax.random.normal(keys[2], (size,)),
         terminal=jnp.zeros(size, bool) if terminal is None else terminal,
-        next_obs=jax.random.normal(keys[3], (size, obs_size)),
+        next_obs=jax.random.normal(keys[3], (size, 4)),
     )
 
 
 @pytest.mark.parametrize("critics", [2, 4])
 def test_the_target_of_a_terminal_transition_is_exactly_the_scaled_reward(critics):
     sac = SMALL.replace(reward_scale=10.0)
-    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics)
+    agent = init(jax.random.key(0), sac, 4, 2, critics)
     batch = make_batch(terminal=jnp.arange(8) < 4)
-    target = sac_lib.td_target(sac, agent, batch, jax.random.key(1))
+    target = td_target(sac, agent, batch, jax.random.key(1))
     np.testing.assert_array_equal(target[:, :4], jnp.tile(10.0 * batch.reward[:4], (critics, 1)))
     assert (np.abs(target[:, 4:] - 10.0 * batch.reward[4:]) > 1e-4).all()
 
 
 def test_the_soft_target_is_the_documented_formula():
     sac = SMALL.replace(initial_temperature=0.3)
-    agent = sac_lib.init(jax.random.key(0), sac, 4, 2, critics=4)
+    agent = init(jax.random.key(0), sac, 4, 2, critics=4)
     batch, key = make_batch(), jax.random.key(1)
     action, log_prob = sac_lib.act_with_log_prob(sac, agent.actor, batch.next_obs, key, 2)
-    q = np.asarray(sac_lib.q_values(sac, agent.targets, batch.next_obs, action))
+    q = np.asarray(q_values(sac, agent.targets, batch.next_obs, action))
     soft = batch.reward + 0.99 * (q[:2].min(axis=0) - 0.3 * log_prob)
     plain = batch.reward + 0.99 * q[2:].min(axis=0)
     expected = np.stack([soft, soft, plain, plain])
-    np.testing.assert_allclose(sac_lib.td_target(sac, agent, batch, key), expected, rtol=1e-5)
+    np.testing.assert_allclose(td_target(sac, agent, batch, key), expected, rtol=1e-5)
 
 
 def test_tanh_normal_has_the_paper_s_density():
@@ -68,13 +75,25 @@ def test_networks_start_glorot_uniform_with_zero_biases():
     assert jax.tree.map(np.shape, params)["hidden_2"]["kernel"] == (256, 3)
 
 
-def update_agents(precision, critics=2, layer_norm=False):
-    """Return the agents of two lanes after one update, and the text of the lowered update."""
+def lower_update(precision, critics=2, layer_norm=False):
+    """Return the lowered update of the agents of two lanes, and its arguments."""
     sac = SMALL.replace(precision=precision, layer_norm=layer_norm)
     keys = jax.random.split(jax.random.key(0), 2)
-    agents = jax.vmap(lambda key: sac_lib.init(key, SMALL.replace(layer_norm=layer_norm), 4, 2, critics))(keys)
+    agents = jax.vmap(lambda key: init(key, SMALL.replace(layer_norm=layer_norm), 4, 2, critics))(keys)
     update = jax.jit(jax.vmap(functools.partial(sac_lib.update, sac), (0, None, 0)))
-    return update(agents, make_batch(64), keys)[0], update.lower(agents, make_batch(64), keys).as_text()
+    arguments = agents, make_batch(64), keys
+    return update.lower(*arguments), arguments
+
+
+def update_agents(*options):
+    """Return the agents of two lanes after one update."""
+    lowered, arguments = lower_update(*options)
+    return lowered.compile()(*arguments)[0]
+
+
+def update_text(precision):
+    """Return the text of the lowered update."""
+    return lower_update(precision)[0].as_text()
 
 
 def relative_errors(actual, exact):
@@ -87,7 +106,7 @@ def relative_errors(actual, exact):
 
 @pytest.mark.parametrize(("critics", "layer_norm"), [(4, False), (2, True)])
 def test_precisions_differ_only_by_rounding(critics, layer_norm):
-    after = {name: update_agents(name, critics, layer_norm)[0] for name in ("float32", "tf32", "bf16")}
+    after = {name: update_agents(name, critics, layer_norm) for name in ("float32", "tf32", "bf16")}
     for network in ("critics", "actor"):
         exact, usual, coarse = [after[name].moments[network].mu for name in ("float32", "tf32", "bf16")]
         assert max(relative_errors(usual, exact)) == 0  # a CPU's default is float32
@@ -117,10 +136,9 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs):
 
 
 def test_the_default_precision_leaves_the_networks_unchanged(monkeypatch):
-    _, usual = update_agents("tf32")
-    _, low = update_agents("bf16")
+    usual, low = update_text("tf32"), update_text("bf16")
     monkeypatch.setattr(networks, "apply", lambda network, params, x, precision: network.apply(params, x))
-    assert usual == update_agents("tf32")[1]
+    assert usual == update_text("tf32")
     assert "bf16" in low
     assert "optimization_barrier" in low  # keeps the actor's forward passes separate
     assert "bf16" not in usual
@@ -129,7 +147,7 @@ def test_the_default_precision_leaves_the_networks_unchanged(monkeypatch):
 def test_bf16_critics_of_all_lanes_are_products_with_the_same_batch_axes():
     """A GPU is measurably slower on the transposed products that critics with shared inputs would be."""
     sac, batch = SMALL.replace(precision="bf16"), make_batch(64)
-    critics = jax.vmap(lambda key: sac_lib.init(key, sac, 4, 2).critics)(jax.random.split(jax.random.key(0), 3))
+    critics = jax.vmap(lambda key: init(key, sac, 4, 2).critics)(jax.random.split(jax.random.key(0), 3))
     obs, action = [jnp.tile(part, (3, 1, 1)) for part in (batch.obs, batch.action)]
 
     def loss(critic, obs, action):
@@ -142,7 +160,7 @@ def test_bf16_critics_of_all_lanes_are_products_with_the_same_batch_axes():
 
 
 def test_float32_requests_full_float32_forward_and_backward():
-    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    agent = init(jax.random.key(0), SMALL, 4, 2)
     texts = {
         precision: jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
         .lower(agent, make_batch(64), jax.random.key(1))
@@ -163,7 +181,7 @@ def test_an_unknown_precision_is_an_error_that_lists_the_choices():
 
 
 def test_an_update_moves_actor_targets_and_temperature():
-    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    agent = init(jax.random.key(0), SMALL, 4, 2)
     after, diagnostics = jax.jit(lambda a, b, k: sac_lib.update(SMALL, a, b, k))(agent, make_batch(), jax.random.key(1))
     drift = jax.tree.map(
         lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, agent.targets, after.critics
@@ -177,12 +195,13 @@ def test_an_update_moves_actor_targets_and_temperature():
 
 
 def test_a_fixed_temperature_stays():
-    agent = sac_lib.init(jax.random.key(0), SMALL, 4, 2)
+    agent = init(jax.random.key(0), SMALL, 4, 2)
     for fixed in (True, False):
         after = sac_lib._update_temperature(SMALL.replace(fixed_temperature=fixed), agent, jnp.float32(-3.0), 2)
         assert (float(after.log_temperature) == float(agent.log_temperature)) == fixed
 
 
+@pytest.mark.usefixtures("compiled_hash")
 def test_sac_solves_a_chain_of_known_value():
     """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
 
@@ -198,7 +217,7 @@ def test_sac_solves_a_chain_of_known_value():
     reward = jnp.where(is_second, go, 0.2 * ~go).astype(jnp.float32)
     second_obs = jnp.tile(jnp.array([1.0, 0.0]), (2000, 1))
     data = Batch(obs=obs, action=action, reward=reward, terminal=is_second | ~go, next_obs=second_obs)
-    agent = sac_lib.init(keys[2], sac, 2, 1, critics=4)
+    agent = init(keys[2], sac, 2, 1, critics=4)
 
     def step(agent, key):
         pick = jax.random.randint(key, (64,), 0, 2000)
@@ -208,7 +227,7 @@ def test_sac_solves_a_chain_of_known_value():
     states = jnp.array([[0.0, 1.0], [1.0, 0.0]])
     best = sac_lib.greedy(sac, agent.actor, states, 1)
     assert (best > 0.1).all()
-    values = sac_lib.q_values(sac, agent.critics, states, best)[2:]
+    values = q_values(sac, agent.critics, states, best)[2:]
     np.testing.assert_allclose(values.mean(axis=0), [0.9, 1.0], atol=0.1)
-    stop = sac_lib.q_values(sac, agent.critics, states, -jnp.full((2, 1), 0.6))[2:]
+    stop = q_values(sac, agent.critics, states, -jnp.full((2, 1), 0.6))[2:]
     np.testing.assert_allclose(stop.mean(axis=0), [0.2, 0.0], atol=0.1)
