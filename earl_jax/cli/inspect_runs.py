@@ -1,17 +1,9 @@
-"""Commands that inspect the package and its runs: list, evaluate, plot, table, compare."""
+"""Commands that inspect runs: evaluate, plot, table, compare."""
 
 from pathlib import Path
 from typing import Literal
 
 from earl_jax.cli.arguments import JSON, Engine, Positional, emit
-
-
-def list_(json: JSON = False) -> None:
-    """List the names of the tasks and methods."""
-    from earl_jax import algos, envs
-
-    names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
-    emit(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
 
 
 def evaluate(

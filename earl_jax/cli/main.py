@@ -8,12 +8,23 @@ from typing import Any
 
 import tyro
 
-from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train, xla_flags
+from earl_jax.cli import (
+    demonstrations,
+    inspect_runs,
+    listing,
+    paper,
+    quickstart,
+    render,
+    report,
+    sweep,
+    train,
+    xla_flags,
+)
 from earl_jax.errors import is_input_error
 from earl_jax.runs.files import RunWarning
 
 COMMANDS = {
-    "list": inspect_runs.list_,
+    "list": listing.list_,
     "train": train.train,
     "resume": train.resume,
     "sweep": sweep.sweep,
