@@ -49,7 +49,7 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     Args:
         folders: Run folders.
         last: Number of final evaluations to average. The paper's tables use 1.
-        out: File that also receives the table: .md, .tex or .csv.
+        out: File that also receives the table: .md, .tex or .csv. By default none.
     """
     from earl_jax.report.tables import markdown, tabulate, write
 
@@ -70,7 +70,7 @@ def compare(
     Args:
         folders: Run folders; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds.
-        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg.
+        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import table_text, write_comparison

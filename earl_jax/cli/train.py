@@ -11,17 +11,19 @@ from earl_jax.cli.arguments import (
     Logs,
     Minutes,
     Positional,
+    Seeds,
     Set,
     emit,
     parse_minutes,
     parse_options,
 )
+from earl_jax.cli.parsing import parse_seeds
 
 
 def train(
     env: Positional[str],
     algo: str = "fbrl",
-    seeds: int = 5,
+    seeds: Seeds = "5",
     steps: int = 100_000,
     out: Path = Path("runs/latest"),
     eval_every: int = 10_000,
@@ -42,7 +44,7 @@ def train(
     Args:
         env: Task, a name from `earl-jax list`.
         algo: Method, a name from `earl-jax list`.
-        seeds: Number of seeds, counted from 0.
+        seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8.
         steps: Training steps of each seed.
         out: New folder for config.json, metrics.csv and checkpoints.
         eval_every: Steps between evaluations.
@@ -63,7 +65,7 @@ def train(
         task,
         algos.method_for(task, algo, **options),
         setting=built_setting,
-        seeds=seeds,
+        seeds=parse_seeds(seeds),
         steps=steps,
         out=out,
         eval_every=eval_every,
