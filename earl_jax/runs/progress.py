@@ -28,7 +28,17 @@ class Progress:
     stderr is no terminal, a thread prints a line after each `silence` seconds without one, also during compilation.
     """
 
-    def __init__(self, *, label: str, lanes: int, steps: int, metric: str, show: bool, silence: float = SILENCE):
+    def __init__(
+        self,
+        *,
+        label: str,
+        lanes: int,
+        steps: int,
+        metric: str,
+        show: bool,
+        silence: float = SILENCE,
+        compile_time: str = "about 10 s",
+    ):
         self._lanes, self._steps, self._metric, self._speed, self._done = lanes, steps, metric, 0.0, 0
         self._console, self._show = Console(stderr=True), show
         self._bar = Bar(
@@ -39,6 +49,7 @@ class Progress:
         self._plain = show and not self._console.is_terminal
         self._task = self._bar.add_task(label, total=steps, score="-", speed="-")
         self._compiled: set[str] = set()
+        self._compile_time = compile_time
         self._compiling, self._work, self._work_start = False, "starting", time.monotonic()
         self._timed: tuple[float, int] | None = None
         self._silence, self._last_line, self._ended = silence, time.monotonic(), threading.Event()
@@ -71,7 +82,7 @@ class Progress:
         self._compiling = work not in self._compiled
         self._work, self._work_start = work, time.monotonic()
         if self._compiling:
-            self.message(f"{work}: compiling (about 10 s) ...")
+            self.message(f"{work}: compiling ({self._compile_time}) ...")
         yield
         if self._compiling:
             self._compiled.add(work)

@@ -258,6 +258,7 @@ def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
         steps=plan.steps,
         metric=deployed_metric(plan.problem.env),
         show=show and first_host(),
+        compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
     )
 
 
