@@ -5,7 +5,6 @@ import functools
 from importlib import metadata
 from typing import Any
 
-from earl_jax import options as options_lib
 from earl_jax.errors import InputError
 
 
@@ -45,8 +44,20 @@ class Registry:
         """Return the dataclass of `name`.
 
         Raises:
-            ValueError: the name is unknown (the message lists the choices), claimed by several packages, or its entry point
-                cannot be loaded.
+            ValueError: as `locate`, or the entry point of the name cannot be loaded.
+        """
+        target, _ = self.locate(name)
+        if isinstance(target, metadata.EntryPoint):
+            return target.load() if name in self._table else self._loaded(target)
+        return target
+
+    def locate(self, name: str) -> tuple[metadata.EntryPoint | type, str]:
+        """Return where the class of `name` is, or the class if it was registered, and the package that brings it.
+
+        Nothing is imported.
+
+        Raises:
+            ValueError: the name is unknown (the message lists the choices) or claimed by several packages.
         """
         known = name in self._table
         candidates = self._conflicting_entry_points if known else self._entry_points()
@@ -57,11 +68,11 @@ class Registry:
                 f"{self.kind} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
             )
         if points:
-            return self._loaded(points[0])
+            return points[0], owners[0]
         if not known:
             raise InputError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())}")
         target = self._table[name]
-        return metadata.EntryPoint(name, target, self.kind).load() if isinstance(target, str) else target
+        return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
     def _loaded(self, point: metadata.EntryPoint) -> type:
         """Return the class of an entry point. Any error in its package becomes a ValueError that names the package."""
@@ -89,6 +100,8 @@ class Registry:
         Raises:
             ValueError: as `get`; or an option is unknown or has the wrong type.
         """
+        from earl_jax import options as options_lib  # loads numpy, which listing does not need
+
         factory = self.get(name)
         options_lib.check(f"{self.kind} {name!r}", factory, options)
         return factory(**options)

@@ -1,19 +1,27 @@
-"""The registry of methods. To add one, add a file and a line to the table below; other packages use `register_algo`."""
+"""The registry of methods. To add one, add a file and a line to the table below; other packages use `register_algo`.
+
+The classes are loaded on first use, so that the names can be listed without jax.
+"""
+
+from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import importlib
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from earl_jax.algos.learner.sac import SAC
-from earl_jax.algos.method import Method
-from earl_jax.envs import Env
 from earl_jax.errors import InputError
-from earl_jax.options import check
 from earl_jax.registry import Registry
 
-__all__ = ["SAC", "Method", "algo_class", "list_algos", "make_algo", "method_for", "register_algo"]
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
+    from earl_jax.algos.learner.sac import SAC
+    from earl_jax.algos.method import Method
+    from earl_jax.envs import Env
+
+__all__ = ["SAC", "Method", "algo_class", "list_algos", "locate_algo", "make_algo", "method_for", "register_algo"]
+
+_HOME = {"Method": "method", "SAC": "learner.sac"}
 _ALGOS = Registry(
     "algo",
     {
@@ -40,6 +48,11 @@ def register_algo(name: str, method: type[Method]) -> None:
     _ALGOS.register(name, method)
 
 
+def locate_algo(name: str) -> tuple[EntryPoint | type, str]:
+    """Return where the class of the method `name` is, and the package that brings it, as `Registry.locate`."""
+    return _ALGOS.locate(name)
+
+
 def algo_class(name: str) -> type[Method]:
     """Return the class of the method `name`.
 
@@ -58,6 +71,9 @@ def make_algo(name: str, **options) -> Method:
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
+    from earl_jax.algos.learner.sac import SAC
+    from earl_jax.options import check
+
     shared = {field.name for field in dataclasses.fields(SAC)}
     own = {field.name for field in dataclasses.fields(_ALGOS.get(name))} - {"sac"}
     unknown = sorted(set(options) - shared - own)
@@ -85,8 +101,16 @@ def _leaf(option: str, value: Any) -> Any:
         return value
     if option == "hidden_sizes":
         return tuple(value)
+    import numpy as np
+
     try:
         with np.errstate(over="ignore"):  # too large values become infinite, and the check of intervals refuses them
             return np.asarray(value, np.float32)
     except (TypeError, ValueError) as error:
         raise InputError(f"{option} must be a number for each lane, not {value!r}") from error
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

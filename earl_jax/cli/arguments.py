@@ -14,12 +14,14 @@ JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Engine = Annotated[
     str | None,
     tyro.conf.arg(
-        aliases=["--physics"], help="Physics engine of a MuJoCo task: auto, mjx, warp or c. Other tasks have none."
+        aliases=["--physics"],
+        help="Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
     ),
 ]
 Set = Annotated[
     tuple[str, ...], tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")
 ]
+Seeds = Annotated[str, tyro.conf.arg(metavar="SEEDS")]
 Devices = Annotated[
     int | None,
     tyro.conf.arg(help="Number of devices that share the lanes. By default one, or all devices of several hosts."),
@@ -34,7 +36,8 @@ PerDevice = Annotated[
 Hosts = Annotated[
     str | None,
     tyro.conf.arg(
-        help="Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER."
+        help="Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER. "
+        "By default there is one."
     ),
 ]
 Minutes = Annotated[
@@ -47,10 +50,11 @@ Minutes = Annotated[
 ]
 Logs = Annotated[
     tuple[Literal["tensorboard", "wandb"], ...],
-    tyro.conf.arg(help="Loggers to use besides metrics.csv. A resumed run uses the same ones."),
+    tyro.conf.arg(help="Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones."),
 ]
 Slurm = Annotated[
-    tuple[str, ...], tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ...")
+    tuple[str, ...],
+    tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none."),
 ]
 
 

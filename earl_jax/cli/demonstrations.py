@@ -27,7 +27,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
 
     Args:
         file: Forward demonstrations: the original pickle, or an npz file of the same arrays. No code in it is executed.
-        backward: Backward demonstrations in the same format. Methods with a return phase need them.
+        backward: Backward demonstrations in the same format. Methods with a return phase need them. By default none.
         out: New npz file. By default a file beside FILE.
     """
     from earl_jax.demos import importer, scripted

@@ -1,17 +1,9 @@
-"""Commands that inspect the package and its runs: list, evaluate, plot, table, compare."""
+"""Commands that inspect runs: evaluate, plot, table, compare."""
 
 from pathlib import Path
 from typing import Literal
 
 from earl_jax.cli.arguments import JSON, Engine, Positional, emit
-
-
-def list_(json: JSON = False) -> None:
-    """List the names of the tasks and methods."""
-    from earl_jax import algos, envs
-
-    names = {"envs": envs.list_envs(), "algos": algos.list_algos()}
-    emit(names, json, "\n".join(f"{kind}: {', '.join(values)}" for kind, values in names.items()))
 
 
 def evaluate(
@@ -57,7 +49,7 @@ def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None
     Args:
         folders: Run folders.
         last: Number of final evaluations to average. The paper's tables use 1.
-        out: File that also receives the table: .md, .tex or .csv.
+        out: File that also receives the table: .md, .tex or .csv. By default none.
     """
     from earl_jax.report.tables import markdown, tabulate, write
 
@@ -78,7 +70,7 @@ def compare(
     Args:
         folders: Run folders; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds.
-        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg.
+        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import table_text, write_comparison

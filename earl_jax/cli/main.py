@@ -8,12 +8,25 @@ from typing import Any
 
 import tyro
 
-from earl_jax.cli import demonstrations, inspect_runs, paper, quickstart, render, report, sweep, train, xla_flags
+from earl_jax import __version__
+from earl_jax.cli import (
+    demonstrations,
+    inspect_runs,
+    listing,
+    paper,
+    parsing,
+    quickstart,
+    render,
+    report,
+    sweep,
+    train,
+    xla_flags,
+)
 from earl_jax.errors import is_input_error
 from earl_jax.runs.files import RunWarning
 
 COMMANDS = {
-    "list": inspect_runs.list_,
+    "list": listing.list_,
     "train": train.train,
     "resume": train.resume,
     "sweep": sweep.sweep,
@@ -31,7 +44,9 @@ COMMANDS = {
 TRACEBACK = "--traceback"
 LONGEST = 1800
 """Characters of an error line at most; a path in it can have thousands."""
-DESCRIPTION = f"{__doc__}\n\nWith {TRACEBACK}, invalid input prints a traceback instead of one line."
+DESCRIPTION = f"""{__doc__}
+
+With {TRACEBACK}, invalid input prints a traceback instead of one line. --version prints the version."""
 DEFAULT_FORMAT = warnings.formatwarning
 
 
@@ -47,9 +62,19 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
     arguments = sys.argv[1:] if arguments is None else arguments
     given = [argument for argument in arguments if argument != TRACEBACK]
+    if given == ["--version"]:
+        print(f"earl-jax {__version__}")
+        return
     xla_flags.set_flags(given)
     try:
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="earl-jax", args=given, description=DESCRIPTION)
+        tyro.extras.subcommand_cli_from_dict(
+            {name: parsing.with_plain_defaults(command) for name, command in COMMANDS.items()},
+            prog="earl-jax",
+            args=parsing.join_seeds(given),
+            description=DESCRIPTION,
+            config=(tyro.conf.DisallowNone,),
+            registry=parsing.REGISTRY,
+        )
     except KeyboardInterrupt as interrupt:
         code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
         print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)

@@ -37,7 +37,7 @@ def reproduce(
         tasks: Tasks to include. By default those of the scale.
         seeds: Number of seeds. By default 2, 3 or 5, as the scale has.
         steps: Training steps of each seed. By default those of the scale.
-        max_lanes: Largest number of lanes (runs x seeds) in one program.
+        max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
     """
     limit = parse_minutes(minutes)
     from earl_jax.paper import reproduce as paper

@@ -31,7 +31,7 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
 
     Args:
         out: New folder for the run, curves.png and table.md.
-        steps: Training steps of each seed. 170,000 by default.
+        steps: Training steps of each seed. By default 170,000.
     """
     from earl_jax.report.plots import plot_runs
     from earl_jax.report.tables import markdown, tabulate, write

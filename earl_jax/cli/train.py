@@ -1,5 +1,6 @@
 """Commands that train one run: train, resume."""
 
+import inspect
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,19 +12,23 @@ from earl_jax.cli.arguments import (
     Logs,
     Minutes,
     Positional,
+    Seeds,
     Set,
     emit,
     parse_minutes,
     parse_options,
 )
+from earl_jax.cli.parsing import parse_seeds
+from earl_jax.errors import InputError
 
 
 def train(
-    env: Positional[str],
+    env: Positional[str | None] = None,
     algo: str = "fbrl",
-    seeds: int = 5,
+    seeds: Seeds | None = None,
     steps: int = 100_000,
     out: Path = Path("runs/latest"),
+    config: Path | None = None,
     eval_every: int = 10_000,
     eval_episodes: int = 10,
     checkpoint_every: int = 100_000,
@@ -42,9 +47,12 @@ def train(
     Args:
         env: Task, a name from `earl-jax list`.
         algo: Method, a name from `earl-jax list`.
-        seeds: Number of seeds, counted from 0.
+        seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8. By
+            default 5, or those of --config.
         steps: Training steps of each seed.
         out: New folder for config.json, metrics.csv and checkpoints.
+        config: Run folder, or a config.json, of a run to repeat, in place of the task, the method and their options. --seeds
+            takes other seeds. By default none.
         eval_every: Steps between evaluations.
         eval_episodes: Greedy episodes of each deployed evaluation.
         checkpoint_every: Steps between checkpoints.
@@ -52,23 +60,28 @@ def train(
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
     limit = parse_minutes(minutes)
-    from earl_jax import algos, envs
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    task, built_setting, options = api.split_options(env, {"setting": setting, **parse_options(set)})
-    task = envs.with_engine(task, engine)
+    given = {
+        "algo": algo,
+        "steps": steps,
+        "eval_every": eval_every,
+        "eval_episodes": eval_episodes,
+        "checkpoint_every": checkpoint_every,
+        "setting": setting,
+        "set": set,
+    }
+    task, values = _objects_by_name(env, given) if config is None else _objects_of_run(config, env, given)
+    if seeds is not None:
+        values["seeds"] = parse_seeds(seeds)
     result = api.train(
         task,
-        algos.method_for(task, algo, **options),
-        setting=built_setting,
-        seeds=seeds,
-        steps=steps,
+        values.pop("algo"),
+        engine=engine,
+        **values,
         out=out,
-        eval_every=eval_every,
-        eval_episodes=eval_episodes,
-        checkpoint_every=checkpoint_every,
         logs=log,
         overwrite=overwrite,
         progress=True,
@@ -76,6 +89,40 @@ def train(
         minutes=limit,
     )
     _emit_result(result, out, json)
+
+
+def _objects_by_name(env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Return the task `env`, and the arguments of `api.train` for the options `given`."""
+    from earl_jax import algos
+    from earl_jax.training import api
+
+    if env is None:
+        raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
+    values = dict(given)
+    pairs = parse_options(values.pop("set"))
+    task, values["setting"], options = api.split_options(env, {"setting": values["setting"], **pairs})
+    return task, {**values, "algo": algos.method_for(task, values["algo"], **options)}
+
+
+def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Return the task of the run at `path`, and the arguments of `api.train` that repeat it.
+
+    Raises:
+        ValueError: there is no valid config at `path`, or a task or an option is given too.
+    """
+    from earl_jax.runs.folder import RunFolder, read_config
+
+    defaults = inspect.signature(train).parameters
+    changed = [f"--{name.replace('_', '-')}" for name, value in given.items() if value != defaults[name].default]
+    if env is not None or changed:
+        named = ", ".join(changed) or f"the task {env!r}"
+        raise InputError(f"--config repeats a run as it is: leave out {named}")
+    if not path.exists():
+        raise InputError(f"--config takes a run folder or a config.json, and {path} does not exist")
+    config = RunFolder.open(path).config if path.is_dir() else read_config(path)[0]
+    lengths = ("seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every")
+    values = {name: getattr(config, name) for name in lengths}
+    return config.build_env(), {**values, "algo": config.build_method(), "setting": config.build_setting()}
 
 
 def resume(

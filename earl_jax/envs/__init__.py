@@ -1,15 +1,25 @@
-"""The registry of tasks. To add a task, add a file and a line to the table below; other packages use `register_env`."""
+"""The registry of tasks. To add a task, add a file and a line to the table below; other packages use `register_env`.
+
+The classes are loaded on first use, so that the names can be listed without jax.
+"""
+
+from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from earl_jax.envs.base import Env
-from earl_jax.envs.mujoco_env import MujocoEnv
-from earl_jax.envs.state import State
-from earl_jax.envs.wrappers.help_budget import HelpBudget
-from earl_jax.envs.wrappers.without_help import plain_task
 from earl_jax.errors import InputError
 from earl_jax.registry import Registry
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from earl_jax.envs.base import Env
+    from earl_jax.envs.mujoco_env import MujocoEnv
+    from earl_jax.envs.state import State
+    from earl_jax.envs.wrappers.help_budget import HelpBudget
+    from earl_jax.envs.wrappers.without_help import plain_task
 
 __all__ = [
     "PAPER_TASKS",
@@ -20,12 +30,20 @@ __all__ = [
     "current_options",
     "env_class",
     "list_envs",
+    "locate_env",
     "make",
     "plain_task",
     "register_env",
     "with_engine",
 ]
 
+_HOME = {
+    "Env": "base",
+    "HelpBudget": "wrappers.help_budget",
+    "MujocoEnv": "mujoco_env",
+    "State": "state",
+    "plain_task": "wrappers.without_help",
+}
 PAPER_TASKS = (
     "tabletop_organization",
     "sawyer_door",
@@ -65,6 +83,11 @@ def register_env(name: str, factory: type[Env]) -> None:
         ValueError: the name is taken.
     """
     _ENVS.register(name, factory)
+
+
+def locate_env(name: str) -> tuple[EntryPoint | type, str]:
+    """Return where the class of the task `name` is, and the package that brings it, as `Registry.locate`."""
+    return _ENVS.locate(name)
 
 
 def env_class(name: str) -> type[Env]:
@@ -110,6 +133,8 @@ def with_engine(env: Env, engine: str | None) -> Env:
     """
     if engine is None:
         return env
+    from earl_jax.envs.wrappers.help_budget import HelpBudget
+
     if isinstance(env, HelpBudget):
         return dataclasses.replace(env, task=with_engine(env.task, engine))
     if "engine" not in {field.name for field in dataclasses.fields(env)}:
@@ -117,11 +142,14 @@ def with_engine(env: Env, engine: str | None) -> Env:
     return dataclasses.replace(env, **{"engine": engine})
 
 
-_RENAMED = {"Helped": HelpBudget, "with_physics": with_engine}
+_RENAMED = {"Helped": "HelpBudget", "with_physics": "with_engine"}
 """Earlier names, which still work."""
 
 
 def __getattr__(name: str) -> Any:
-    if name in _RENAMED:
-        return _RENAMED[name]
+    name = _RENAMED.get(name, name)
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    if name in _RENAMED.values():
+        return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

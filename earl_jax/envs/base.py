@@ -29,13 +29,17 @@ class Env(abc.ABC):
     """
 
     reward_type: str = "sparse"
+    """The reward: 1 on success and 0 elsewhere (sparse), or shaped (dense)."""
     train_horizon: int = 200_000
     """H_T: steps between hard interventions in training; 0 for never, the full autonomy of the paper's definition."""
     eval_horizon: int = 200
+    """H_E: steps of an evaluation episode, and of a phase of most methods."""
     demo_file: str | None = None
     """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
 
     name: ClassVar[str]
+    summary: ClassVar[str] = ""
+    """What the task is, in one sentence, for `earl-jax list`."""
     action_size: ClassVar[int]
     goal_change: ClassVar[int]
     """Steps between goal changes in the paper's continuing setting."""

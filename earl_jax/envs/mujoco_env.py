@@ -26,6 +26,7 @@ class MujocoEnv(Env):
 
     engine: str = "auto"
     substeps: int = 1
+    """Physics steps in a control step."""
 
     control_step: ClassVar[float]
     """Duration of a control step, seconds."""

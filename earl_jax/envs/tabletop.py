@@ -53,6 +53,7 @@ class TabletopOrganization(Env):
     too."""
 
     name: ClassVar[str] = "tabletop_organization"
+    summary: ClassVar[str] = "A gripper carries a mug to one of four coasters and returns home."
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
     continuing_horizon: ClassVar[int | None] = 50_000

@@ -102,19 +102,8 @@ class RunFolder:
             raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
             inside(path, name)
-        try:
-            values = _with_current_names(json.loads(read_bytes(file, LARGEST_CONFIG)))
-            for name in ("seeds", "logs"):
-                if not isinstance(values.get(name, []), list):
-                    raise InputError(f"{name} must be a list")
-            known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
-            config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
-            return cls(path, config, tuple(map(str, values.get("logs", ()))))
-        except KeyError as error:
-            raise InputError(f"{file} is damaged: it has no {error}") from error
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            cause = str(error) if isinstance(error, InputError) else repr(error)
-            raise InputError(f"{file} is damaged: {cause}") from error
+        config, logs = read_config(file)
+        return cls(path, config, logs)
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
@@ -252,6 +241,27 @@ def _existing(path: Path, overwrite: bool) -> bytes | None:
             f"{path} exists and is not an empty folder: it holds {names}; move it away, or choose another folder"
         )
     return read_bytes(path / CONFIG) if (path / CONFIG).is_file() else None
+
+
+def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
+    """Return the config in `file`, a config.json, and the names of the run's logs.
+
+    Raises:
+        ValueError: the file is invalid; the message gives the cause.
+    """
+    try:
+        values = _with_current_names(json.loads(read_bytes(file, LARGEST_CONFIG)))
+        for name in ("seeds", "logs"):
+            if not isinstance(values.get(name, []), list):
+                raise InputError(f"{name} must be a list")
+        known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
+        config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
+        return config, tuple(map(str, values.get("logs", ())))
+    except KeyError as error:
+        raise InputError(f"{file} is damaged: it has no {error}") from error
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        cause = str(error) if isinstance(error, InputError) else repr(error)
+        raise InputError(f"{file} is damaged: {cause}") from error
 
 
 def _with_current_names(values: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,10 @@
-"""Progress on stderr: a bar with score and speed on a terminal, else a line per evaluation."""
+"""Progress on stderr: a bar with score and speed on a terminal, else a line per evaluation and one a minute."""
 
+import contextlib
 import sys
+import threading
+import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -13,16 +17,29 @@ if TYPE_CHECKING:
     from earl_jax.runs.config import Row
 
 SMOOTHING = 0.8
+SILENCE = 60.0
+"""Seconds without a line after which piped output gets one."""
 
 
 class Progress:
     """A context that shows steps and evaluations on stderr; without `show` it prints nothing.
 
-    `metric` names the deployed metric whose mean is shown; `done` of the `steps` are complete already.
+    `metric` names the deployed metric whose mean is shown. The first call of a program compiles it: `working` says so. If
+    stderr is no terminal, a thread prints a line after each `silence` seconds without one, also during compilation.
     """
 
-    def __init__(self, *, label: str, lanes: int, steps: int, done: int, metric: str, show: bool):
-        self._lanes, self._steps, self._metric, self._speed = lanes, steps, metric, 0.0
+    def __init__(
+        self,
+        *,
+        label: str,
+        lanes: int,
+        steps: int,
+        metric: str,
+        show: bool,
+        silence: float = SILENCE,
+        compile_time: str = "about 10 s",
+    ):
+        self._lanes, self._steps, self._metric, self._speed, self._done = lanes, steps, metric, 0.0, 0
         self._console, self._show = Console(stderr=True), show
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
@@ -30,24 +47,61 @@ class Progress:
             console=self._console, disable=not (show and self._console.is_terminal),
         )  # fmt: skip
         self._plain = show and not self._console.is_terminal
-        self._task = self._bar.add_task(label, total=steps, completed=done, score="-", speed="-")
+        self._task = self._bar.add_task(label, total=steps, score="-", speed="-")
+        self._compiled: set[str] = set()
+        self._compile_time = compile_time
+        self._compiling, self._work, self._work_start = False, "starting", time.monotonic()
+        self._timed: tuple[float, int] | None = None
+        self._silence, self._last_line, self._ended = silence, time.monotonic(), threading.Event()
 
     def __enter__(self) -> "Progress":
         self._bar.start()
+        if self._plain:
+            threading.Thread(target=self._break_silence, daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._ended.set()
         self._bar.stop()
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""
-        if self._show:
+        if self._plain:
+            self._print(text)
+        elif self._show:
             self._console.print(text, highlight=False)
 
+    def start_at(self, step: int) -> None:
+        """Show that `step` steps are complete already."""
+        self._done = step
+        self._bar.reset(self._task, start=True, total=self._steps, completed=step)
+
+    @contextlib.contextmanager
+    def working(self, work: str) -> Iterator[None]:
+        """Show that the program does `work` until the context ends; the first time, that it is compiled for that."""
+        self._compiling = work not in self._compiled
+        self._work, self._work_start = work, time.monotonic()
+        if self._compiling:
+            self.message(f"{work}: compiling ({self._compile_time}) ...")
+        yield
+        if self._compiling:
+            self._compiled.add(work)
+            self.message(f"{work}: the first call took {time.monotonic() - self._work_start:.0f} s")
+
     def advance(self, steps: int, seconds: float) -> None:
-        """Add `steps` of every lane, which took `seconds`; the displayed speed is the sum over lanes."""
+        """Add `steps` of every lane, which took `seconds`; the displayed speed is the sum over lanes.
+
+        A call that compiled counts for the speed until another one has been timed.
+        """
+        self._done += steps
         speed = steps * self._lanes / max(seconds, 1e-9)  # the clock can be too coarse
-        self._speed = speed if not self._speed else SMOOTHING * self._speed + (1 - SMOOTHING) * speed
+        if self._compiling and self._speed:
+            self._timed = None  # the time of a compilation says nothing about the time left
+        elif self._timed is None:
+            self._speed = speed
+            self._timed = None if self._compiling else (time.monotonic() - seconds, self._done - steps)
+        else:
+            self._speed = SMOOTHING * self._speed + (1 - SMOOTHING) * speed
         self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
 
     def report(self, step: int, rows: list["Row"]) -> None:
@@ -61,4 +115,36 @@ class Progress:
             )
         if self._plain:
             line = f"step {step}/{self._steps}  {self._metric} {score:.3f}  continuing/reward {reward:.5f}"
-            print(f"{line}  steps/s {self._speed:.0f}", file=sys.stderr, flush=True)
+            self._print(f"{line}  {self._pace()}")
+
+    def _pace(self) -> str:
+        """Return the speed and the time left, evaluations included, as far as they are known."""
+        speed = f"steps/s {self._speed:.0f}"
+        if self._timed is None or self._done <= self._timed[1] or self._done >= self._steps:
+            return speed
+        start, first = self._timed
+        left = (time.monotonic() - start) / (self._done - first) * (self._steps - self._done)
+        return f"{speed}  time left {duration(left)}"
+
+    def _break_silence(self) -> None:
+        """Print a line whenever none was printed for the time of `silence`, until the context ends."""
+        while not self._ended.wait(max(0.0, self._last_line + self._silence - time.monotonic())):
+            if time.monotonic() - self._last_line >= self._silence:
+                self._print(self._state())
+
+    def _state(self) -> str:
+        if self._compiling:
+            return f"{self._work}: still compiling after {time.monotonic() - self._work_start:.0f} s"
+        return f"step {self._done}/{self._steps}  {self._work}  {self._pace()}"
+
+    def _print(self, line: str) -> None:
+        self._last_line = time.monotonic()
+        print(line, file=sys.stderr, flush=True)
+
+
+def duration(seconds: float) -> str:
+    """Return `seconds` as a user reads them: `45 s`, `12 min`, `3 h 05 min`."""
+    minutes = round(seconds / 60)
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -149,14 +149,16 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
         for run in runs:
             if run.folder and first_host():
                 run.folder.record_engine(plan.engine)
-        state = _restore_or_init(plan, method, runs)
-        step = int(gathered(state.step))
-        for run in runs:
-            stack.enter_context(run.logged(step))
-        bar = stack.enter_context(_progress(plan, runs, step, progress))
+        bar = stack.enter_context(_progress(plan, runs, progress))
         bar.message(str(plan.memory))
         if plan.engine != "kinematic":
             bar.message(_engine_text(plan, runs[0].env.engine))
+        with bar.working("first state"):
+            state = _restore_or_init(plan, method, runs)
+            step = int(gathered(state.step))
+        bar.start_at(step)
+        for run in runs:
+            stack.enter_context(run.logged(step))
         return _train_to_end(plan, method, runs, state, step, bar, stop)
 
 
@@ -174,8 +176,10 @@ def _train_to_end(
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))
         if step > previous and step % plan.problem.protocol.eval_every == 0:
-            state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
-            _record(runs, step, gathered(metrics), bar)
+            with bar.working("evaluation"):
+                state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
+                metrics = gathered(metrics)
+            _record(runs, step, metrics, bar)
             _save_policies(runs, state, step)
             stop.check_time()
         stopping = stop.requested and step < plan.steps
@@ -201,8 +205,9 @@ def _train_to_evaluation(
             if stop.requested:
                 return state
             start_time = time.perf_counter()
-            state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
-            state.step.block_until_ready()
+            with bar.working("random actions" if span.explore else "training"):
+                state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
+                state.step.block_until_ready()
             bar.advance(plan.chunk, time.perf_counter() - start_time)
             stop.check_time()
     return state
@@ -244,16 +249,16 @@ def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
             )
 
 
-def _progress(plan: Plan, runs: Sequence[Run], step: int, show: bool) -> Progress:
+def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
     config = runs[0].config
     algos = "+".join(dict.fromkeys(run.config.algo for run in runs))
     return Progress(
         label=f"{algos} x {plan.lanes} on {config.env}",
         lanes=plan.lanes,
         steps=plan.steps,
-        done=step,
         metric=deployed_metric(plan.problem.env),
         show=show and first_host(),
+        compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
     )
 
 

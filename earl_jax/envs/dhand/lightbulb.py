@@ -100,6 +100,7 @@ class DHandLightbulb(MujocoEnv):
     variant: str = VARIANTS[0]
 
     name: ClassVar[str] = "dhand_lightbulb"
+    summary: ClassVar[str] = "A four-finger hand on an arm picks up a bulb and holds it at a target."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
     action_size: ClassVar[int] = 22
     goal_change: ClassVar[int] = 400

@@ -50,6 +50,7 @@ class CheetahRun(MujocoEnv):
     eval_horizon: int = 1000
 
     name: ClassVar[str] = "cheetah_run"
+    summary: ClassVar[str] = "A planar cheetah runs at 10 m/s (figure 2 of the paper)."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.027)
     action_size: ClassVar[int] = 6
     goal_change: ClassVar[int] = 1000

@@ -50,6 +50,7 @@ class FishSwim(MujocoEnv):
     substeps: int = 10
 
     name: ClassVar[str] = "fish_swim"
+    summary: ClassVar[str] = "A fish swims with its mouth to a target (figure 2 of the paper)."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.098)
     action_size: ClassVar[int] = 5
     goal_change: ClassVar[int] = 1000

@@ -108,6 +108,7 @@ class FrankaKitchen(MujocoEnv):
     noise: bool = True
 
     name: ClassVar[str] = "franka_kitchen"
+    summary: ClassVar[str] = "A robot arm closes two open appliances of four."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.49, device=47.0)
     action_size: ClassVar[int] = 9
     control_step: ClassVar[float] = 0.08

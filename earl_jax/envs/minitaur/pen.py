@@ -77,8 +77,10 @@ class MinitaurPen(MujocoEnv):
     overheat: bool = True
     walls: str = "closed"
     variant: str = "released"
+    """The released reward, or that of the paper's text."""
 
     name: ClassVar[str] = "minitaur_pen"
+    summary: ClassVar[str] = "A quadruped with eight motors walks to a position in a pen."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
     action_size: ClassVar[int] = MOTORS
     goal_change: ClassVar[int] = 2000

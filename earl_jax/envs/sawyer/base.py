@@ -69,6 +69,7 @@ class Sawyer(MujocoEnv):
 
     substeps: int = 5
     variant: str = "released"
+    """The released observation of 14 numbers, or the 12 of the paper's text, without the gripper."""
     reset_at_goal: bool = False
 
     action_size: ClassVar[int] = 4

@@ -69,6 +69,7 @@ class SawyerDoor(Sawyer):
     door_noise: bool = True
 
     name: ClassVar[str] = "sawyer_door"
+    summary: ClassVar[str] = "A robot arm closes an open door by its handle."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=12.6, warp=5.0)
     demo_count: ClassVar[int] = 5
     goal_change: ClassVar[int] = 600

@@ -80,6 +80,7 @@ class SawyerPeg(Sawyer):
     wide: bool = False
 
     name: ClassVar[str] = "sawyer_peg"
+    summary: ClassVar[str] = "A robot arm inserts a peg into the hole of a box."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0, warp=5.6)
     demo_count: ClassVar[int] = 10
     goal_change: ClassVar[int] = 400

@@ -1,0 +1,77 @@
+"""Tests of `train --config`: it passes on what the run has, and refuses what would change it."""
+
+import dataclasses
+
+import pytest
+
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import api
+from tests.cli.process import run
+
+CONFIG = RunConfig(
+    env="tabletop_organization",
+    env_options={"wide": True},
+    algo="vaprl",
+    options={"epsilon": 0.3, "hidden_sizes": [16, 16]},
+    seeds=(4, 7),
+    steps=400,
+    eval_every=40,
+    eval_episodes=2,
+    checkpoint_every=80,
+    setting={"name": "continuing", "budget": 20.0, "goal_change": 50},
+)
+
+
+@pytest.fixture
+def repeated(monkeypatch, tmp_path):
+    """Return a function that runs `train` with arguments; it returns the exit code, the config to train, and stderr."""
+    configs = []
+    monkeypatch.setattr(api, "plan_runs", lambda runs, devices: configs.append(runs[0].config) or 1 / 0)
+
+    def train(*arguments):
+        try:
+            code, _, err = run("train", *arguments, "--out", tmp_path / "again")
+        except ZeroDivisionError:
+            return 0, configs[-1], ""
+        return code, None, err
+
+    return train
+
+
+def values(config):
+    return RunConfig(**{**config.values, "seeds": tuple(config.seeds)}).values
+
+
+def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, tmp_path):
+    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+    assert values(repeated("--config", folder.path)[1]) == CONFIG.values
+    assert values(repeated("--config", folder.config_file)[1]) == CONFIG.values
+
+
+def test_config_takes_other_seeds(repeated, tmp_path):
+    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+    config = repeated("--config", folder.path, "--seeds", "8:10")[1]
+    assert values(config) == dataclasses.replace(CONFIG, seeds=(8, 9)).values
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--steps", "800"], "leave out --steps"),
+        (["--set", "wide=false", "--eval-every", "20"], "leave out --eval-every, --set"),
+        (["tabletop_organization"], "leave out the task 'tabletop_organization'"),
+    ],
+)
+def test_config_refuses_options_that_change_the_run(repeated, tmp_path, arguments, message):
+    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+    code, config, err = repeated("--config", folder.path, *arguments)
+    assert (code, config) == (2, None)
+    assert message in err
+
+
+def test_a_missing_config_or_task_is_named(repeated, tmp_path):
+    assert "nowhere does not exist" in repeated("--config", tmp_path / "nowhere")[2]
+    (tmp_path / "other.json").write_text("{}")
+    assert "other.json is damaged" in repeated("--config", tmp_path / "other.json")[2]
+    assert "train needs a task" in repeated()[2]

@@ -1,0 +1,104 @@
+"""Tests of the progress display in piped output: compilation is announced, and nothing is silent for long."""
+
+import threading
+
+import pytest
+
+from earl_jax.runs import progress
+from earl_jax.runs.progress import Progress, duration
+
+ROWS = [{"step": 40, "seed": 0, "deployed/success": 0.5, "continuing/reward": 0.25}]
+
+
+class Clock:
+    """Replaces the module `time`."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    return clock
+
+
+def make(show=True, silence=3600.0):
+    return Progress(label="x", lanes=2, steps=400, metric="deployed/success", show=show, silence=silence)
+
+
+def work(bar, clock, name, seconds, steps=40):
+    with bar.working(name):
+        clock.now += seconds
+    bar.advance(steps, seconds)
+
+
+def test_the_first_call_of_each_part_is_announced_and_only_that(clock, capsys):
+    with make() as bar:
+        bar.start_at(80)
+        for _ in range(3):
+            work(bar, clock, "training", 12.0)
+    err = capsys.readouterr().err
+    assert err == "training: compiling (about 10 s) ...\ntraining: the first call took 12 s\n"
+
+
+def test_a_line_has_speed_and_time_left_without_the_compilation(clock, capsys):
+    with make() as bar:
+        bar.start_at(80)
+        work(bar, clock, "training", 500.0)
+        bar.report(120, ROWS)
+        work(bar, clock, "training", 4.0)
+        bar.report(160, ROWS)
+        clock.now += 56.0  # an evaluation
+        bar.report(160, ROWS)
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("step")]
+    assert lines[0] == "step 120/400  deployed/success 0.500  continuing/reward 0.25000  steps/s 0"
+    assert lines[1].endswith("steps/s 20  time left 24 s")
+    assert lines[2].endswith("steps/s 20  time left 6 min")
+
+
+def test_the_last_line_has_no_time_left(clock, capsys):
+    with make() as bar:
+        work(bar, clock, "training", 1.0, steps=200)
+        work(bar, clock, "training", 1.0, steps=200)
+        bar.report(400, ROWS)
+    assert capsys.readouterr().err.splitlines()[-1].endswith("steps/s 400")
+
+
+def test_silence_is_broken_during_a_compilation_and_during_training(capsys, monkeypatch):
+    printed, lines = threading.Event(), []
+
+    def record(self, line):
+        self._last_line = progress.time.monotonic()
+        lines.append(line)
+        if "still compiling" in line or line.startswith("step"):
+            printed.set()
+
+    monkeypatch.setattr(Progress, "_print", record)
+    with make(silence=0.02) as bar:
+        with bar.working("training"):
+            assert printed.wait(20)
+        bar.advance(40, 1.0)
+        printed.clear()
+        with bar.working("training"):
+            assert printed.wait(20)
+    assert any(line.startswith("training: still compiling after") for line in lines)
+    assert any(line.startswith("step 40/400  training  steps/s 80") for line in lines)
+
+
+def test_without_show_nothing_is_printed(clock, capsys):
+    with make(show=False) as bar:
+        work(bar, clock, "training", 1.0)
+        bar.report(40, ROWS)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0 s"), (89.4, "89 s"), (90, "2 min"), (3599, "1 h 00 min"), (11100, "3 h 05 min")]
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
