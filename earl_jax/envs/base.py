@@ -2,16 +2,15 @@
 
 import abc
 import dataclasses
-import functools
-from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets, options
-from earl_jax.envs.state import DemoStart, NextState, State, all_finite, check_action
+from earl_jax import options
+from earl_jax.envs.demonstrated import Demonstrated
+from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 
@@ -19,7 +18,7 @@ REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
-class Env(abc.ABC):
+class Env(Demonstrated, abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
     Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie
@@ -49,11 +48,6 @@ class Env(abc.ABC):
     """Bounds of `map_position`, [[x, y] low, [x, y] high]; None for a task without a map."""
     map_unit: ClassVar[str] = "m"
     """Unit of `map_position`."""
-    demo_noise: ClassVar[float | None] = None
-    """Half-width of the uniform noise that a demonstration script adds to all actions but the last; None without a
-    script."""
-    demo_hold: ClassVar[int | None] = None
-    """Length in steps of a scripted demonstration that continues after success; None if it ends at success."""
     ends: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
@@ -210,45 +204,6 @@ class Env(abc.ABC):
         """
         raise InputError(f"{self.name} has no uniform distribution of starts")
 
-    @property
-    def has_demos(self) -> bool:
-        """Whether there are demonstrations of this task."""
-        return self.demo_file is not None or assets.has_demos(self.name)
-
-    @property
-    def demo_directions(self) -> tuple[str, ...]:
-        """The directions with demonstrations."""
-        return assets.demo_directions(self.demo_file or self.name)
-
-    def demos(self, direction: str) -> assets.Demos:
-        """Return the demonstrations of `direction` (forward or backward) in this task's layout.
-
-        Raises:
-            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices.
-        """
-        return assets.demos(self.demo_file or self.name, direction)
-
-    def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [a] of a scripted controller that reaches the goal in `obs [s + g]`.
-
-        Raises:
-            ValueError: this task has no scripted controller.
-        """
-        raise InputError(f"{self.name} has no scripted expert")
-
-    def demo_action(self, obs: np.ndarray) -> np.ndarray:
-        """Return the action [a] of the demonstration script at `obs [s + g]`, before noise: the expert's by default."""
-        return np.array(_expert_action(self, jnp.asarray(obs)))
-
-    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
-        """Yield the starts of scripted demonstrations, one item for each forward demonstration.
-
-        Raises:
-            ValueError: this task has no demonstration script.
-        """
-        del seed
-        raise InputError(f"{self.name} has no demonstration script")
-
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].
 
@@ -311,8 +266,3 @@ class Env(abc.ABC):
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
         """Return the reward that the step to `state` would have earned with `goal [g]` instead of its own goal."""
         return self.transition_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _expert_action(env: Env, obs: jax.Array) -> jax.Array:
-    return env.expert(obs)
