@@ -9,6 +9,7 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.envs import Env
@@ -42,6 +43,11 @@ class Method(struct.PyTreeNode):
         super().__init_subclass__(**options)
         for name in RENAMED_HOOKS.keys() & vars(cls).keys():
             raise TypeError(f"{cls.__name__}.{name} is called {RENAMED_HOOKS[name]} now; rename it")
+
+    def directions(self, env: Env) -> tuple[str, ...]:
+        """Return the directions of the demonstrations in the initial replay on `env`, by default `demo_directions`."""
+        del env
+        return tuple(self.demo_directions)
 
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         """Return the number of times [T] that the replay lists each demonstrated transition.
@@ -106,6 +112,15 @@ class Method(struct.PyTreeNode):
         """Return `method_state` after an update on the batch that the active controller has just learnt from."""
         del batch, phase
         return method_state
+
+    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
+        """Return `agent` (leading controller axis) as it is before the first step; `demos` is None if there are none."""
+        del key, env, demos
+        return agent
+
+    def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
+        """Return the acting controller after learning from `batch`, and `sac.DIAGNOSTICS`; by default a SAC update."""
+        return sac_lib.update(self.sac, agent, batch, key)
 
     def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any) -> Any:
         """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps."""

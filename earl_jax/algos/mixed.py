@@ -58,6 +58,9 @@ class MixedMethod(Method):
             result = jax.tree.map(lambda new, old, own=own: jnp.where(own, new, old), hook(other), result)
         return result
 
+    def directions(self, env: Env) -> tuple[str, ...]:
+        return self.members[0].directions(env)
+
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         return self.members[0].demo_copies(steps_left)
 
@@ -88,12 +91,12 @@ class MixedMethod(Method):
 def program_signature(method: Method) -> Hashable:
     """Return the properties of `method` that all methods of one program must share.
 
-    Float hyper-parameters may differ. A method with a `method_state` of its own can share a program with its own class
-    only.
+    Float hyper-parameters may differ. A method with a `method_state`, a pretraining, an update or directions of
+    demonstrations of its own can share a program with its own class only.
     """
     method_class = type(method)
-    state_hooks = ("init_state", "update_state", "refresh")
-    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in state_hooks):
+    own_hooks = ("init_state", "update_state", "refresh", "pretrain", "update_agent", "directions")
+    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in own_hooks):
         return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
     return jax.tree.structure(method.sac), shapes, method_class.demo_copies

@@ -196,7 +196,7 @@ def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Arr
 def update(
     problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, phase: jax.Array
 ) -> LaneState:
-    """Return the lane after a SAC update of the controller that acted in `phase`, on `sampled` transitions [B]."""
+    """Return the lane after an update of the controller that acted in `phase`, on `sampled` transitions [B]."""
     table = jnp.asarray(problem.goals.table)
     sampled = method.relabel(keys.relabel, problem.env, problem.goals, sampled)
     goal = table[sampled.flags.goal]
@@ -208,7 +208,7 @@ def update(
         next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
     )
     controller = controller_of(method, phase)
-    agent, diagnostics = sac.update(method.sac, _controller(lane.agent, controller), batch, keys.update)
+    agent, diagnostics = method.update_agent(keys.update, _controller(lane.agent, controller), batch)
     if method.controllers > 1:  # else XLA writes both controllers to new arrays, and copies them back
         agent = jax.lax.optimization_barrier(agent)
     return lane.replace(
