@@ -22,6 +22,7 @@ _ALGOS = Registry(
         "naive": "earl_jax.algos.naive:Naive",
         "oracle": "earl_jax.algos.oracle:Oracle",
         "r3l": "earl_jax.algos.r3l:R3L",
+        "risc": "earl_jax.algos.risc:RISC",
         "vaprl": "earl_jax.algos.vaprl:VaPRL",
     },
 )

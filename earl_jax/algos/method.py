@@ -74,6 +74,23 @@ class Method(struct.PyTreeNode):
         del phase
         return True
 
+    def switches(
+        self,
+        key: jax.Array,
+        env: Env,
+        agent: Agent,
+        obs: jax.Array,
+        phase: jax.Array,
+        phase_step: jax.Array,
+        method_state: Any,
+    ) -> jax.Array | bool:
+        """Return whether the method itself ends `phase` after this step, as a time-out; never by default.
+
+        `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
+        """
+        del key, env, agent, obs, phase, phase_step, method_state
+        return False
+
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
@@ -114,7 +131,7 @@ class Method(struct.PyTreeNode):
         return method_state
 
     def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
-        """Return `agent` (leading controller axis) as it is before the first step; `demos` is None if there are none."""
+        """Return `agent` (leading controller axis) before the first step; `demos` is None if there are none."""
         del key, env, demos
         return agent
 

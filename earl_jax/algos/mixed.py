@@ -9,6 +9,7 @@ import numpy as np
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.learner.sac import Agent
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
@@ -72,6 +73,18 @@ class MixedMethod(Method):
 
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
         return self._select(lambda member: member.ends_on_success(phase))
+
+    def switches(
+        self,
+        key: jax.Array,
+        env: Env,
+        agent: Agent,
+        obs: jax.Array,
+        phase: jax.Array,
+        phase_step: jax.Array,
+        method_state: Any,
+    ) -> jax.Array:
+        return self._select(lambda member: member.switches(key, env, agent, obs, phase, phase_step, method_state))
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any

@@ -134,6 +134,10 @@ def _step_end(
     keys: StepKeys,
     step: jax.Array,
 ) -> StepEnd:
+    key, acting = jax.random.fold_in(keys.reset, 2), _controller(lane.agent, controller_of(method, lane.phase))
+    switches = method.switches(
+        key, problem.env, acting, lane.env_state.obs, lane.phase, lane.phase_step, lane.method_state
+    )
     attempt = Attempt(
         is_task=lane.phase == TASK,
         age=method.phase_age(step, lane.phase_step),
@@ -141,6 +145,7 @@ def _step_end(
         ends_on_success=method.ends_on_success(lane.phase),
         reset_at_end=method.resets,
         invalid_reward=~jnp.isfinite(earned),
+        given_up=switches,
     )
     return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
 

@@ -41,10 +41,11 @@ def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(probl
     )
     assert losses.shape == (2, 150)
     assert (losses[:, -20:].mean(axis=1) < 0.6 * losses[:, 0]).all()
+    both = [jax.tree.map(lambda leaf, c=c: leaf[c], actors) for c in (0, 1)]
     cross = [
-        [float(cloning_loss(jax.tree.map(lambda leaf, c=c: leaf[c], actors), agent_sac, part.obs, part.action)) for c in (0, 1)]
+        [float(cloning_loss(actor, agent_sac, part.obs, part.action)) for actor in both]
         for part in (demos.of(0), demos.of(1))
-    ]  # fmt: skip
+    ]
     assert cross[0][0] < cross[0][1]
     assert cross[1][1] < cross[1][0]
 

@@ -37,7 +37,7 @@ def truncate_largest_file(checkpoint):
 def test_list_prints_tasks_and_methods():
     code, out, _ = run_process("list", "--json")
     assert code == 0
-    assert json.loads(out) == {"envs": TASKS, "algos": ["bc", "fbrl", "naive", "oracle", "r3l", "vaprl"]}
+    assert json.loads(out) == {"envs": TASKS, "algos": ["bc", "fbrl", "naive", "oracle", "r3l", "risc", "vaprl"]}
 
 
 def test_help_describes_every_command_and_option(capsys):
