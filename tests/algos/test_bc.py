@@ -13,8 +13,10 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.cloning import Demonstrations, clone, cloning_loss
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
+from earl_jax.training import lifetime
 from earl_jax.training.demo_rows import demonstrations
 from earl_jax.training.plan import prepare
+from earl_jax.training.state import seed_keys
 from tests.conftest import (
     advance,
     assert_equal_trees,
@@ -119,3 +121,9 @@ def test_bc_trains_by_name_with_finite_metrics():
     assert all(np.isfinite(values).all() for values in result.metrics.values())
     assert not result.metrics["critic_loss"].any()
     assert jnp.isfinite(result.policy(0)(jnp.zeros(12))).all()
+
+
+def test_a_lifetime_without_random_steps_is_one_program(problem):
+    method = make_algo("bc", hidden_sizes=[16], batch_size=16, pretrain_steps=1)
+    _, metrics = jax.eval_shape(lambda keys: lifetime(problem, method, keys, 120), seed_keys([0, 1]))
+    assert {value.shape for value in metrics.values()} == {(2, 3)}
