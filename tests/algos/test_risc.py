@@ -1,6 +1,7 @@
 """RISC: phases that the method ends, the probability with which it does so, and the critics that it reads."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -40,10 +41,10 @@ def agent_of(method, value):
     return agent.replace(critics=critics)
 
 
+@functools.partial(jax.jit, static_argnames="env")
 def switch_share(method, env, agent, phase_step):
     """Return the share of 4000 keys with which `method` leaves a phase."""
-    switches = jax.vmap(lambda key: method.switches(key, env, agent, OBS, TASK, jnp.asarray(phase_step), ()))(KEYS)
-    return float(switches.mean())
+    return jax.vmap(lambda key: method.switches(key, env, agent, OBS, TASK, phase_step, ()))(KEYS).mean()
 
 
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
@@ -88,7 +89,8 @@ def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env):
 )
 def test_the_chance_of_a_switch_is_share_p_and_one_minus_k_to_the_c(env, options, value, count, expected):
     method = make_algo("risc", hidden_sizes=[16], **options)
-    assert switch_share(method, env, agent_of(method, value), count - 1) == pytest.approx(expected, abs=0.03)
+    share = switch_share(method, env, agent_of(method, value), count - 1)
+    assert float(share) == pytest.approx(expected, abs=0.03)
 
 
 def test_the_success_critics_learn_which_goal_is_reached():
