@@ -25,10 +25,12 @@ _HOME = {"Method": "method", "SAC": "learner.sac"}
 _ALGOS = Registry(
     "algo",
     {
+        "bc": "earl_jax.algos.bc:BC",
         "fbrl": "earl_jax.algos.fbrl:FBRL",
         "naive": "earl_jax.algos.naive:Naive",
         "oracle": "earl_jax.algos.oracle:Oracle",
         "r3l": "earl_jax.algos.r3l:R3L",
+        "risc": "earl_jax.algos.risc:RISC",
         "vaprl": "earl_jax.algos.vaprl:VaPRL",
     },
 )
@@ -63,7 +65,7 @@ def algo_class(name: str) -> type[Method]:
 
 
 def make_algo(name: str, **options) -> Method:
-    """Return the method `name`; options are its own fields and those of `SAC`.
+    """Return the method `name`; options are its own fields and those of `SAC`, whose defaults the method can replace.
 
     A float field also takes a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
     lanes.
@@ -82,7 +84,7 @@ def make_algo(name: str, **options) -> Method:
     options = {option: _leaf(option, value) for option, value in options.items()}
     learner = {option: value for option, value in options.items() if option in shared}
     check(f"algo {name!r}", SAC, learner)
-    sac = SAC(**learner)
+    sac = _ALGOS.get(name).sac.replace(**learner)
     return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})
 
 

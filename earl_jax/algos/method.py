@@ -9,6 +9,7 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.envs import Env
@@ -43,6 +44,11 @@ class Method(struct.PyTreeNode):
         for name in RENAMED_HOOKS.keys() & vars(cls).keys():
             raise TypeError(f"{cls.__name__}.{name} is called {RENAMED_HOOKS[name]} now; rename it")
 
+    def directions(self, env: Env) -> tuple[str, ...]:
+        """Return the directions of the demonstrations in the initial replay on `env`, by default `demo_directions`."""
+        del env
+        return tuple(self.demo_directions)
+
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         """Return the number of times [T] that the replay lists each demonstrated transition.
 
@@ -67,6 +73,23 @@ class Method(struct.PyTreeNode):
         """Return whether reaching the goal ends `phase` (sparse tasks only)."""
         del phase
         return True
+
+    def switches(
+        self,
+        key: jax.Array,
+        env: Env,
+        agent: Agent,
+        obs: jax.Array,
+        phase: jax.Array,
+        phase_step: jax.Array,
+        method_state: Any,
+    ) -> jax.Array | bool:
+        """Return whether the method itself ends `phase` after this step, as a time-out; never by default.
+
+        `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
+        """
+        del key, env, agent, obs, phase, phase_step, method_state
+        return False
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
@@ -106,6 +129,15 @@ class Method(struct.PyTreeNode):
         """Return `method_state` after an update on the batch that the active controller has just learnt from."""
         del batch, phase
         return method_state
+
+    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
+        """Return `agent` (leading controller axis) before the first step; `demos` is None if there are none."""
+        del key, env, demos
+        return agent
+
+    def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
+        """Return the acting controller after learning from `batch`, and `sac.DIAGNOSTICS`; by default a SAC update."""
+        return sac_lib.update(self.sac, agent, batch, key)
 
     def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any) -> Any:
         """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps."""

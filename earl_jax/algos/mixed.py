@@ -9,6 +9,7 @@ import numpy as np
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.learner.sac import Agent
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
@@ -58,6 +59,9 @@ class MixedMethod(Method):
             result = jax.tree.map(lambda new, old, own=own: jnp.where(own, new, old), hook(other), result)
         return result
 
+    def directions(self, env: Env) -> tuple[str, ...]:
+        return self.members[0].directions(env)
+
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         return self.members[0].demo_copies(steps_left)
 
@@ -69,6 +73,18 @@ class MixedMethod(Method):
 
     def ends_on_success(self, phase: jax.Array) -> jax.Array:
         return self._select(lambda member: member.ends_on_success(phase))
+
+    def switches(
+        self,
+        key: jax.Array,
+        env: Env,
+        agent: Agent,
+        obs: jax.Array,
+        phase: jax.Array,
+        phase_step: jax.Array,
+        method_state: Any,
+    ) -> jax.Array:
+        return self._select(lambda member: member.switches(key, env, agent, obs, phase, phase_step, method_state))
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
@@ -88,12 +104,12 @@ class MixedMethod(Method):
 def program_signature(method: Method) -> Hashable:
     """Return the properties of `method` that all methods of one program must share.
 
-    Float hyper-parameters may differ. A method with a `method_state` of its own can share a program with its own class
-    only.
+    Float hyper-parameters may differ. A method with a `method_state`, a pretraining, an update or directions of
+    demonstrations of its own can share a program with its own class only.
     """
     method_class = type(method)
-    state_hooks = ("init_state", "update_state", "refresh")
-    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in state_hooks):
+    own_hooks = ("init_state", "update_state", "refresh", "pretrain", "update_agent", "directions")
+    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in own_hooks):
         return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
     return jax.tree.structure(method.sac), shapes, method_class.demo_copies

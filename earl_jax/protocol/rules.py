@@ -41,7 +41,8 @@ class Attempt(NamedTuple):
 
     bool `is_task []`: the goal is a task goal, not that of a return phase; int32 `age []`: steps so far; int32 `limit
     []`: steps after which the attempt times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
-    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault.
+    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault; bool
+    `given_up []`: the agent itself ends the attempt after this step, which is a time-out unless the goal is reached.
     """
 
     is_task: Any
@@ -50,6 +51,7 @@ class Attempt(NamedTuple):
     ends_on_success: Any
     reset_at_end: Any
     invalid_reward: Any = False
+    given_up: Any = False
 
 
 class StepEnd(NamedTuple):
@@ -82,7 +84,7 @@ def advance_rules(
     intervened = rules.intervened(step, key) | fault
     goal_changes = rules.goal_changes(step)
     restarts = intervened | (goal_changes & attempt.is_task)
-    expired = (attempt.age + 1 >= attempt.limit) | restarts
+    expired = (attempt.age + 1 >= attempt.limit) | restarts | attempt.given_up
     over = reached | expired
     return StepEnd(
         fault=fault,

@@ -7,6 +7,7 @@ import numpy as np
 
 from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import Method
 from earl_jax.errors import InputError
@@ -49,7 +50,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
             f"{problem.env.state_size} numbers and a goal has {problem.env.goal_size}"
         )
     parts, first = [], 0
-    for number, direction in enumerate(method.demo_directions):
+    for number, direction in enumerate(method.directions(problem.env)):
         demos = problem.env.demos(direction)
         states, last = trajectories(demos)
         rows = np.flatnonzero(np.arange(len(states)) < last)
@@ -58,6 +59,15 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
         parts.append(DemoRows(states, first + rows, demos.actions, goals, controllers, copies))
         first += len(states)
     return DemoRows(*[np.concatenate(field) for field in zip(*parts, strict=True)])
+
+
+def demonstrations(problem: Problem, method: Method) -> Demonstrations | None:
+    """Return the demonstrations of `method` to clone, or None if the task has none. Errors as `demo_rows`."""
+    demos = demo_rows(problem, method)
+    if demos is None:
+        return None
+    obs = np.concatenate([demos.states[demos.rows], problem.goals.table[demos.goals]], axis=-1)
+    return Demonstrations(obs, demos.actions, demos.controllers)
 
 
 def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.method import TASK, Method
 from earl_jax.metrics.continuing import Counters
 from earl_jax.protocol import Rules
-from earl_jax.training.demo_rows import init_replay
+from earl_jax.training.demo_rows import demonstrations, init_replay
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
 
@@ -40,13 +40,15 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
     def init_agent(controller_key):
         return sac.init(controller_key, method.sac, env.obs_size, env.action_size, method.critics)
 
+    agents = jax.vmap(init_agent)(jax.random.split(agent_key, method.controllers))
+    pretrain_key = jax.random.fold_in(agent_key, 1)
     return LaneState(
         key=lane_key,
         env_state=env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal]),
         phase=phase,
         phase_step=phase_step,
         goal_indices=goal_indices,
-        agent=jax.vmap(init_agent)(jax.random.split(agent_key, method.controllers)),
+        agent=method.pretrain(pretrain_key, env, agents, demonstrations(problem, method)),
         method_state=method_state,
         counters=_zero_counters(),
         rules=rules,

@@ -44,7 +44,7 @@ def lifetime(
     state, rest = jax.lax.scan(
         lambda carry, _: _window(plan, method, carry, explored), state, length=(steps - explored) // every
     )
-    curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early)] * bool(early) + [rest]
+    curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early), rest] if early else [rest]
     return state, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
 
 

@@ -134,6 +134,10 @@ def _step_end(
     keys: StepKeys,
     step: jax.Array,
 ) -> StepEnd:
+    key, acting = jax.random.fold_in(keys.reset, 2), _controller(lane.agent, controller_of(method, lane.phase))
+    switches = method.switches(
+        key, problem.env, acting, lane.env_state.obs, lane.phase, lane.phase_step, lane.method_state
+    )
     attempt = Attempt(
         is_task=lane.phase == TASK,
         age=method.phase_age(step, lane.phase_step),
@@ -141,6 +145,7 @@ def _step_end(
         ends_on_success=method.ends_on_success(lane.phase),
         reset_at_end=method.resets,
         invalid_reward=~jnp.isfinite(earned),
+        given_up=switches,
     )
     return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
 
@@ -196,7 +201,7 @@ def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Arr
 def update(
     problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, phase: jax.Array
 ) -> LaneState:
-    """Return the lane after a SAC update of the controller that acted in `phase`, on `sampled` transitions [B]."""
+    """Return the lane after an update of the controller that acted in `phase`, on `sampled` transitions [B]."""
     table = jnp.asarray(problem.goals.table)
     sampled = method.relabel(keys.relabel, problem.env, problem.goals, sampled)
     goal = table[sampled.flags.goal]
@@ -208,7 +213,7 @@ def update(
         next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
     )
     controller = controller_of(method, phase)
-    agent, diagnostics = sac.update(method.sac, _controller(lane.agent, controller), batch, keys.update)
+    agent, diagnostics = method.update_agent(keys.update, _controller(lane.agent, controller), batch)
     if method.controllers > 1:  # else XLA writes both controllers to new arrays, and copies them back
         agent = jax.lax.optimization_barrier(agent)
     return lane.replace(

@@ -40,7 +40,7 @@ def test_list_prints_tasks_and_methods():
     assert code == 0
     printed = json.loads(out)
     assert printed["envs"] == TASKS
-    assert printed["algos"] == list(printed["methods"]) == ["fbrl", "naive", "oracle", "r3l", "vaprl"]
+    assert printed["algos"] == list(printed["methods"]) == ["bc", "fbrl", "naive", "oracle", "r3l", "risc", "vaprl"]
 
 
 def test_help_describes_every_command_and_option(capsys):

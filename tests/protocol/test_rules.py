@@ -37,10 +37,12 @@ def state_at(position, env=None):
         (1, {"age": 9}, {"timeout", "over"}),
         (1, {"age": 9, "reset_at_end": True}, {"timeout", "over", "reset"}),
         (GOAL, {"age": 9}, {"reached", "over"}),
+        (1, {"given_up": True}, {"timeout", "over"}),
+        (GOAL, {"given_up": True}, {"reached", "over"}),
     ],
     ids=[
         "goes on", "reaches its goal", "goes on at its goal", "success resets", "is young", "times out", "time-out resets",
-        "reaches its goal on its last step",
+        "reaches its goal on its last step", "is given up", "is given up at its goal",
     ],
 )  # fmt: skip
 def test_an_attempt_ends_at_its_goal_or_at_its_limit(position, changes, expected):

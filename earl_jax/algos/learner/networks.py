@@ -51,6 +51,16 @@ def fix_input(params: Any, index: int, value: float) -> Any:
     return {"params": {**layers, "hidden_0": {"kernel": rest, "bias": bias + value * kernel[..., index, :]}}}
 
 
+def fix_log_std(params: Any, value: float) -> Any:
+    """Return the parameters of a policy, leaves [..., ...], with every log standard deviation at `value`."""
+    layers = dict(params["params"])
+    last = f"hidden_{len(layers) - 1}"
+    size = layers[last]["bias"].shape[-1] // 2
+    fixed = {"kernel": 0.0, "bias": value}
+    layers[last] = {name: leaf.at[..., size:].set(fixed[name]) for name, leaf in layers[last].items()}
+    return {"params": layers}
+
+
 def drop_action(params: Any, index: int) -> Any:
     """Return the parameters of a policy for actions [a - 1]: `params`, leaves [..., ...], without component `index`."""
     layers = dict(params["params"])
