@@ -41,12 +41,12 @@ main(["train", "pasture", "--algo", "vaprl", *LENGTHS, "--out", "vaprl", "--set"
 """
 USE_PENDULUM = """
 for engine in ("c", "mjx"):
-    run = ["--physics", engine, "--out", engine, "--set", *TINY]
+    run = ["--engine", engine, "--out", engine, "--set", *TINY]
     main(["train", "pendulum_hold", "--algo", "fbrl", *LENGTHS, *run])
-main(["evaluate", "c", "--episodes", "2", "--physics", "mjx"])
+main(["evaluate", "c", "--episodes", "2", "--engine", "mjx"])
 import jax, earl_jax
 from earl_jax.metrics.deployed import deployed
-env = earl_jax.make("pendulum_hold", physics="c")
+env = earl_jax.make("pendulum_hold", engine="c")
 print(deployed(env, env.expert, jax.random.key(0), env.eval_horizon, 10))
 """
 CHECK_CONTRACT = """

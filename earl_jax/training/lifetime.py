@@ -1,5 +1,6 @@
 """A whole lifetime as a pure function, for `jit`, `vmap` or a notebook."""
 
+import functools
 import numbers
 
 import jax
@@ -9,9 +10,9 @@ from earl_jax.algos import Method
 from earl_jax.errors import InputError
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
-from earl_jax.training.plan import Plan, Span, per_lane, prepare
+from earl_jax.training.plan import Plan, per_lane, prepare
 from earl_jax.training.scan import run_steps
-from earl_jax.training.state import Problem, TrainState
+from earl_jax.training.state import Explore, Problem, TrainState
 
 
 def lifetime(
@@ -36,16 +37,8 @@ def lifetime(
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)
     state = init_train_state(problem, method, keys, plan.capacity)
-    explored = -(-min(plan.random_steps, steps) // every) * every
-    early = []
-    for start in range(0, explored, every):
-        state, metrics = _window(plan, method, state, start)
-        early.append(metrics)
-    state, rest = jax.lax.scan(
-        lambda carry, _: _window(plan, method, carry, explored), state, length=(steps - explored) // every
-    )
-    curves = [jax.tree.map(lambda *rows: jnp.stack(rows), *early), rest] if early else [rest]
-    return state, jax.tree.map(lambda *parts: jnp.concatenate(parts).T, *curves)
+    state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
+    return state, jax.tree.map(jnp.transpose, metrics)
 
 
 def _static_steps(problem: Problem, steps: int | None) -> int:
@@ -61,15 +54,20 @@ def _static_steps(problem: Problem, steps: int | None) -> int:
     return steps
 
 
-def _window(plan: Plan, method: Method, state: TrainState, start: int) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the state after the steps from `start` to the next evaluation, and its metrics [N]."""
-    for span in plan.spans(start):
-        state = _scan_chunks(plan, method, state, span)
-    return evaluate_lanes(plan.problem, method, state)
+def _window(
+    plan: Plan, method: Method, state: TrainState, number: jax.Array
+) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Return the state after the window `number []` between two evaluations, and its metrics [N].
 
+    Steps that explore and steps that learn are one piece of the program, because XLA takes seconds to compile the
+    physics of each piece on MJX.
+    """
+    chunks = plan.problem.protocol.eval_every // plan.chunk
 
-def _scan_chunks(plan: Plan, method: Method, state: TrainState, span: Span) -> TrainState:
-    def body(carry, _):
-        return run_steps(plan.problem, method, carry, plan.chunk, span.explore), None
+    def chunk(carry, index):
+        explore: Explore = (number * chunks + index) * plan.chunk < plan.random_steps
+        if plan.random_steps == 0 or plan.steps <= plan.random_steps:
+            explore = plan.random_steps > 0
+        return run_steps(plan.problem, method, carry, plan.chunk, explore), None
 
-    return jax.lax.scan(body, state, length=span.chunks)[0]
+    return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, jnp.arange(chunks))[0])

@@ -21,7 +21,7 @@ from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
 from earl_jax.training.ordering import after
-from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState
+from earl_jax.training.state import MAP_BINS, Explore, LaneState, Problem, StepKeys, TrainState
 
 
 def train_step(
@@ -29,7 +29,7 @@ def train_step(
     method: Method,
     state: TrainState,
     keys: StepKeys,
-    explore: bool = False,
+    explore: Explore = False,
     batch: TransitionBatch | None = None,
 ) -> TrainState:
     """Return all lanes one step later: act, store and, unless `explore`, take a gradient step on earlier transitions.
@@ -41,14 +41,15 @@ def train_step(
     controller = controller_of(method, lanes.phase)
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore))
     action, pending = act(method, lanes, keys.act)
-    if not explore:
+    if explore is not True:
         if pending.ticket is not None:  # the host starts before the device draws a batch and learns
             ticket, lanes, keys = jax.lax.optimization_barrier((pending.ticket, lanes, keys))
             pending = pending._replace(ticket=ticket)
         if batch is None:
             state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
         updated = jax.vmap(lambda *lane: update(problem, *lane))(method, lanes, keys, batch, lanes.phase)
-        lanes = _unless_ended(lanes, updated) if problem.env.ends else updated
+        updated = _unless_ended(lanes, updated) if problem.env.ends else updated
+        lanes = updated if explore is False else _unless_exploring(explore, lanes, updated)
         if pending.ticket is not None:  # the device learns before it waits for the host
             ticket, lanes = jax.lax.optimization_barrier((pending.ticket, lanes))
             pending = pending._replace(ticket=ticket)
@@ -69,17 +70,18 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
 
 @jax.named_scope("act")
 def act_and_start(
-    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: bool
+    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore
 ) -> tuple[jax.Array, PendingStep]:
     """Return the action [a] of one lane, uniform with `explore`, and the control step that it starts."""
     action = _act(problem, method, lane, key, explore)
     return action, problem.env.start_step(lane.env_state, action)
 
 
-def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: bool) -> jax.Array:
+def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore) -> jax.Array:
     size = problem.env.action_size
-    if explore:
-        return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+    if explore is not False:
+        uniform = jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+        return uniform if explore is True else jnp.where(explore, uniform, _act(problem, method, lane, key, False))
     # Without barriers, XLA reads the actor in the kernels that update it, and so acts after the update.
     stacked, controller = jax.lax.optimization_barrier((lane.agent.actor, controller_of(method, lane.phase)))
     actor = jax.lax.optimization_barrier(_controller(stacked, controller))
@@ -252,3 +254,11 @@ def _unless_ended(lanes: LaneState, updated: LaneState) -> LaneState:
 
     agent = jax.tree.map(keep, lanes.agent, updated.agent)
     return updated.replace(agent=agent, method_state=jax.tree.map(keep, lanes.method_state, updated.method_state))
+
+
+def _unless_exploring(explore: jax.Array, lanes: LaneState, updated: LaneState) -> LaneState:
+    """Return the `updated` lanes, or the old learner of all `lanes` with `explore`, bool []."""
+    counters = updated.counters
+    old = lanes.agent, lanes.method_state, lanes.counters.diagnostics
+    kept = tree_where(explore, old, (updated.agent, updated.method_state, counters.diagnostics))
+    return updated.replace(agent=kept[0], method_state=kept[1], counters=counters.replace(diagnostics=kept[2]))

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 
 from earl_jax.algos.method import Method
+from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.training.loop import sample, train_step
-from earl_jax.training.state import Problem, TrainState, step_keys
+from earl_jax.training.state import Explore, Problem, TrainState, step_keys
 
 
-def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: bool = False) -> TrainState:
+def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: Explore = False) -> TrainState:
     """Return all lanes after `steps` steps in one scan.
 
     k calls of whole blocks equal one call with k times the steps, bit for bit. A method's `refresh` runs at the start
@@ -21,14 +22,19 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, e
     block = math.gcd(method.refresh_every, steps)
 
     def refreshed_block(carry, _):
-        return _run_block(problem, method, refresh(problem, method, carry), block, explore), None
+        refreshed = refresh(problem, method, carry)
+        if not isinstance(explore, bool):
+            lanes = refreshed.lanes
+            kept = tree_where(explore, carry.lanes.method_state, lanes.method_state)
+            refreshed = refreshed.replace(lanes=lanes.replace(method_state=kept))
+        return _run_block(problem, method, refreshed, block, explore), None
 
-    if method.refresh_every == 0 or explore:
+    if method.refresh_every == 0 or explore is True:
         return _run_block(problem, method, state, steps, explore)
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
 
 
-def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: bool) -> TrainState:
+def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: Explore) -> TrainState:
     """Return all lanes after `length` steps in one scan, whose random keys are computed before it."""
     numbers = state.step + jnp.arange(length + 1)
     keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
@@ -39,9 +45,9 @@ def _run_block(problem: Problem, method: Method, state: TrainState, length: int,
 
     def step_and_draw(carry, keys):
         (state, batch), (now, following) = carry, keys
-        return sample(method, train_step(problem, method, state, now, batch=batch), following), None
+        return sample(method, train_step(problem, method, state, now, explore, batch), following), None
 
-    if not explore and _draws_ahead(problem, state):
+    if explore is not True and _draws_ahead(problem, state):
         (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
         return state
     return jax.lax.scan(step, state, now)[0]

@@ -19,6 +19,10 @@ MAP_BINS = 64
 """Number of bins along a side of the map of visited positions."""
 
 
+Explore = bool | jax.Array
+"""Whether steps act uniformly at random and do not learn. A traced flag, bool [], computes updates and drops them."""
+
+
 class LaneState(struct.PyTreeNode):
     """The state of one lane, which trains one seed.
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
+from earl_jax.envs import make
 from earl_jax.metrics.scores import lifetime_scores
 from earl_jax.metrics.statistics import summarise
 from earl_jax.metrics.visitation import measure
 from earl_jax.training import lifetime
-from earl_jax.training.state import seed_keys
+from earl_jax.training.state import Problem, seed_keys
 from tests.conftest import RUN_STEPS, tiny_options, tiny_train
 
 STEPS = np.arange(40, RUN_STEPS + 1, 40)
@@ -60,3 +61,12 @@ def test_steps_that_are_missing_or_traced_are_refused(problem):
         lifetime(problem, method, keys)
     with pytest.raises(ValueError, match=r"static under jit: use Problem.*static_argnames"):
         jax.jit(lifetime)(problem, method, keys, 120)
+
+
+@pytest.mark.parametrize("random_steps", [0, 20, RUN_STEPS])
+def test_a_lifetime_contains_the_physics_of_training_and_of_evaluation_once(problem, random_steps):
+    """Each part takes XLA long to compile on MJX; here engine c stands for it, whose calls are easy to count."""
+    cheetah = Problem(make("cheetah_run", engine="c", eval_horizon=5), problem.protocol, steps=RUN_STEPS)
+    method = make_algo("naive", **{**tiny_options("naive"), "random_steps": random_steps})
+    program = jax.make_jaxpr(lambda keys: lifetime(cheetah, method, keys))(seed_keys(range(2)))
+    assert str(program).count("ffi_call[") == 2

@@ -13,6 +13,7 @@ import pytest
 from earl_jax.algos import method_for
 from earl_jax.assets import Demos
 from earl_jax.envs import make
+from earl_jax.physics.engines import mjx
 from earl_jax.training import train
 from tests.conftest import (
     ALGOS,
@@ -99,3 +100,13 @@ def test_a_run_names_the_engine_that_auto_took(pendulum, tmp_path, capfd):
 @pytest.mark.slow
 def test_fbrl_learns_in_one_scan_with_the_sawyer_door_on_mjx():
     assert_learns(*trained(make("sawyer_door", engine="mjx"), "fbrl", 8), 8)
+
+
+def test_python_traces_mjx_once_for_all_programs(pendulum, monkeypatch):
+    traces, original = [], mjx._step
+    monkeypatch.setattr(mjx, "_step", lambda *arguments: traces.append(0) or original(*arguments))
+    env = dataclasses.replace(pendulum, substeps=3)  # a simulator that no other test has
+    states = jax.eval_shape(jax.vmap(env.reset), jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 2)))
+    for step in (jax.vmap(env.step), jax.vmap(lambda state, action: env.step(env.step(state, action), action))):
+        jax.eval_shape(step, states, jnp.zeros((2, 1)))
+    assert len(traces) == 1

@@ -1,6 +1,7 @@
 """MJX in its JAX or its Warp implementation: one program simulates all lanes."""
 
 import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -31,6 +32,17 @@ def _model(simulator: "Simulator") -> tuple[Any, Any]:
 
 
 def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
+    """Return the result of `Simulator.step`."""
+    return _program(simulator)(state, command)
+
+
+@functools.cache
+def _program(simulator: "Simulator") -> Callable[[PhysicsState, jax.Array], tuple[PhysicsState, jax.Array]]:
+    """Return the control step of `simulator` under `jit`, so that Python traces MJX once for all programs with it."""
+    return jax.jit(functools.partial(_step, simulator))
+
+
+def _step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
     """Return the result of `Simulator.step`.
 
     The scan carries the integration state only, so XLA removes the rest of `Data`.
