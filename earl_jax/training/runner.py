@@ -6,7 +6,7 @@ import functools
 import itertools
 import operator
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -149,13 +149,16 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
         for run in runs:
             if run.folder and first_host():
                 run.folder.record_engine(plan.engine)
+        init = _initial_state(plan, method, runs)
+        state = _restored(plan, runs, init)
         bar = stack.enter_context(_progress(plan, runs, progress))
         bar.message(str(plan.memory))
         if plan.engine != "kinematic":
             bar.message(_engine_text(plan, runs[0].env.engine))
-        with bar.working("first state"):
-            state = _restore_or_init(plan, method, runs)
-            step = int(gathered(state.step))
+        if state is None:
+            with bar.working("first state"):
+                state = jax.block_until_ready(init())
+        step = int(gathered(state.step))
         bar.start_at(step)
         for run in runs:
             stack.enter_context(run.logged(step))
@@ -267,12 +270,16 @@ def _lane_spans(runs: Sequence[Run]) -> list[slice]:
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _restore_or_init(plan: Plan, method: Method, runs: Sequence[Run]) -> TrainState:
+def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> Callable[[], TrainState]:
+    """Return the function that makes the state of all lanes before the first step."""
     keys = placed(jnp.concatenate([seed_keys(run.config.seeds) for run in runs]), plan.mesh)
     rules = placed(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[run.rules for run in runs]), plan.mesh)
-    init = functools.partial(_init, plan.problem, method, keys, rules, plan.capacity, plan.mesh)
+    return functools.partial(_init, plan.problem, method, keys, rules, plan.capacity, plan.mesh)
+
+
+def _restored(plan: Plan, runs: Sequence[Run], init: Callable[[], TrainState]) -> TrainState | None:
+    """Return the state of the newest checkpoints of `runs`, or None if there are none."""
     folders = [run.folder.checkpoints for run in runs if run.folder]
     sizes = [len(run.config.seeds) for run in runs]
-    if folders and (saved := restore_together(folders, sizes, jax.eval_shape(init))) is not None:
-        return placed(saved, plan.mesh, TRAIN_STATE)
-    return init()
+    saved = restore_together(folders, sizes, jax.eval_shape(init)) if folders else None
+    return None if saved is None else placed(saved, plan.mesh, TRAIN_STATE)
