@@ -91,7 +91,8 @@ def main() -> None:
         for engine in arguments.engines:
             rows += rows_of(task, engine, {**checkouts, "now": ROOT}, arguments.repeats)
             command = f"python -m benchmarks.compile --envs {' '.join(arguments.envs)} --engines {' '.join(arguments.engines)}"
-            save(arguments.out.with_suffix(".json"), f"{command} --repeats {arguments.repeats}", {"rows": rows})
+            command += " --before CHECKOUT" * bool(arguments.before) + f" --repeats {arguments.repeats}"
+            save(arguments.out.with_suffix(".json"), command, {"rows": rows})
             write(rows, arguments.out.with_suffix(".csv"))
 
 
