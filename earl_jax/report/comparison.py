@@ -20,7 +20,7 @@ from earl_jax.metrics.comparison import (
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
-from earl_jax.report.published import published_score, published_steps
+from earl_jax.report.published import published_score, published_steps, share_text
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
 from earl_jax.report.style import new_figure, save
 from earl_jax.report.tables import file_table, markdown_table, millions, write
@@ -110,7 +110,7 @@ def _published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
         row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
         if step < length:
             row |= {"difference": math.nan, "low": math.nan, "high": math.nan, "p": math.nan, "detectable": math.nan}
-            row["verdict"] = f"not compared at {100 * step / length:.2g} % of the published steps"
+            row["verdict"] = f"not compared at {share_text(step, length)} of the published steps"
         rows.append(row)
     return rows
 
@@ -120,9 +120,23 @@ def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sam
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        "difference": result.difference, "low": result.low, "high": result.high, "p": result.p, "verdict": "",
-        "detectable": detectable_difference(Sample.of(scores), other),
+        **comparison_columns(scores, other, result),
     }  # fmt: skip
+
+
+def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, prefix: str = "") -> Row:
+    """Return the columns of `result`, the test of `scores [N]` against `other`, before `with_verdicts`.
+
+    The names of the ends of its interval start with `prefix`.
+    """
+    return {
+        "difference": result.difference,
+        f"{prefix}low": result.low,
+        f"{prefix}high": result.high,
+        "p": result.p,
+        "verdict": "",
+        "detectable": detectable_difference(Sample.of(scores), other),
+    }
 
 
 def table_text(rows: Sequence[Row]) -> str:

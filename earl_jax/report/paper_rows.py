@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.comparison import Sample, detectable_difference, holm, mean_interval, verdict, welch
+from earl_jax.metrics.comparison import Sample, mean_interval, welch
 from earl_jax.metrics.statistics import stderr
-from earl_jax.report.comparison import recent_scores
-from earl_jax.report.published import published_score, published_steps
+from earl_jax.report.comparison import comparison_columns, recent_scores, with_verdicts
+from earl_jax.report.published import published_score, published_steps, share_text
 from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.style import method_order, task_order
 
@@ -36,10 +36,8 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
         for algo in method_order(algo for name, algo in names if name == env):
             runs = [group for group in groups if (group.env, group.algo) == (env, algo)]
             rows += [_row(number, env, algo, group) for group in runs or [None]]
-    tested = [row for row in rows if row["p"] is not None]
-    for row, adjusted in zip(tested, holm([row["p"] for row in tested]), strict=True):
-        row["p_holm"] = None if math.isnan(adjusted) else float(adjusted)
-        row["verdict"] = verdict(row["difference"], adjusted)
+    for row in with_verdicts([row for row in rows if row["p"] is not None]):
+        row["p_holm"] = None if math.isnan(row["p_holm"]) else row["p_holm"]
     return rows
 
 
@@ -65,19 +63,13 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "verdict": "-",
     }
     if group and score and score.sample and row["steps"] >= (steps_low or 0):
-        row |= _test(_tested_scores(number, group), score.sample)
+        scores = _tested_scores(number, group)
+        result = welch(Sample.of(scores), score.sample)
+        row |= comparison_columns(scores, score.sample, result, "difference_")
     if number == 1:
         crossings = assets.published_row("crossings", env=env, algo=algo) if comparable else {}
         row["published_last10"] = crossings.get("last10") or None
     return row
-
-
-def _test(scores: np.ndarray, published: Sample) -> dict[str, float]:
-    """Return Welch's test of `scores [N]` against the published seeds."""
-    sample = Sample.of(scores)
-    result, detectable = welch(sample, published), detectable_difference(sample, published)
-    names = ("difference", "difference_low", "difference_high", "p", "detectable")
-    return dict(zip(names, (*result, detectable), strict=True))
 
 
 def _tested_scores(number: int, group: MethodRuns) -> np.ndarray:
@@ -116,4 +108,4 @@ def share_of_steps(row: dict[str, Any]) -> str:
     least = row["published_steps_low"]
     if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:
         return ""
-    return f"{100 * row['steps'] / least:.2g} %"
+    return share_text(row["steps"], least)

@@ -93,6 +93,11 @@ def published_steps(env: str) -> tuple[int, int] | None:
     return (int(row["low"]), int(row["high"])) if row else None
 
 
+def share_text(steps: int, published: int) -> str:
+    """Return the share that `steps` have of the `published` ones, such as `12 %`."""
+    return f"{100 * steps / published:.2g} %"
+
+
 def published_fault(table: str, env: str) -> str | None:
     """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
     rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
