@@ -43,8 +43,10 @@ HEADER = (
     "difference [95 %]",
     "adjusted p",
     "verdict",
+    "detectable",
+    "largest critic loss",
+    "commit",
 )
-HEADER += ("detectable", "largest critic loss", "commit")
 
 
 def cells(root: Path = ROOT) -> list[dict[str, Any]]:

@@ -22,11 +22,10 @@ from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
 from earl_jax.report.published import published_score, published_steps, share_text
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
-from earl_jax.report.style import new_figure, save
+from earl_jax.report.style import PICTURES, new_figure, save
 from earl_jax.report.tables import file_table, markdown_table, millions, write
 
 Row = dict[str, Any]
-PICTURES = (".png", ".pdf", ".svg")
 TABLES = (".md", ".tex", ".csv")
 RULE = (
     "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
@@ -44,8 +43,9 @@ HEADER = (
     "difference [95 %]",
     "p",
     "adjusted p",
+    "verdict",
+    "detectable",
 )
-HEADER += ("verdict", "detectable")
 
 
 def compare(folders: Sequence[Path], against: Literal["runs", "published"] = "runs") -> list[Row]:
@@ -91,10 +91,10 @@ def pair_row(first: MethodRuns, second: MethodRuns) -> Row:
     Raises:
         ValueError: one is scored by success and the other by return.
     """
-    step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
-    scores, others = recent_scores(first.curves, step), recent_scores(second.curves, step)
     if first.curves.deployed_metric != second.curves.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
+    step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
+    scores, others = recent_scores(first.curves, step), recent_scores(second.curves, step)
     return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
 
 

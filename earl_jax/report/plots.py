@@ -9,11 +9,10 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.runs import Curves, labels, read_all
-from earl_jax.report.style import new_figure, save
+from earl_jax.report.style import PICTURES, new_figure, save
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
-SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def plot_runs(folders: Sequence[Path], out: Path) -> Path:
@@ -22,8 +21,8 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     Raises:
         ValueError: a folder is no run, `out` has an unknown suffix, or matplotlib is not installed.
     """
-    if out.suffix not in SUFFIXES:
-        raise InputError(f"{out}: pictures are written as {', '.join(SUFFIXES)}")
+    if out.suffix not in PICTURES:
+        raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
     runs = read_all(folders)
     figure, axes = new_figure(1, 2, (10, 4.2))
     for panel, axis in zip(PANELS, axes[0], strict=True):

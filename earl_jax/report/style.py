@@ -11,6 +11,8 @@ COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#C
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
 LINE_STYLES = ("-", "--", ":", "-.")
+PICTURES = (".png", ".pdf", ".svg")
+"""The suffixes of files that `save` writes."""
 
 
 def new_figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:

@@ -30,8 +30,10 @@ HEADER = (
     "published",
     "continuing",
     "published",
+    "to 0.5 [95 %]",
+    "to 0.9 [95 %]",
+    "steps/reward",
 )
-HEADER += ("to 0.5 [95 %]", "to 0.9 [95 %]", "steps/reward")
 CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
 

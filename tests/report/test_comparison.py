@@ -77,6 +77,17 @@ def test_nothing_to_compare_is_refused(folders, tmp_path):
         write_comparison(compare(folders), tmp_path / "a.xlsx")
 
 
+def test_runs_with_different_metrics_are_refused(tmp_path):
+    rewards = {"naive": "dense", "fbrl": "sparse"}
+    runs = [
+        write_run(tmp_path / a, KITCHEN, a, constant(1.0), env_options={"reward_type": r}) for a, r in rewards.items()
+    ]
+    with pytest.raises(
+        ValueError, match=r"naive and fbrl .*on franka_kitchen have different metrics; compare them apart"
+    ):
+        compare(runs)
+
+
 def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     rows = compare(folders)
     assert "| naive, 5 seeds | fbrl, 5 seeds |" in table_text(rows)
