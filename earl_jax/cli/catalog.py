@@ -87,6 +87,13 @@ def learner_options() -> dict[str, Any]:
     return {option: _option(source, option, field, {}) for option, field in source.fields().items()}
 
 
+def largest_int() -> int:
+    """Return `LARGEST_INT` of `earl_jax.options` from its source, because that module imports NumPy."""
+    module = module_of("earl_jax.options")
+    assert module, "the source of the options is part of the package"
+    return module.constant("LARGEST_INT")
+
+
 def _located(locate: Any, name: str) -> tuple[EntryPoint | type | None, str, str]:
     """Return the target of `name`, its package, and the error that it has instead if several packages claim it."""
     try:

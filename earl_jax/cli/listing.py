@@ -8,7 +8,6 @@ from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.errors import InputError
 
 WIDTH = 80
-LARGEST_INT = 2**31 - 1
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
 METHOD_ROW = "{:<12}{:<6}{:<16}{}"
 TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --set reward_type=... takes \
@@ -137,8 +136,10 @@ def _valid_text(valid: list[Any] | str) -> str:
     """Return the valid values in words; an interval up to the largest int32 has no upper end for a user."""
     if isinstance(valid, list):
         return _either(valid)
+    from earl_jax.cli import catalog
+
     low, _, high = valid[1:-1].partition(", ")
-    return f"at least {low}" if high == str(LARGEST_INT) else f"in {valid}"
+    return f"at least {low}" if high == str(catalog.largest_int()) else f"in {valid}"
 
 
 def _either(values: list[Any]) -> str:
