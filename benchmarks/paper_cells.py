@@ -6,17 +6,17 @@ each other at equal steps; both as `earl-jax compare` does. Writes cells.csv, ce
 task that was run, curves.png in its folder, and the tables between comments in docs/results.md and README.md.
 """
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.paper.tasks import METHODS, methods_on, training_steps
-from earl_jax.report.comparison import RULE, compare, pair_row, recent_scores, table_text, with_verdicts
+from earl_jax.report.comparison import RULE, pair_row, published_rows, table_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import published_score
-from earl_jax.report.runs import Curves, MethodRuns, read
+from earl_jax.report.runs import MethodRuns, read, read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
 
 ROOT = Path(__file__).parent / "results" / "paper"
@@ -52,33 +52,30 @@ HEADER = (
 def cells(root: Path = ROOT) -> list[dict[str, Any]]:
     """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
     folders = [root / env / algo for env in PAPER_TASKS for algo in methods_on(env, METHODS)]
-    finished = [folder for folder in folders if (folder / "metrics.csv").exists()]
-    tests = {(row["env"], row["first"]): row for row in compare(finished, against="published")}
-    return [_cell(folder, tests.get((folder.parent.name, folder.name))) for folder in folders]
+    runs = read_methods([folder for folder in folders if (folder / "metrics.csv").exists()])
+    tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs))}
+    measured: dict[tuple[str, str], dict[str, Any]] = {}
+    for run in runs:
+        largest_loss = float(run.curves.metrics["critic_loss"].max())
+        measured[run.env, run.label] = {**tests[run.env, run.label], "largest_critic_loss": largest_loss}
+    return [_cell(folder, measured.get((folder.parent.name, folder.name))) for folder in folders]
 
 
-def _cell(folder: Path, test: dict[str, Any] | None) -> dict[str, Any]:
+def _cell(folder: Path, measured: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the row of the cell of `folder` from what was `measured`, None if it was not run."""
     env, algo = folder.parent.name, folder.name
     score = published_score("table1", env, algo)
     row = dict.fromkeys(("seeds", "steps", "mean", "low", "high", "difference", "difference_low", "difference_high"))
     row |= dict.fromkeys(("p", "p_holm", "detectable", "largest_critic_loss", "commit"))
     names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
-    if not (folder / "metrics.csv").exists():
+    if measured is None:
         return {**names, **row, "verdict": NOT_RUN}
-    curves = read(folder)
-    mean = mean_interval(recent_scores(curves, int(curves.steps[-1])))
-    row |= {
-        "seeds": curves.seeds,
-        "steps": int(curves.steps[-1]),
-        "mean": mean.value,
-        "low": mean.low,
-        "high": mean.high,
-    }
-    row |= {"largest_critic_loss": float(curves.metrics["critic_loss"].max()), "commit": commit_of(folder)[:9]}
-    if env == DHAND or test is None:
+    row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss")}
+    row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": commit_of(folder)[:9]}
+    if env == DHAND:
         return {**names, **row, "verdict": OURS}
-    row |= {name: test[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
-    return {**names, **row, "difference_low": test["low"], "difference_high": test["high"]}
+    row |= {name: measured[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
+    return {**names, **row, "difference_low": measured["low"], "difference_high": measured["high"]}
 
 
 def commit_of(folder: Path) -> str:
@@ -149,12 +146,13 @@ def with_table(page: str, table: str) -> str:
 
 def pairs(root: Path = ROOT) -> list[dict[str, Any]]:
     """Return the comparisons of `PAIRS`."""
-    return with_verdicts([pair_row(_named(root, first), _named(root, second)) for first, second in PAIRS])
+    runs = {name: _named(root, name) for name in dict.fromkeys(itertools.chain(*PAIRS))}
+    return with_verdicts([pair_row(runs[first], runs[second]) for first, second in PAIRS])
 
 
 def _named(root: Path, name: str) -> MethodRuns:
     env, label = name.split("/", 1)
-    curves: Curves = read(root / name)
+    curves = read(root / name)
     return MethodRuns(env, curves.config.algo, label, curves)
 
 

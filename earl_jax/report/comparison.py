@@ -58,7 +58,7 @@ def compare(folders: Sequence[Path], against: Literal["runs", "published"] = "ru
         ValueError: a folder is no run, or there is nothing to compare.
     """
     groups = read_methods(folders)
-    rows = _published_rows(groups) if against == "published" else _pair_rows(groups)
+    rows = published_rows(groups) if against == "published" else _pair_rows(groups)
     if not rows:
         choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
@@ -98,7 +98,8 @@ def pair_row(first: MethodRuns, second: MethodRuns) -> Row:
     return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
 
 
-def _published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
+def published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
+    """Return the comparison of each of `groups` with its published score, if it has one, without an adjusted p."""
     rows = []
     for group in groups:
         score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
