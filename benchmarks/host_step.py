@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.output import save
 from benchmarks.physics import ENVS
 from earl_jax.envs import make
-from earl_jax.physics.engine_choice import usable_cores
+from earl_jax.machine import own_cores
 from earl_jax.physics.engines import c
 from earl_jax.physics.engines.simulations import Simulations, UnboundActuator
 from earl_jax.report.tables import write
@@ -124,7 +124,7 @@ def former_threads(rows: int, threads: int, actuated: bool) -> int:
 
 def variants(host: c.Host, rows: np.ndarray) -> dict[str, Advance]:
     """Return the arrangements for these `rows`, after one call of each."""
-    count, cores, simulator = len(rows), usable_cores(), host.simulator
+    count, cores, simulator = len(rows), len(own_cores()), host.simulator
     chosen = c.WorkerPool(host, cores)._threads(count)
     steps = {
         "rollout": Rollouts(host, count, former_threads(count, cores, bool(simulator.actuator))).advance,
@@ -174,7 +174,7 @@ def measure(name: str, lanes: int, repeats: int, pause: float) -> list[dict[str,
     first = np.array(times["rollout"])
     return [
         {
-            "env": name, "lanes": lanes, "cores": usable_cores(), "variant": variant,
+            "env": name, "lanes": lanes, "cores": len(own_cores()), "variant": variant,
             "ms": round(1e3 * statistics.median(seconds), 4), "fastest_ms": round(1e3 * min(seconds), 4),
             "ratio": round(float(np.median(np.array(seconds) / first)), 3),
             "largest_difference": float(np.abs(steps[variant](rows) - expected).max()),

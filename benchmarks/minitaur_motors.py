@@ -30,7 +30,7 @@ from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.envs.minitaur import motors
 from earl_jax.envs.minitaur.pen import NOMINAL_VISCOSITY, NOMINAL_VOLTS
-from earl_jax.physics.engine_choice import usable_cores
+from earl_jax.machine import own_cores
 from earl_jax.physics.engines import c
 from earl_jax.physics.engines.simulations import STATE, Simulations
 from earl_jax.report.tables import write
@@ -167,7 +167,7 @@ def measure(lanes: int, repeats: int, pause: float) -> list[dict[str, Any]]:
     env = make(NAME, physics="c", randomize=False)
     rows = rows_of(env, lanes)
     host = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size)
-    threads = c.WorkerPool(host, usable_cores())._threads(lanes)
+    threads = c.WorkerPool(host, len(own_cores()))._threads(lanes)
     simulations = host.simulations(lanes, threads)
     dcmotors = Dcmotors(simulations, threads)
     steps: dict[str, Callable] = {"shipped": simulations.advance, "dcmotor": dcmotors.advance}
@@ -178,7 +178,7 @@ def measure(lanes: int, repeats: int, pause: float) -> list[dict[str, Any]]:
     expected, first = steps["shipped"](rows), np.array(times["shipped"])
     return [
         {
-            "lanes": lanes, "cores": usable_cores(), "threads": threads, "variant": variant,
+            "lanes": lanes, "cores": len(own_cores()), "threads": threads, "variant": variant,
             "ms": round(1e3 * statistics.median(seconds), 4), "fastest_ms": round(1e3 * min(seconds), 4),
             "ratio": round(float(np.median(np.array(seconds) / first)), 3),
             "largest_qpos_difference": float(np.abs(steps[variant](rows) - expected)[:, 1:24].max()),

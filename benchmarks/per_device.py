@@ -24,9 +24,10 @@ from typing import Any, NamedTuple
 
 from benchmarks.output import save
 from earl_jax.cli.xla_flags import helpful_flags
+from earl_jax.machine import FRACTION, own_cores
 from earl_jax.report.tables import write
 from earl_jax.sweeps.mps import mps
-from earl_jax.sweeps.slots import FRACTION, Slot, make_slots, own_cores, visible_gpus
+from earl_jax.sweeps.slots import Slot, make_slots, visible_gpus
 
 WORKER = "benchmarks.per_device_worker"
 

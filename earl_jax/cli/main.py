@@ -23,6 +23,7 @@ from earl_jax.cli import (
     xla_flags,
 )
 from earl_jax.errors import is_input_error
+from earl_jax.machine import FRACTION
 from earl_jax.runs.files import RunWarning
 
 COMMANDS = {
@@ -59,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     """
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
     warnings.formatwarning = _format_warning
-    os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.95")
+    os.environ.setdefault(FRACTION, "0.95")
     arguments = sys.argv[1:] if arguments is None else arguments
     given = [argument for argument in arguments if argument != TRACEBACK]
     if given == ["--version"]:

@@ -1,12 +1,12 @@
 """The choice of a run's physics engine: the requested one, or the fastest one by measured costs."""
 
 import importlib.util
-import os
 from typing import NamedTuple
 
 import jax
 
 from earl_jax.errors import InputError
+from earl_jax.machine import own_cores
 
 ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
@@ -28,11 +28,6 @@ class EngineCost(NamedTuple):
     host: float
     device: float | None = None
     warp: float | None = None
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def is_installed(engine: str) -> bool:
@@ -66,7 +61,7 @@ def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
     default = resolve_engine("auto")
     if jax.default_backend() != "gpu" or cost is None:
         return default
-    times = {default: lanes * cost.host / (usable_cores() / jax.local_device_count())}
+    times = {default: lanes * cost.host / (len(own_cores()) / jax.local_device_count())}
     if cost.device is not None:
         times["mjx"] = cost.device * max(1.0, lanes / DEVICE_LANES)
     if cost.warp is not None and lanes <= DEVICE_LANES and is_installed("warp"):

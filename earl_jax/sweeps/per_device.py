@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 from earl_jax.errors import InputError
+from earl_jax.machine import own_cores
 from earl_jax.sweeps.mps import MpsError, mps
 from earl_jax.sweeps.packing_rates import measured_programs
-from earl_jax.sweeps.slots import Slot, make_slots, needed, own_cores, visible_gpus
+from earl_jax.sweeps.slots import Slot, make_slots, needed, visible_gpus
 
 PerDevice = int | Literal["auto"] | None
 MOST = 48

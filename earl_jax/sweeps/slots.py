@@ -2,15 +2,13 @@
 
 import importlib.util
 import math
-import os
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
-PER_DEVICE = "EARL_JAX_PER_DEVICE"
-"""Variable of a worker: the number of programs that share its GPU, or the memory of a machine without one."""
+from earl_jax.machine import FRACTION, PER_DEVICE
+
 SHARED_FRACTION = 0.92
 """The part of a GPU's memory that several programs share; their CUDA contexts and MPS take some of the rest."""
 CUDA_PLUGIN = "xla_cuda*"
@@ -50,13 +48,6 @@ def memory_fraction(environment: Mapping[str, str]) -> float:
         return min(float(environment[FRACTION]), SHARED_FRACTION)
     except (KeyError, ValueError):
         return SHARED_FRACTION
-
-
-def own_cores() -> list[int]:
-    """Return the numbers of the cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 def cuda_plugin() -> Path | None:

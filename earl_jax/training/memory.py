@@ -11,6 +11,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.errors import InputError
+from earl_jax.machine import FRACTION, PER_DEVICE
 from earl_jax.training.demo_rows import demo_rows, list_slots, replay_capacity
 from earl_jax.training.init import init_train_state
 from earl_jax.training.state import Problem, TrainState
@@ -19,9 +20,6 @@ ACTIVATIONS = 16
 """Number of copies of a batch's hidden activations in memory during a gradient step; measured: 11 to 14 (temporary_mb
 of benchmarks/results/speed)."""
 GIGABYTE = 1e9
-FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
-PER_DEVICE = "EARL_JAX_PER_DEVICE"
-"""Variable of a sweep's worker: the number of programs that share its device."""
 
 
 @dataclasses.dataclass(frozen=True)

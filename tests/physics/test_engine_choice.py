@@ -25,10 +25,10 @@ def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monke
     minitaur, door = make("minitaur_pen").engine_cost, make("sawyer_door").engine_cost
     assert fastest_engine(minitaur, 10_000) == "c"
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(engine_choice, "usable_cores", lambda: 16)
+    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(16))
     assert [fastest_engine(minitaur, lanes) for lanes in (50, 400, 600)] == ["c", "c", "mjx"]
     assert fastest_engine(door, 500) == "c"
-    monkeypatch.setattr(engine_choice, "usable_cores", lambda: 4)
+    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(4))
     assert fastest_engine(minitaur, 200) == "mjx"
     assert make("minitaur_pen").for_lanes(200).engine == "mjx"
     assert make("minitaur_pen", walls="floating").for_lanes(200).engine == "mjx"
@@ -38,7 +38,7 @@ def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monke
 def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(monkeypatch):
     door = make("sawyer_door").engine_cost
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(engine_choice, "usable_cores", lambda: 16)
+    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(16))
     monkeypatch.setattr(engine_choice, "is_installed", lambda engine: True)
     assert [fastest_engine(door, lanes) for lanes in (50, 500, 1000)] == ["c", "c", "warp"]
     assert fastest_engine(door, 1001) != "warp", "more lanes can have more contacts than warp has room for"

@@ -5,7 +5,6 @@ import sys
 import pytest
 
 from earl_jax.sweeps import slots
-from earl_jax.training import memory
 
 TWO = ["0", "1"]
 
@@ -90,7 +89,3 @@ def test_a_program_alone_keeps_its_memory_and_one_on_a_cpu_its_platform():
     assert (alone[slots.FRACTION], alone["JAX_PLATFORMS"]) == ("0.95", "cuda")
     on_cpu = slots.Slot(None, (0,), 2).environment({})
     assert on_cpu == {slots.PER_DEVICE: "2"}
-
-
-def test_the_names_of_variables_are_those_of_the_memory_check():
-    assert (slots.FRACTION, slots.PER_DEVICE) == (memory.FRACTION, memory.PER_DEVICE)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.physics.engine_choice import usable_cores
+from earl_jax.machine import own_cores
 from earl_jax.physics.engines.simulations import Simulations
 from earl_jax.physics.host_call import service
 from earl_jax.physics.state import PendingStep, PhysicsState
@@ -82,7 +82,7 @@ class Host:
         with self.lock:
             if stream not in self.worker_pools:
                 streams = [*self.worker_pools, stream]
-                threads = max(1, usable_cores() // len(streams))
+                threads = max(1, len(own_cores()) // len(streams))
                 self.worker_pools = {key: WorkerPool(self, threads) for key in streams}
             worker_pool = self.worker_pools[stream]
         return worker_pool.advance(rows)

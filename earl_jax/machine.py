@@ -1,0 +1,15 @@
+"""What a process may use of its machine: cores, and a share of a device's memory. Imports neither jax nor NumPy."""
+
+import os
+
+FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
+"""Variable of jax: the part of a GPU's memory that this process may take."""
+PER_DEVICE = "EARL_JAX_PER_DEVICE"
+"""Variable of a sweep's worker: the number of programs that share its GPU, or the memory of a machine without one."""
+
+
+def own_cores() -> list[int]:
+    """Return the numbers of the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
