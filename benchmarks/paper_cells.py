@@ -91,20 +91,7 @@ def cells_text(rows: list[dict[str, Any]]) -> str:
 def _line(row: dict[str, Any]) -> list[str]:
     names = [row["env"], row["algo"]]
     if row["seeds"] is None:
-        return [
-            *names,
-            "-",
-            "-",
-            millions(row["of"]),
-            "-",
-            row["published"] or "-",
-            "-",
-            "-",
-            row["verdict"],
-            "-",
-            "-",
-            "-",
-        ]
+        return [*names, *"--", millions(row["of"]), "-", row["published"] or "-", *"--", row["verdict"], *"---"]
     tested = row["p"] is not None and row["p"] == row["p"]
     difference = interval_text(row["difference"], row["difference_low"], row["difference_high"]) if tested else "-"
     numbers = (
@@ -128,10 +115,10 @@ def tested_summary(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         if row["p"] is not None and row["p"] == row["p"]:
             ours, difference = (
-                (row["mean"], row["low"], row["high"]),
-                ("difference", "difference_low", "difference_high"),
+                interval_text(row[name], row[f"{start}low"], row[f"{start}high"])
+                for name, start in (("mean", ""), ("difference", "difference_"))
             )
-            texts = [interval_text(*ours), row["published"], interval_text(*(row[name] for name in difference))]
+            texts = [ours, row["published"], difference]
             lines.append([row["env"], row["algo"], str(row["seeds"]), *texts, f"{row['p_holm']:.2g}"])
     header = ["task", "method", "seeds", "success [95 %]", "published (s.e.)", "difference [95 %]", "adjusted p"]
     return markdown_table(header, lines)

@@ -18,7 +18,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import colours, method_order, new_figure, save, task_title
-from earl_jax.report.tables import markdown_table, write
+from earl_jax.report.tables import markdown_table, seeds_text, write
 
 Row = dict[str, Any]
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
@@ -128,7 +128,7 @@ def _run_note(row: Row) -> str:
     low, high = row["published_steps_low"], row["published_steps_high"]
     published = "-" if low is None else f"{low:,}" if low == high else f"{low:,} to {high:,}"
     shorter = ", shorter than published" if low and row["steps"] < low else ""
-    seeds = f"{row['seeds']} seed{'s' * (row['seeds'] > 1)}{diverged_text(row['diverged'], row['seeds'])}"
+    seeds = f"{seeds_text(row['seeds'])}{diverged_text(row['diverged'], row['seeds'])}"
     steps = f"{row['steps']:,} steps (published {published})"
     return f"- {row['env']}, {row['label']}: {steps}, {seeds}, {row['options']}{shorter}"
 

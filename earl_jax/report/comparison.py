@@ -23,7 +23,7 @@ from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
 from earl_jax.report.published import published_score, published_steps, share_text
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
 from earl_jax.report.style import PICTURES, new_figure, save
-from earl_jax.report.tables import file_table, markdown_table, millions, write
+from earl_jax.report.tables import file_table, markdown_table, millions, seeds_text, write
 
 Row = dict[str, Any]
 TABLES = (".md", ".tex", ".csv")
@@ -165,17 +165,13 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
 def _lines(rows: Sequence[Row]) -> list[list[str]]:
     return [
         [
-            row["env"], f"{row['first']}, {_seeds(row['seeds'])}", f"{row['second']}, {_seeds(row['other_seeds'])}",
+            row["env"], f"{row['first']}, {seeds_text(row['seeds'])}", f"{row['second']}, {seeds_text(row['other_seeds'])}",
             millions(row["steps"]), _interval(row["mean"], row["mean_low"], row["mean_high"]), _number(row["other_mean"]),
             _interval(row["difference"], row["low"], row["high"]), _number(row["p"]), _number(row["p_holm"]),
             row["verdict"], _number(row["detectable"]),
         ]
         for row in rows
     ]  # fmt: skip
-
-
-def _seeds(count: int) -> str:
-    return f"{count} seed{'s' * (count != 1)}"
 
 
 def _number(value: float) -> str:

@@ -10,6 +10,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.runs import Curves, labels, read_all
 from earl_jax.report.style import PICTURES, new_figure, save
+from earl_jax.report.tables import seeds_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
@@ -46,9 +47,8 @@ def _metric(panel: str, curves: Curves) -> str:
 
 def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:
     """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
-    count = f"{len(values)} seed{'s' * (len(values) > 1)}"
     mean, low, high = mean_interval(values)
-    axis.plot(curves.steps, mean, color=colour, label=f"{name}, {count}")
+    axis.plot(curves.steps, mean, color=colour, label=f"{name}, {seeds_text(len(values))}")
     if len(values) > 2:
         axis.fill_between(curves.steps, low, high, color=colour, alpha=0.2, linewidth=0)
     else:

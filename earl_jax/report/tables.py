@@ -171,6 +171,11 @@ def interval_text(value: float, low: float, high: float) -> str:
     return f"{value:.3f}" + ("" if math.isnan(low) else f" [{low:.3f}, {high:.3f}]")
 
 
+def seeds_text(count: int) -> str:
+    """Return a number of seeds in words, such as `1 seed` or `5 seeds`."""
+    return f"{count} seed{'s' * (count != 1)}"
+
+
 def millions(step: float | None) -> str:
     """Return a number of steps in millions, such as `2.50M`, and `-` for None and nan."""
     return "-" if step is None or math.isnan(step) else f"{step / 1e6:.2f}M"
