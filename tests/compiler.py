@@ -18,7 +18,7 @@ loops take a tenth of the rest, because all other simplifications run again afte
 OPTIONS = (LEVEL_0 if IS_X86 else NO_EMITTERS) if IS_JAXLIB_0_10 else LEVEL_1
 """Only jaxlib 0.10 is known to have the options beside the level; an unknown flag ends the process."""
 EQUAL_BITS = {**LEVEL_1, "xla_cpu_use_fusion_emitters": True} if IS_JAXLIB_0_10 and not IS_X86 else {}
-"""For a test that expects equal bits from programs with other numbers of lanes, which `LEVEL_0` gives and `NO_EMITTERS` may not."""
+"""For a test that expects equal bits from programs of different numbers of lanes: `NO_EMITTERS` may give others."""
 
 
 def xla_flags(inherited: str) -> str:
