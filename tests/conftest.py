@@ -52,7 +52,7 @@ def pytest_configure(config):
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also for the other workers
 
 
 def pytest_collection_modifyitems(items):

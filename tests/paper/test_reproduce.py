@@ -50,8 +50,14 @@ def _shared_programs(monkeypatch):
 
 
 @pytest.fixture
-def in_process(monkeypatch):
-    """Plan and train in this process; the test of figure 2 starts the launcher's own, which take seconds to import."""
+def planner_in_process(monkeypatch):
+    """Plan in this process; tests/sweeps/test_launcher.py starts the planner's own, which takes seconds to import."""
+    monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None: plan(path, out.resolve(), lanes))
+
+
+@pytest.fixture
+def in_process(planner_in_process, monkeypatch):
+    """Plan and train in this process; the test of figure 2 starts the worker's own."""
 
     def train(task, *_):
         events = []
@@ -64,7 +70,6 @@ def in_process(monkeypatch):
         )
         return events
 
-    monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None: plan(path, out.resolve(), lanes))
     monkeypatch.setattr(launcher, "worker_events", train)
 
 
@@ -79,8 +84,7 @@ def planned_runs(name, scale, tmp_path, envs=None, **options):
 @pytest.mark.parametrize("name", FILES)
 def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, request):
     """In this order: the runs of the first table serve all but figure 2 and the trade-off."""
-    if name != "figure2":
-        request.getfixturevalue("in_process")
+    request.getfixturevalue("planner_in_process" if name == "figure2" else "in_process")
     main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
     output = capsys.readouterr().out
     trains = name in ("table1", "figure2", "tradeoff")
