@@ -31,13 +31,13 @@ RUN_STEPS = 120
 """The length of the tiny runs, which is part of the shapes of their programs: one length, one program a method."""
 TINY_RUN = {"seeds": 2, "steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2}
 LONGEST = [
-    "physics/test_engines.py", "paper/test_reproduce.py", "training/test_loop.py", "training/test_mjx.py",
-    "sweeps/test_launcher.py", "training/test_api.py", "cli/test_cli.py", "training/test_dense_tasks.py",
-    "algos/learner/test_sac.py", "training/test_resume.py", "sweeps/test_worker.py", "training/test_devices.py",
-    "algos/test_mixed.py", "training/test_lifetime.py", "training/test_program_cache.py", "adapters/test_gymnasium.py",
+    "physics/test_engines.py", "training/test_loop.py", "training/test_api.py", "paper/test_reproduce.py",
+    "training/test_mjx.py", "cli/test_cli.py", "training/test_dense_tasks.py", "algos/learner/test_sac.py",
+    "training/test_resume.py", "sweeps/test_worker.py", "training/test_devices.py", "training/test_program_cache.py",
+    "training/test_lifetime.py", "sweeps/test_launcher.py", "algos/test_mixed.py", "adapters/test_gymnasium.py",
     "runs/test_checkpoint.py", "training/test_faults.py",
 ]  # fmt: skip
-"""The files that take longest, relative to this folder."""
+"""The files that take longest, relative to this folder; those that compile programs of others stand before them."""
 CHUNK = 20
 """Steps of the programs that tests share; VaPRL refreshes as often."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
@@ -52,7 +52,7 @@ def pytest_configure(config):
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also for the other workers
 
 
 def pytest_collection_modifyitems(items):

@@ -59,9 +59,9 @@ class Scale:
         return max(1, wanted // eval_every) * eval_every
 
 
-SMALL = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 100}
+SMALL = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 20}
 SCALES = {
-    "smoke": Scale(seeds=2, steps=200, eval_every=100, eval_episodes=2, tasks=1, blocks=1, options=SMALL),
+    "smoke": Scale(seeds=2, steps=120, eval_every=40, eval_episodes=2, tasks=1, blocks=1, options=SMALL),
     "short": Scale(seeds=3, share=0.1),
     "full": Scale(seeds=5),
 }

@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax.algos.method import TASK, Method
 from earl_jax.algos.mixed import MixedMethod, mix_methods, program_signature
-from tests.compiler import DEFAULT_CODEGEN
+from tests.compiler import EQUAL_BITS
 from tests.conftest import assert_equal_trees, make_train_state, run_whole, take_lane, tiny_method
 
 
@@ -45,8 +45,7 @@ def test_each_lane_trains_as_if_its_method_were_alone(env, problem):
 
     def train_lanes(method, seeds):
         start = make_train_state(problem, method, seeds, steps=60)
-        explored = run_whole(problem, method, start, 20, explore=True, compiler_options=DEFAULT_CODEGEN)
-        return run_whole(problem, method, explored, 40, compiler_options=DEFAULT_CODEGEN)
+        return run_whole(problem, method, start, 60, compiler_options=EQUAL_BITS)
 
     state = train_lanes(mixed, [0, 1] * 3)
     for number, method in list(enumerate(methods))[1:]:

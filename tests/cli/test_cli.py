@@ -3,7 +3,9 @@
 import json
 import shutil
 import signal
+import sys
 import time
+import warnings
 
 import pytest
 
@@ -128,10 +130,16 @@ def test_damaged_checkpoints_end_with_a_one_line_error_and_stay_unchanged(finish
         assert snapshot(folder) == before
 
 
-def test_resume_uses_the_previous_checkpoint_if_the_newest_is_damaged(finished, tmp_path):
+def show_warning(message, category, *location):
+    """Write a warning to stderr, as Python does and pytest does not."""
+    sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
+
+
+def test_resume_uses_the_previous_checkpoint_if_the_newest_is_damaged(finished, tmp_path, monkeypatch):
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
     truncate_largest_file(folder / "checkpoints/000000400")
-    code, _, err = run_process("resume", folder, python=COMMAND)
+    monkeypatch.setattr(warnings, "showwarning", show_warning)
+    code, _, err = run("resume", folder)
     assert code == 0, err
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
     assert "000000400 is damaged" in err

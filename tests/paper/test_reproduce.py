@@ -1,6 +1,7 @@
 """Every table and figure by one command, end to end at the smallest scale, and the runs that the larger scales plan."""
 
 import shutil
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from earl_jax.cli.main import main
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import reproduce, tasks
 from earl_jax.runs.config import RunConfig
-from earl_jax.sweeps import grid, launcher
+from earl_jax.sweeps import grid, launcher, worker
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.planner import plan
 from tests.child import COMMAND
@@ -50,8 +51,26 @@ def _shared_programs(monkeypatch):
 
 @pytest.fixture
 def planner_in_process(monkeypatch):
-    """Plan in this process; the test of table 1 starts the planner's own, which takes seconds to import."""
+    """Plan in this process; tests/sweeps/test_launcher.py starts the planner's own, which takes seconds to import."""
     monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None: plan(path, out.resolve(), lanes))
+
+
+@pytest.fixture
+def in_process(planner_in_process, monkeypatch):
+    """Plan and train in this process; the test of figure 2 starts the worker's own."""
+
+    def train(task, *_):
+        events = []
+        configs = {name: worker.parse_config(config) for name, config in task["runs"].items()}
+        worker.work(
+            Path(task["out"]),
+            configs,
+            lambda name, state, **details: events.append({"run": name, "state": state, **details}),
+            progress=False,
+        )
+        return events
+
+    monkeypatch.setattr(launcher, "worker_events", train)
 
 
 def planned_runs(name, scale, tmp_path, envs=None, **options):
@@ -65,8 +84,7 @@ def planned_runs(name, scale, tmp_path, envs=None, **options):
 @pytest.mark.parametrize("name", FILES)
 def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, request):
     """In this order: the runs of the first table serve all but figure 2 and the trade-off."""
-    if name != "table1":
-        request.getfixturevalue("planner_in_process")
+    request.getfixturevalue("planner_in_process" if name == "figure2" else "in_process")
     main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
     output = capsys.readouterr().out
     trains = name in ("table1", "figure2", "tradeoff")
@@ -78,7 +96,7 @@ def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, re
     assert len(read_csv(folder / name / f"{name}.csv")) >= 2
 
 
-@pytest.mark.usefixtures("planner_in_process")
+@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("name", ["figure4", "figure5"])
 def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
     """After the test above, which trains the runs."""
@@ -188,7 +206,7 @@ def test_the_number_of_programs_on_a_gpu_reaches_the_sweep(tmp_path, monkeypatch
     assert given["per_device"] == "auto"
 
 
-@pytest.mark.usefixtures("planner_in_process")
+@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

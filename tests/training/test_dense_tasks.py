@@ -1,4 +1,4 @@
-"""The three tasks with dense rewards, trained with every method that applies to them."""
+"""The three tasks with dense rewards, and every method that applies to them."""
 
 import itertools
 
@@ -13,10 +13,13 @@ from earl_jax.training.scan import run_steps
 from tests.conftest import assert_all_finite, make_problem, make_train_state, tiny_method
 
 TASKS = ("dhand_lightbulb", "franka_kitchen", "minitaur_pen")
-PAIRS = [(task, algo) for task in TASKS for algo in ("fbrl", "r3l")] + [
+PAIRS = [
+    *((task, "fbrl") for task in TASKS),
     ("minitaur_pen", "naive"),
+    ("minitaur_pen", "r3l"),
     ("franka_kitchen", "oracle"),
 ]
+"""A return to the start is the only phase whose reward the task computes; the other methods learn from the stored one."""
 EVAL_HORIZON = 6
 
 

@@ -24,7 +24,7 @@ from earl_jax.training import devices, runner
 from tests import threefry
 threefry.install()
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16], batch_size=16, random_steps=20)
 """
 COMPARE = """
