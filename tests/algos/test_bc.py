@@ -105,7 +105,7 @@ def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(proble
 
 def test_bc_needs_demonstrations():
     env = make("minitaur_pen")
-    with pytest.raises(InputError, match="bc needs demonstrations, and minitaur_pen has none"):
+    with pytest.raises(InputError, match="bc needs demonstrations to clone, and minitaur_pen has none"):
         prepare(make_problem(env, eval_every=40), tiny_method("bc"), 2, 120)
 
 
