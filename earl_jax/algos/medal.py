@@ -137,7 +137,8 @@ class MEDAL(Method):
         positive = demonstrated[jax.random.randint(row_key, (HALF_BATCH,), 0, len(demonstrated))]
         negative = jnp.concatenate([own.state, jnp.asarray(goals.table)[own.flags.goal]], axis=-1)
         updated = self.classify(mix_key, method_state, positive, negative)
-        return jax.tree.map(lambda new, old: jnp.where(own.demonstrated[0], old, new), updated, method_state)
+        none_yet = own.demonstrated[0]
+        return jax.tree.map(lambda new, old: jnp.where(none_yet, old, new), updated, method_state)
 
     def classify(
         self, key: jax.Array, method_state: Classifier, positive: jax.Array, negative: jax.Array
