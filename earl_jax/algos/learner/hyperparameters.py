@@ -1,4 +1,4 @@
-"""The hyper-parameters of the learner.
+"""The hyper-parameters of the learner: the shared ones of Sharma et al. 2022, appendix, and options beyond them.
 
 Defaults that the paper does not give follow the authors' released TF-Agents code; each field names its source.
 """

@@ -1,7 +1,7 @@
 """Soft actor-critic, the learner of all methods: a gradient step on the critics, the actor and the temperature.
 
-Source: Haarnoja et al. 2018 (arXiv 1812.05905), with the shared hyper-parameters of Sharma et al. 2022, appendix.
-Defaults that the paper does not give follow the authors' released TF-Agents code; each field names its source.
+Source: Haarnoja et al. 2018 (arXiv 1812.05905). The options of ensembles and of several critic updates a step are those
+of Chen et al. 2021 (REDQ) and Ball et al. 2023 (RLPD). `hyperparameters` names the source of each value.
 """
 
 import functools
