@@ -86,7 +86,7 @@ class AsIf(Method):
         back = phase == RETURN
         return GoalIndices(goal=jnp.where(back, home, task), task=jnp.where(back, current.task, task))
 
-    def relabel(self, key, env, goals, batch):
+    def relabel(self, key, env, goals, batch, phase):
         """Return the sampled transitions `batch [B]`, a share of them under another goal."""
         share_key, goal_key = jax.random.split(key)
         other = jax.random.randint(goal_key, batch.reward.shape, 0, len(goals.table))

@@ -42,7 +42,7 @@ CHUNK = 20
 """Steps of the programs that tests share; VaPRL refreshes as often."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 """The methods of the paper."""
-LATER_ALGOS = ["bc", "risc"]
+LATER_ALGOS = ["bc", "medal", "risc", "rlpd"]
 """Methods that the paper does not have, which have files of tests of their own."""
 
 

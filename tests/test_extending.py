@@ -130,7 +130,7 @@ def test_a_sum_of_rewards_over_subsets_is_the_reward_of_the_subset_of_each_state
     none = np.zeros(5, bool)
     flags = TransitionFlags(stored, none, none, np.array([0, 0, 0, 0, 1], bool), none)
     batch = TransitionBatch(np.arange(5), states, np.zeros((5, 2)), following, np.full(5, 7.0), flags)
-    learnt = subsets.Subsets().relabel(jax.random.key(0), env, goals, batch)
+    learnt = subsets.Subsets().relabel(jax.random.key(0), env, goals, batch, 0)
     goal = np.asarray(learnt.flags.goal)
     assert goal[[0, 2, 3, 4]].tolist() == [0, 2, 2, 1]
     assert goal[1] in (0, 1)

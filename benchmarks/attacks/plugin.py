@@ -76,9 +76,9 @@ class Bonus(Naive):
 
     name = "bonus"
 
-    def reward(self, batch, phase, method_state):
+    def reward(self, env, goals, batch, phase, method_state):
         """Return the reward with the bonus."""
-        return super().reward(batch, phase, method_state) + self.bonus
+        return super().reward(env, goals, batch, phase, method_state) + self.bonus
 
 
 def install(task: type | None = None, method: type | None = None) -> None:

@@ -27,10 +27,12 @@ _ALGOS = Registry(
     {
         "bc": "earl_jax.algos.bc:BC",
         "fbrl": "earl_jax.algos.fbrl:FBRL",
+        "medal": "earl_jax.algos.medal:MEDAL",
         "naive": "earl_jax.algos.naive:Naive",
         "oracle": "earl_jax.algos.oracle:Oracle",
         "r3l": "earl_jax.algos.r3l:R3L",
         "risc": "earl_jax.algos.risc:RISC",
+        "rlpd": "earl_jax.algos.rlpd:RLPD",
         "vaprl": "earl_jax.algos.vaprl:VaPRL",
     },
 )

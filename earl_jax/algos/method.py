@@ -1,6 +1,7 @@
 """The base class of methods: a few pure functions that the training loop calls. The defaults are naive RL's."""
 
-from typing import Any, ClassVar
+import inspect
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,15 +10,26 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.cloning import Demonstrations
+from earl_jax.algos.learner.cloning import Demonstrations, cloning_term, pretrained
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
 RENAMED_HOOKS = {"init_extra": "init_state", "learn_extra": "update_state"}
 """Former and current names of hooks; a subclass that defines a former one is refused."""
+EXTENDED_HOOKS = ("relabel", "reward", "terminal", "update_state", "refresh")
+"""Hooks that had fewer parameters; a subclass that defines one with another number is refused."""
+
+
+class DemoList(NamedTuple):
+    """A `direction` of demonstrations in the replay's list of a `controller`, in which each is `copies` times."""
+
+    direction: str
+    controller: int
+    copies: int = 1
 
 
 class Method(struct.PyTreeNode):
@@ -30,6 +42,7 @@ class Method(struct.PyTreeNode):
     """Number of separate actor-critics, one for each phase, each with its own part of the replay."""
     phases: ClassVar[int] = 1
     critics: ClassVar[int] = sac_lib.SOFT_CRITICS
+    """2, and 2 for each further pair of critics without entropy term, which follow `SAC.ensemble` in the stack."""
     resets: ClassVar[bool] = False
     """Whether the end of a phase also resets the environment; only the oracle does this."""
     needs_demos: ClassVar[bool] = False
@@ -38,16 +51,27 @@ class Method(struct.PyTreeNode):
     ones."""
     refresh_every: ClassVar[int] = 0
     """Steps between calls of `refresh`; 0 for never."""
+    own_rows: ClassVar[int] = 0
+    """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
         for name in RENAMED_HOOKS.keys() & vars(cls).keys():
             raise TypeError(f"{cls.__name__}.{name} is called {RENAMED_HOOKS[name]} now; rename it")
+        for name in vars(cls).keys() & set(EXTENDED_HOOKS):
+            _require_parameters(cls, name)
 
     def directions(self, env: Env) -> tuple[str, ...]:
         """Return the directions of the demonstrations in the initial replay on `env`, by default `demo_directions`."""
         del env
         return tuple(self.demo_directions)
+
+    def demo_lists(self, env: Env) -> tuple[DemoList, ...]:
+        """Return who samples which of the `directions` on `env`; by default controller i has the i-th, the last the rest."""
+        return tuple(
+            DemoList(direction, min(number, self.controllers - 1))
+            for number, direction in enumerate(self.directions(env))
+        )
 
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         """Return the number of times [T] that the replay lists each demonstrated transition.
@@ -99,21 +123,27 @@ class Method(struct.PyTreeNode):
         task = goals.draw_task(key)
         return GoalIndices(goal=task, task=task)
 
-    def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
-        """Return the sampled transitions of one lane, `batch [B]`, with the goals to learn from."""
-        del key, env, goals
+    def relabel(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    ) -> TransitionBatch:
+        """Return the sampled transitions of one lane, `batch [B]`, with the goals to learn from.
+
+        The controller that learns acted in `phase`. Rows that stay `demonstrated` are cloned with `SAC.cloning`.
+        """
+        del key, env, goals, phase
         return batch
 
-    def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
+    def reward(self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
         """Return the rewards [B] of sampled transitions, by default the task's."""
-        del phase, method_state
+        del env, goals, phase, method_state
         return batch.reward
 
-    def terminal(self, batch: TransitionBatch) -> jax.Array:
+    def terminal(self, batch: TransitionBatch, phase: jax.Array) -> jax.Array:
         """Return the transitions, bool [B], whose TD target does not bootstrap.
 
         These are successes, the end of a lifetime and, without `SAC.timeout_bootstrap`, time-outs.
         """
+        del phase
         return (
             batch.flags.reached
             | batch.flags.absorbed
@@ -125,24 +155,67 @@ class Method(struct.PyTreeNode):
         del key, env, goals
         return ()
 
-    def update_state(self, method_state: Any, batch: TransitionBatch, phase: jax.Array) -> Any:
+    def update_state(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any
+    ) -> Any:
         """Return `method_state` after an update on the batch that the active controller has just learnt from."""
-        del batch, phase
+        del key, env, goals, batch, phase
         return method_state
 
+    def own_metrics(self, method_state: Any) -> dict[str, jax.Array]:
+        """Return scalars [] of the method itself by name, columns `METHOD/NAME` of metrics.csv; none by default."""
+        del method_state
+        return {}
+
     def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
-        """Return `agent` (leading controller axis) before the first step; `demos` is None if there are none."""
-        del key, env, demos
-        return agent
+        """Return `agent` (leading controller axis) before the first step, cloned in `SAC.pretrain_steps`.
+
+        `demos` is None if there are none.
+
+        Raises:
+            ValueError: there are demonstrations to clone, and the task has none.
+        """
+        if not self.sac.pretrain_steps:
+            return agent
+        if demos is None:
+            raise InputError(
+                f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
+            )
+        return pretrained(key, self.sac, agent, demos)
 
     def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
         """Return the acting controller after learning from `batch`, and `sac.DIAGNOSTICS`; by default a SAC update."""
-        return sac_lib.update(self.sac, agent, batch, key)
+        return sac_lib.update(self.sac, agent, batch, key, self.actor_term)
 
-    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any) -> Any:
-        """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps."""
-        del key, env, goals, agent
+    def actor_term(self, parameters: jax.Array, batch: sac_lib.Batch) -> jax.Array | None:
+        """Return a term [] to add to the actor's loss, or None; by default `cloning_term`.
+
+        `parameters [B, 2a]` are those of the policy at `batch.obs`: means before the tanh, then log standard deviations
+        before clipping. They are differentiated.
+        """
+        return cloning_term(self.sac, parameters, batch)
+
+    def refresh(
+        self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any, own: TransitionBatch | None
+    ) -> Any:
+        """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps.
+
+        `own [own_rows]` are transitions of the last controller's own, `demonstrated` where it has none yet; None if
+        `own_rows` is 0.
+        """
+        del key, env, goals, agent, own
         return method_state
+
+
+def _require_parameters(cls: type, name: str) -> None:
+    """Raise a TypeError if the hook `name` of `cls` takes another number of arguments than that of `Method`."""
+    required = inspect.signature(getattr(Method, name)).parameters
+    actual = inspect.signature(vars(cls)[name]).parameters
+    if len(actual) != len(required) and all(p.kind is not p.VAR_POSITIONAL for p in actual.values()):
+        raise TypeError(
+            f"{cls.__name__}.{name}({', '.join(actual)}) has the parameters of an earlier version; the hook is "
+            f"{name}({', '.join(required)}) now"
+        )
 
 
 def __getattr__(name: str) -> Any:

@@ -10,9 +10,15 @@ import numpy as np
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import Agent
-from earl_jax.algos.method import Method
+from earl_jax.algos.method import DemoList, Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
+
+UNSHARED_HOOKS = (
+    *("init_state", "update_state", "refresh", "own_metrics"),
+    *("pretrain", "update_agent", "actor_term", "directions", "demo_lists"),
+)
+"""Hooks of a `method_state`, a learner or demonstrations of a method's own."""
 
 
 class MixedMethod(Method):
@@ -62,6 +68,9 @@ class MixedMethod(Method):
     def directions(self, env: Env) -> tuple[str, ...]:
         return self.members[0].directions(env)
 
+    def demo_lists(self, env: Env) -> tuple[DemoList, ...]:
+        return self.members[0].demo_lists(env)
+
     def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
         return self.members[0].demo_copies(steps_left)
 
@@ -91,25 +100,26 @@ class MixedMethod(Method):
     ) -> GoalIndices:
         return self._select(lambda member: member.next_goal(key, goals, phase, current, method_state))
 
-    def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
-        return self._select(lambda member: member.relabel(key, env, goals, batch))
+    def relabel(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    ) -> TransitionBatch:
+        return self._select(lambda member: member.relabel(key, env, goals, batch, phase))
 
-    def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
-        return self._select(lambda member: member.reward(batch, phase, method_state))
+    def reward(self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
+        return self._select(lambda member: member.reward(env, goals, batch, phase, method_state))
 
-    def terminal(self, batch: TransitionBatch) -> jax.Array:
-        return self._select(lambda member: member.terminal(batch))
+    def terminal(self, batch: TransitionBatch, phase: jax.Array) -> jax.Array:
+        return self._select(lambda member: member.terminal(batch, phase))
 
 
 def program_signature(method: Method) -> Hashable:
     """Return the properties of `method` that all methods of one program must share.
 
-    Float hyper-parameters may differ. A method with a `method_state`, a pretraining, an update or directions of
-    demonstrations of its own can share a program with its own class only.
+    Float hyper-parameters may differ. A method that defines one of `UNSHARED_HOOKS` can share a program with its own
+    class only.
     """
     method_class = type(method)
-    own_hooks = ("init_state", "update_state", "refresh", "pretrain", "update_agent", "directions")
-    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in own_hooks):
+    if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in UNSHARED_HOOKS):
         return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
     return jax.tree.structure(method.sac), shapes, method_class.demo_copies

@@ -65,7 +65,7 @@ class R3L(Method):
         target, predictor = [_NETWORK.init(network_key, example) for network_key in jax.random.split(key)]
         return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
 
-    def reward(self, batch: TransitionBatch, phase: jax.Array, method_state: RND) -> jax.Array:
+    def reward(self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: RND) -> jax.Array:
         novelty = jnp.clip(
             method_state.error(method_state.predictor, batch.state, self.sac.precision) / method_state.sigma,
             0.0,
@@ -73,7 +73,9 @@ class R3L(Method):
         )
         return jnp.where(phase == RETURN, novelty, batch.reward)
 
-    def update_state(self, method_state: RND, batch: TransitionBatch, phase: jax.Array) -> RND:
+    def update_state(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: RND
+    ) -> RND:
         def loss(predictor):
             errors = method_state.error(predictor, batch.state, self.sac.precision)
             return errors.mean(), errors

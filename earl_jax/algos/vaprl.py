@@ -74,9 +74,17 @@ class VaPRL(Method):
         solvable = values >= self.epsilon
         return jnp.where(solvable.any(), jnp.argmin(jnp.where(solvable, distance, jnp.inf)), jnp.argmax(values))
 
-    def refresh(self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Curriculum) -> Curriculum:
+    def refresh(
+        self,
+        key: jax.Array,
+        env: Env,
+        goals: Goals,
+        agent: Agent,
+        method_state: Curriculum,
+        own: TransitionBatch | None,
+    ) -> Curriculum:
         agent = jax.tree.map(lambda leaf: leaf[0], agent)
-        value_pair = jax.tree.map(lambda leaf: leaf[sac_lib.SOFT_CRITICS :], agent.critics)
+        value_pair = jax.tree.map(lambda leaf: leaf[self.sac.ensemble :], agent.critics)
         tasks, count = goals.table[: goals.tasks], len(goals.candidates)
         obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
 
@@ -91,7 +99,9 @@ class VaPRL(Method):
         """Return the copies [T] of demonstrated transitions: one for every N + 1 later states of the demonstration."""
         return np.maximum(1, np.rint(steps_left * DEMO_SHARE).astype(int))
 
-    def relabel(self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch) -> TransitionBatch:
+    def relabel(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    ) -> TransitionBatch:
         """Return `batch` with another goal for `relabel_share` of its transitions.
 
         A demonstrated transition gets a later state of its demonstration, another one any goal of the table. A

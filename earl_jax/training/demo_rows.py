@@ -17,8 +17,8 @@ from earl_jax.training.state import Problem
 class DemoRows(NamedTuple):
     """Demonstrations in the layout of replay rows.
 
-    `states [R, s]`. The other fields belong to T transitions: their `rows [T]`, `actions [T, a]`, `goals [T]`,
-    `controllers [T]` and `copies [T]` in the replay's lists.
+    `states [R, s]`. The other fields belong to T listed transitions: their `rows [T]`, `actions [T, a]`, `goals [T]`,
+    `controllers [T]` and `copies [T]` in the replay's lists. A row that two controllers list is there twice.
     """
 
     states: np.ndarray
@@ -49,16 +49,20 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
             f"{method.name} needs demonstrated states that can be goals, but a state of {problem.env.name} has "
             f"{problem.env.state_size} numbers and a goal has {problem.env.goal_size}"
         )
-    parts, first = [], 0
-    for number, direction in enumerate(method.directions(problem.env)):
+    parts, all_states, first = [], [], 0
+    lists = method.demo_lists(problem.env)
+    for direction in method.directions(problem.env):
         demos = problem.env.demos(direction)
         states, last = trajectories(demos)
         rows = np.flatnonzero(np.arange(len(states)) < last)
-        controllers = np.full(len(rows), min(number, method.controllers - 1))
         goals, copies = _goal_indices(problem, demos.goals), method.demo_copies(last[rows] - rows)
-        parts.append(DemoRows(states, first + rows, demos.actions, goals, controllers, copies))
+        for own in (entry for entry in lists if entry.direction == direction):
+            controllers = np.full(len(rows), own.controller)
+            parts.append((first + rows, demos.actions, goals, controllers, own.copies * copies))
+        all_states.append(states)
         first += len(states)
-    return DemoRows(*[np.concatenate(field) for field in zip(*parts, strict=True)])
+    fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
+    return DemoRows(np.concatenate(all_states), *fields)
 
 
 def demonstrations(problem: Problem, method: Method) -> Demonstrations | None:

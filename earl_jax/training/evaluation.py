@@ -32,7 +32,9 @@ def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple
         state.lanes
     )
     diverged = jax.vmap(has_diverged)(state.lanes)
+    own = jax.vmap(lambda m, lane: m.own_metrics(lane.method_state))(method, state.lanes)
     metrics = {**deployed_metrics, **continuing_metrics, **counters.diagnostics, DIVERGED: diverged.astype(jnp.int32)}
+    metrics |= {f"{method.name}/{name}": values for name, values in own.items()}
     return state.replace(lanes=state.lanes.replace(counters=counters)), metrics
 
 

@@ -6,6 +6,7 @@ stored before it, so that the host can simulate while the accelerator learns. Th
 to a prefetched dataset.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -47,7 +48,8 @@ def train_step(
             pending = pending._replace(ticket=ticket)
         if batch is None:
             state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
-        updated = jax.vmap(lambda *lane: update(problem, *lane))(method, lanes, keys, batch, lanes.phase)
+        update_lane = functools.partial(update, problem, first_row=state.replay.first_row, step=state.step)
+        updated = jax.vmap(update_lane)(method, lanes, keys, batch, lanes.phase)
         updated = _unless_ended(lanes, updated) if problem.env.ends else updated
         lanes = updated if explore is False else _unless_exploring(explore, lanes, updated)
         if pending.ticket is not None:  # the device learns before it waits for the host
@@ -62,9 +64,22 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     controller = controller_of(method, state.lanes.phase)
     demo_share = jnp.asarray(method.sac.demo_share)
-    batch = replay_lib.sample(state.replay, keys, controller, method.sac.batch_size, demo_share)
+    size = method.sac.batch_size * method.sac.utd
+    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share)
+    return _read_before_write(state, batch)
+
+
+def sample_own(method: Method, state: TrainState) -> tuple[TrainState, TransitionBatch]:
+    """Return the state and `own_rows` transitions of each lane's last controller, its own, for `refresh`."""
+    keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
+    batch = replay_lib.sample_own(state.replay, keys, method.controllers - 1, method.own_rows)
+    return _read_before_write(state, batch)
+
+
+def _read_before_write(state: TrainState, batch: TransitionBatch) -> tuple[TrainState, TransitionBatch]:
+    """Return the state that the next write can use once `batch` is read; else XLA copies the whole buffer before it."""
     batch = jax.lax.optimization_barrier(batch)
-    row = after(state.replay.row, batch)  # otherwise XLA copies the whole buffer before the next write
+    row = after(state.replay.row, batch)
     return state.replace(replay=state.replay.replace(row=row)), batch
 
 
@@ -201,26 +216,40 @@ def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Arr
 
 @jax.named_scope("update")
 def update(
-    problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, phase: jax.Array
+    problem: Problem,
+    method: Method,
+    lane: LaneState,
+    keys: StepKeys,
+    sampled: TransitionBatch,
+    phase: jax.Array,
+    first_row: jax.Array,
+    step: jax.Array,
 ) -> LaneState:
-    """Return the lane after an update of the controller that acted in `phase`, on `sampled` transitions [B]."""
-    table = jnp.asarray(problem.goals.table)
-    sampled = method.relabel(keys.relabel, problem.env, problem.goals, sampled)
+    """Return the lane after an update of the controller that acted in `phase`, on `sampled` transitions [B].
+
+    Demonstrations are the rows before `first_row []`; `step []` counts from 0.
+    """
+    env, goals, table = problem.env, problem.goals, jnp.asarray(problem.goals.table)
+    sampled = sampled._replace(demonstrated=sampled.row < first_row)
+    sampled = method.relabel(keys.relabel, env, goals, sampled, phase)
     goal = table[sampled.flags.goal]
     batch = sac.Batch(
         obs=jnp.concatenate([sampled.state, goal], axis=-1),
         action=sampled.action,
-        reward=method.reward(sampled, phase, lane.method_state),
-        terminal=method.terminal(sampled),
+        reward=method.reward(env, goals, sampled, phase, lane.method_state),
+        terminal=method.terminal(sampled, phase),
         next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
+        demonstrated=sampled.demonstrated,
+        step=step,
     )
     controller = controller_of(method, phase)
     agent, diagnostics = method.update_agent(keys.update, _controller(lane.agent, controller), batch)
     if method.controllers > 1:  # else XLA writes both controllers to new arrays, and copies them back
         agent = jax.lax.optimization_barrier(agent)
+    state_key = jax.random.fold_in(keys.update, 2)
     return lane.replace(
         agent=_with_controller(lane.agent, agent, controller),
-        method_state=method.update_state(lane.method_state, sampled, phase),
+        method_state=method.update_state(state_key, env, goals, sampled, phase, lane.method_state),
         counters=lane.counters.replace(diagnostics=diagnostics),
     )
 

@@ -10,6 +10,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner.sac import critic_count
 from earl_jax.errors import InputError
 from earl_jax.machine import FRACTION, PER_DEVICE
 from earl_jax.training.demo_rows import demo_rows, list_slots, replay_capacity
@@ -63,7 +64,7 @@ def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
     shape = jax.eval_shape(
         lambda key: init_train_state(problem, _single(method), key[None], capacity), jax.random.key(0)
     )
-    networks = (1 + method.critics) * sum(sac.hidden_sizes)
+    networks = (1 + critic_count(sac, method.critics)) * sum(sac.hidden_sizes)
     return Need(
         lanes,
         replay=replay_bytes(problem, method, steps),

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from earl_jax.algos.method import Method
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
-from earl_jax.training.loop import sample, train_step
+from earl_jax.training.loop import sample, sample_own, train_step
 from earl_jax.training.state import Explore, Problem, TrainState, step_keys
 
 
@@ -67,10 +67,12 @@ def _draws_ahead(problem: Problem, state: TrainState) -> bool:
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
-    """Return the lanes with their method's state refreshed from the agent."""
+    """Return the lanes with their method's state refreshed from the agent and rows of its own."""
+    state, own = sample_own(method, state) if method.own_rows else (state, None)
 
-    def refresh_lane(m, lane):
+    def refresh_lane(m, lane, rows):
         key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
-        return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state)
+        return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state, rows)
 
-    return state.replace(lanes=state.lanes.replace(method_state=jax.vmap(refresh_lane)(method, state.lanes)))
+    refreshed = jax.vmap(refresh_lane)(method, state.lanes, own)
+    return state.replace(lanes=state.lanes.replace(method_state=refreshed))

@@ -93,6 +93,19 @@ def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program
     assert errors[0] < 0.8 * errors[1]
 
 
+def test_any_method_can_clone_first_and_has_the_actor_of_bc(problem):
+    options = {"random_steps": 0, "pretrain_log_std": -20.0, **CLONED}
+    cloned = make_train_state(problem, tiny_method("bc", **options), [0, 1])
+    for algo in ("risc", "vaprl"):
+        actor = make_train_state(problem, tiny_method(algo, **options), [0, 1]).lanes.agent.actor
+        assert_equal_trees(actor, cloned.lanes.agent.actor, rtol=1e-4, atol=1e-5)
+    noisy = make_train_state(problem, tiny_method("risc", **{**options, "pretrain_log_std": None}), [0, 1])
+    kernels = [state.lanes.agent.actor["params"]["hidden_1"]["kernel"][..., 3:] for state in (noisy, cloned)]
+    assert [bool(kernel.any()) for kernel in kernels] == [True, False]
+    with pytest.raises(InputError, match="naive needs demonstrations to clone, and minitaur_pen has none"):
+        prepare(make_problem(make("minitaur_pen"), eval_every=40), tiny_method("naive", pretrain_steps=5), 2, 120)
+
+
 def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(problem, monkeypatch):
     both = demonstrations(problem, tiny_method("bc"))
     monkeypatch.setattr(type(problem.env), "demo_directions", property(lambda self: ("forward",)))
@@ -105,7 +118,7 @@ def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(proble
 
 def test_bc_needs_demonstrations():
     env = make("minitaur_pen")
-    with pytest.raises(InputError, match="bc needs demonstrations, and minitaur_pen has none"):
+    with pytest.raises(InputError, match="bc needs demonstrations to clone, and minitaur_pen has none"):
         prepare(make_problem(env, eval_every=40), tiny_method("bc"), 2, 120)
 
 

@@ -132,9 +132,9 @@ def test_rnd_reward_and_scale_are_the_released_formulas(env):
     states = goals.candidates[:64]
     batch = make_batch(states, states, np.arange(64), 0)
     errors = np.asarray(method_state.error(method_state.predictor, states))
-    np.testing.assert_allclose(method.reward(batch, RETURN, method_state), errors / 0.5, rtol=1e-5)
-    np.testing.assert_array_equal(method.reward(batch, TASK, method_state), batch.reward)
-    update = jax.jit(lambda method_state, phase: method.update_state(method_state, batch, phase))
+    np.testing.assert_allclose(method.reward(env, goals, batch, RETURN, method_state), errors / 0.5, rtol=1e-5)
+    np.testing.assert_array_equal(method.reward(env, goals, batch, TASK, method_state), batch.reward)
+    update = jax.jit(lambda method_state, phase: method.update_state(KEYS[0], env, goals, batch, phase, method_state))
     learnt = update(method_state, jnp.asarray(RETURN))
     assert float(learnt.sigma) == pytest.approx(0.99 * 0.5 + 0.01 * max(np.std(errors / 0.5), 1e-3), rel=1e-5)
     after = method_state
@@ -178,7 +178,7 @@ def test_vaprl_values_come_from_the_entropy_free_pair(problem):
     @jax.jit
     def values(critics):
         agent = lane.agent.replace(critics=critics)
-        return lane_method.refresh(KEYS[0], problem.env, problem.goals, agent, lane.method_state).values
+        return lane_method.refresh(KEYS[0], problem.env, problem.goals, agent, lane.method_state, None).values
 
     base = values(lane.agent.critics)
     assert base.shape == (4, len(problem.goals.candidates))
@@ -198,7 +198,7 @@ def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env):
     row = len(goals.candidates) + 5
     states = np.tile(env.goal_states[1], (4000, 1))
     batch = make_batch(states, states, np.full(4000, row), 0)
-    relabel = jax.jit(lambda batch: method.relabel(jax.random.key(1), env, goals, batch))
+    relabel = jax.jit(lambda batch: method.relabel(jax.random.key(1), env, goals, batch, TASK))
     new = relabel(batch)
     assert len(set(np.asarray(new.flags.goal).tolist())) > 1500
     expected = np.linalg.norm(goals.table[new.flags.goal][:, :4] - env.goal_states[1][:4], axis=1) <= 0.2
@@ -213,7 +213,7 @@ def test_vaprl_relabels_demonstrations_with_their_own_later_states(env):
     method, goals = make_algo("vaprl", relabel_share=1.0), goal_table(env)
     row = np.repeat(np.arange(100), 40)
     batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row, 0)
-    later = np.asarray(method.relabel(jax.random.key(1), env, goals, batch).flags.goal) - 5
+    later = np.asarray(method.relabel(jax.random.key(1), env, goals, batch, TASK).flags.goal) - 5
     assert (later > row).all()
     assert (later <= goals.ends[row]).all()
     assert len(set(later[row == 60].tolist())) > 20
@@ -224,8 +224,8 @@ def test_time_outs_are_terminal_unless_bootstrapped(env):
     batch = make_batch(goals.candidates[:4], goals.candidates[1:5], np.arange(4), 0)
     flags = batch.flags._replace(reached=jnp.array([1, 0, 1, 0], bool), timeout=jnp.array([0, 1, 0, 0], bool))
     batch = batch._replace(flags=flags)
-    np.testing.assert_array_equal(make_algo("naive").terminal(batch), [True, True, True, False])
-    bootstrapped = make_algo("naive", timeout_bootstrap=True).terminal(batch)
+    np.testing.assert_array_equal(make_algo("naive").terminal(batch, TASK), [True, True, True, False])
+    bootstrapped = make_algo("naive", timeout_bootstrap=True).terminal(batch, TASK)
     np.testing.assert_array_equal(bootstrapped, [True, False, True, False])
 
 
@@ -233,3 +233,11 @@ def test_time_outs_are_terminal_unless_bootstrapped(env):
 def test_a_hook_under_its_old_name_is_an_error_that_gives_the_new_one(old, new):
     with pytest.raises(TypeError, match=rf"Mine\.{old} is called {new} now; rename it"):
         type("Mine", (Method,), {"name": "mine", old: lambda self: None})
+
+
+def test_a_hook_with_the_parameters_of_an_earlier_version_is_an_error_that_gives_the_current_ones():
+    with pytest.raises(
+        TypeError, match=r"Mine\.relabel\(self, key, env, goals, batch\) has .*goals, batch, phase\) now"
+    ):
+        type("Mine", (Method,), {"name": "mine", "relabel": lambda self, key, env, goals, batch: batch})
+    type("Mine", (Method,), {"name": "mine", "terminal": lambda self, *rest: None})

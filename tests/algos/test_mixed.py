@@ -25,13 +25,13 @@ class Custom(Method):
     def ends_on_success(self, phase):
         return False
 
-    def relabel(self, key, env, goals, batch):
+    def relabel(self, key, env, goals, batch, phase):
         return batch._replace(flags=batch.flags._replace(goal=batch.flags.goal * 0))
 
-    def reward(self, batch, phase, method_state):
+    def reward(self, env, goals, batch, phase, method_state):
         return self.factor * (batch.reward + 1)
 
-    def terminal(self, batch):
+    def terminal(self, batch, phase):
         return batch.flags.reached
 
 

@@ -18,7 +18,7 @@ class Bonus(Method):
     bonus: float = 0.0
     name = "bonus"
 
-    def reward(self, batch, phase, method_state):
+    def reward(self, env, goals, batch, phase, method_state):
         return batch.reward + self.bonus
 
 

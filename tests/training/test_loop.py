@@ -180,7 +180,7 @@ class LatestRow(Method):
     def init_state(self, key, env, goals):
         return jnp.zeros((), jnp.int32)
 
-    def update_state(self, method_state, batch, phase):
+    def update_state(self, key, env, goals, batch, phase, method_state):
         return batch.row.max()
 
 

@@ -46,7 +46,10 @@ class Transition(NamedTuple):
 
 
 class TransitionBatch(NamedTuple):
-    """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`."""
+    """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
+
+    `demonstrated [N, B]`, bool, marks demonstrations in the hooks of a method.
+    """
 
     row: jax.Array
     state: jax.Array
@@ -54,6 +57,7 @@ class TransitionBatch(NamedTuple):
     next_state: jax.Array
     reward: jax.Array
     flags: TransitionFlags
+    demonstrated: jax.Array | None = None
 
 
 class Replay(struct.PyTreeNode):
@@ -191,7 +195,24 @@ def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, de
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
     listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
-    rows = replay.index[replay.slot(listed, lanes, controller[:, None]), lanes]
+    return _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
+
+
+def sample_own(replay: Replay, keys: jax.Array, controller: int, size: int) -> TransitionBatch:
+    """Return `size` transitions of `controller`'s own for each lane, no demonstrations, drawn uniformly with replacement.
+
+    Where it has none yet, `demonstrated` is true, and the rows are others.
+    """
+    lanes = jnp.arange(len(keys))[:, None]
+    demos, own = replay.demos[controller], replay.counts[:, controller] - replay.demos[controller]
+    listed = jax.vmap(lambda key, count: jax.random.randint(key, (size,), 0, jnp.maximum(count, 1)))(keys, own) + demos
+    rows = replay.index[replay.slot(listed, lanes, jnp.full_like(lanes, controller)), lanes]
+    return _read(replay, rows)._replace(demonstrated=jnp.broadcast_to((own == 0)[:, None], rows.shape))
+
+
+def _read(replay: Replay, rows: jax.Array) -> TransitionBatch:
+    """Return the transitions of `rows [N, B]`."""
+    lanes = jnp.arange(len(rows))[:, None]
     flags = unpack(replay.flags[rows, lanes])
     reward = replay.reward[rows, lanes] if replay.reward.shape[0] else flags.reached.astype(jnp.float32)
     state, action = replay.state[rows, lanes], replay.action[rows, lanes]

@@ -1,10 +1,11 @@
 """Soft actor-critic, the learner of all methods: a gradient step on the critics, the actor and the temperature.
 
-Source: Haarnoja et al. 2018 (arXiv 1812.05905), with the shared hyper-parameters of Sharma et al. 2022, appendix.
-Defaults that the paper does not give follow the authors' released TF-Agents code; each field names its source.
+Source: Haarnoja et al. 2018 (arXiv 1812.05905). The options of ensembles and of several critic updates a step are those
+of Chen et al. 2021 (REDQ) and Ball et al. 2023 (RLPD). `hyperparameters` names the source of each value.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,73 +14,37 @@ import optax
 from flax import struct
 
 from earl_jax.algos.learner import networks
+from earl_jax.algos.learner.hyperparameters import SAC, SOFT_CRITICS
 from earl_jax.algos.learner.networks import TanhNormal, mlp
-from earl_jax.options import COUNT, LARGEST_INT, within
 
-SOFT_CRITICS = 2
 DIAGNOSTICS: tuple[str, ...] = ("critic_loss", "entropy", "temperature")
 
 
-class SAC(struct.PyTreeNode):
-    """Hyper-parameters of the learner; floats are leaves, so lanes of one program can have different values."""
-
-    learning_rate: float = struct.field(default=3e-4, metadata=within("(0, 1]"))
-    """Adam's step size for actor, critics and temperature (paper)."""
-    discount: float = struct.field(default=0.99, metadata=within("[0, 1)"))
-    """gamma (paper)."""
-    target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
-    """tau of the target critics, which are updated every step (paper)."""
-    reward_scale: float = struct.field(default=10.0, metadata=within("(0, 1000000]"))
-    """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
-    10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
-    initial_temperature: float = struct.field(default=1.0, metadata=within("(0, 1000000]"))
-    """alpha at step 0 (released code; not given in the paper)."""
-    fixed_temperature: bool = struct.field(pytree_node=False, default=False)
-    """Whether alpha stays at `initial_temperature`, as in the first version of SAC (arXiv 1801.01290), which the paper
-    cites for its figure 2; that version also learns a state value, which this learner lacks."""
-    entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]"))
-    """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
-    timeout_bootstrap: bool = False
-    """Whether to bootstrap through the end of a phase that timed out; not in EARL, where every phase end is
-    terminal."""
-    demo_share: float = struct.field(default=0.0, metadata=within("[0, 1]"))
-    """Share of a batch drawn from the demonstrations alone; 0 as in EARL, which samples all transitions uniformly."""
-    batch_size: int = struct.field(pytree_node=False, default=256, metadata=within("[1, 1048576]"))
-    """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
-    hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
-    """Widths of the ReLU layers of actor and critics (paper)."""
-    layer_norm: bool = struct.field(pytree_node=False, default=False)
-    """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
-    stability."""
-    replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
-    """Own transitions of a lane that the replay keeps, first in, first out; None: all. The paper gives 20M and 10M, more
-    than any of its runs has."""
-    random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
-    """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
-    precision: str = struct.field(pytree_node=False, default="tf32")
-    """Precision of the networks' matrix products: "float32" (on every device), "tf32" (XLA's default: TF32 on NVIDIA
-    GPUs, float32 on CPUs) or "bf16" (bfloat16 operands and activations; parameters, sums, losses and Adam stay
-    float32)."""
-
-    def __post_init__(self):
-        networks.check_precision(self.precision)
-
-
 class Batch(NamedTuple):
-    """Transitions to learn from: `obs, next_obs [B, o]`, `action [B, a]`, `reward [B]`, bool `terminal [B]`."""
+    """Transitions to learn from: `obs, next_obs [B, o]`, `action [B, a]`, `reward [B]`, bool `terminal [B]`.
+
+    `demonstrated [B]`, bool, marks demonstrations of what the controller is to do, and `step []` is that of the lifetime;
+    terms of the actor's loss read both. With B = `utd` batches, the critics learn from each in turn.
+    """
 
     obs: jax.Array
     action: jax.Array
     reward: jax.Array
     terminal: jax.Array
     next_obs: jax.Array
+    demonstrated: jax.Array | None = None
+    step: jax.Array | None = None
+
+
+ActorTerm = Callable[[jax.Array, Batch], jax.Array | None]
+"""A term [] of the actor's loss, from the parameters [B, 2a] of the policy at a batch; None: no term."""
 
 
 class Agent(struct.PyTreeNode):
     """One controller: actor, K stacked critics and their targets, log temperature, Adam's moments.
 
-    The first two critics are SAC's. Further critics are trained without the entropy term, for methods that interpret
-    values as success probabilities.
+    The first `SAC.ensemble` critics are SAC's. Further critics are pairs trained without the entropy term, for methods
+    that interpret values as success probabilities.
     """
 
     actor: Any
@@ -101,12 +66,17 @@ def _policy(sac: SAC, actor: Any, obs: jax.Array, action_size: int) -> jax.Array
     return networks.apply(mlp(sac.hidden_sizes, 2 * action_size), actor, obs, sac.precision)
 
 
+def critic_count(sac: SAC, critics: int) -> int:
+    """Return the number K of stacked critics of a method with `critics` >= 2, of which the first two are the ensemble."""
+    return sac.ensemble + critics - SOFT_CRITICS
+
+
 def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int = SOFT_CRITICS) -> Agent:
-    """Return a fresh `Agent` for observations [o] and actions [a] with `critics` >= 2 stacked critics."""
+    """Return a fresh `Agent` for observations [o] and actions [a] with the critics of `critic_count`."""
     actor_key, critic_key = jax.random.split(key)
     actor = mlp(sac.hidden_sizes, 2 * action_size).init(actor_key, jnp.zeros((obs_size,)))
     example = jnp.zeros((obs_size + action_size,))
-    critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critics), example)
+    critic = jax.vmap(_critic(sac).init, (0, None))(jax.random.split(critic_key, critic_count(sac, critics)), example)
     log_temperature = jnp.log(jnp.asarray(sac.initial_temperature, jnp.float32))
     moments = {
         "actor": ADAM.init(actor),
@@ -128,7 +98,12 @@ def greedy(sac: SAC, actor: Any, obs: jax.Array, action_size: int) -> jax.Array:
 
 def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
     """Return reparametrised actions [..., a] and their log-probabilities [...] (appendix C of the SAC paper)."""
-    policy, parameters = TanhNormal(size), _policy(sac, actor, obs, size)
+    return _sample(_policy(sac, actor, obs, size), key, size)
+
+
+def _sample(parameters: jax.Array, key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
+    """Return actions and log-probabilities of the policy's `parameters [..., 2a]`, as `act_with_log_prob`."""
+    policy = TanhNormal(size)
     raw = policy.sample_no_postprocessing(parameters, key)
     return policy.postprocess(raw), policy.log_prob(parameters, raw)
 
@@ -148,16 +123,30 @@ def _pair_min(values: jax.Array) -> jax.Array:
     return jnp.repeat(pairs, 2, axis=0)
 
 
+def _next_values(sac: SAC, targets: Any, obs: jax.Array, action: jax.Array, key: jax.Array) -> jax.Array:
+    """Return the value [K, B] of the next step for each critic, by the `targets` of its pair or of a random subset."""
+    if sac.ensemble == sac.target_subset == SOFT_CRITICS:
+        return _pair_min(q_values(sac, targets, obs, action))
+    chosen = jax.random.permutation(jax.random.fold_in(key, 1), sac.ensemble)[: sac.target_subset]
+    kept = jax.tree.map(lambda leaf: jnp.concatenate([leaf[chosen], leaf[sac.ensemble :]]), targets)
+    values = q_values(sac, kept, obs, action)
+    lowest = values[: sac.target_subset].min(axis=0)
+    own = jnp.broadcast_to(lowest, (sac.ensemble, *lowest.shape))
+    return jnp.concatenate([own, _pair_min(values[sac.target_subset :])])
+
+
 def td_target(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> jax.Array:
     """Return the regression targets [K, B]: `scale r + (1 - terminal) gamma (min Q'(s', a') - alpha log pi(a'|s'))`.
 
     At a terminal transition, time-outs included, the target is the scaled reward alone: the biased TD update of the
-    EARL paper, section 5.1. Critics after the first two omit the entropy term.
+    EARL paper, section 5.1. The minimum is over a random `target_subset` of the ensemble (Chen et al. 2021, REDQ,
+    algorithm 1). Without `backup_entropy`, and for critics after the ensemble, there is no entropy term.
     """
     next_action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, batch.action.shape[-1])
-    values = _pair_min(q_values(sac, agent.targets, batch.next_obs, next_action))
-    soft = (jnp.arange(values.shape[0]) < SOFT_CRITICS)[:, None]
-    values = values - soft * jnp.exp(agent.log_temperature) * log_prob
+    values = _next_values(sac, agent.targets, batch.next_obs, next_action, key)
+    if sac.backup_entropy:
+        soft = (jnp.arange(values.shape[0]) < sac.ensemble)[:, None]
+        values = values - soft * jnp.exp(agent.log_temperature) * log_prob
     return sac.reward_scale * batch.reward + jnp.where(batch.terminal, 0.0, sac.discount * values)
 
 
@@ -179,15 +168,24 @@ def _update_critics(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tup
     return agent.replace(critics=critics, moments={**agent.moments, "critics": moments}), value
 
 
-def _update_actor(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, jax.Array]:
-    """Return the agent after a descent step on `alpha log pi - min Q`, and the mean log-probability."""
+def _update_actor(
+    sac: SAC, agent: Agent, batch: Batch, key: jax.Array, actor_term: ActorTerm | None
+) -> tuple[Agent, jax.Array]:
+    """Return the agent after a descent step on `alpha log pi - min Q` and `actor_term`, and the mean log-probability.
+
+    An ensemble of more than two has its mean in the place of the minimum.
+    """
     temperature = jnp.exp(agent.log_temperature)
-    soft = jax.tree.map(lambda leaf: leaf[:SOFT_CRITICS], agent.critics)
+    soft = jax.tree.map(lambda leaf: leaf[: sac.ensemble], agent.critics)
 
     def loss(actor):
-        action, log_prob = act_with_log_prob(sac, actor, batch.obs, key, batch.action.shape[-1])
-        value = q_values(sac, soft, batch.obs, action).min(axis=0)
-        return (temperature * log_prob - value).mean(), log_prob.mean()
+        parameters = _policy(sac, actor, batch.obs, batch.action.shape[-1])
+        action, log_prob = _sample(parameters, key, batch.action.shape[-1])
+        values = q_values(sac, soft, batch.obs, action)
+        value = values.min(axis=0) if sac.ensemble == SOFT_CRITICS else values.mean(axis=0)
+        total = (temperature * log_prob - value).mean()
+        term = None if actor_term is None else actor_term(parameters, batch)
+        return total if term is None else total + term, log_prob.mean()
 
     grads, log_prob = jax.grad(loss, has_aux=True)(agent.actor)
     actor, moments = descend(agent.actor, grads, agent.moments["actor"], sac.learning_rate)
@@ -206,12 +204,37 @@ def _update_temperature(sac: SAC, agent: Agent, log_prob: jax.Array, action_size
     return agent.replace(log_temperature=value, moments={**agent.moments, "temperature": moments})
 
 
-def update(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, dict[str, jax.Array]]:
-    """Return the agent after a step on critics, actor (with the updated critics) and temperature, and diagnostics."""
+def _update_targets(sac: SAC, agent: Agent) -> Agent:
+    targets = jax.tree.map(lambda slow, fast: slow + sac.target_rate * (fast - slow), agent.targets, agent.critics)
+    return agent.replace(targets=targets)
+
+
+def _repeat_critic_updates(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, Batch]:
+    """Return the agent after critic updates on all but the last of `utd` batches, and the last one."""
+    parts = jax.tree.map(lambda leaf: leaf.reshape(sac.utd, -1, *leaf.shape[1:]), batch._replace(step=None))
+
+    def step(agent, part):
+        agent, _ = _update_critics(sac, agent, part[0], part[1])
+        return _update_targets(sac, agent), None
+
+    earlier, keys = jax.tree.map(lambda leaf: leaf[:-1], parts), jax.random.split(key, sac.utd - 1)
+    agent, _ = jax.lax.scan(step, agent, (earlier, keys))
+    return agent, jax.tree.map(lambda leaf: leaf[-1], parts)._replace(step=batch.step)
+
+
+def update(
+    sac: SAC, agent: Agent, batch: Batch, key: jax.Array, actor_term: ActorTerm | None = None
+) -> tuple[Agent, dict[str, jax.Array]]:
+    """Return the agent after a step on critics, actor (with the updated critics) and temperature, and diagnostics.
+
+    With `utd` batches in one, the critics and their targets take a step on each, the actor one on the last. `actor_term`
+    is added to the actor's loss.
+    """
+    if sac.utd > 1:
+        agent, batch = _repeat_critic_updates(sac, agent, batch, jax.random.fold_in(key, 1))
     critic_key, actor_key = jax.random.split(key)
     agent, critic_loss = _update_critics(sac, agent, batch, critic_key)
-    agent, log_prob = _update_actor(sac, agent, batch, actor_key)
+    agent, log_prob = _update_actor(sac, agent, batch, actor_key, actor_term)
     agent = _update_temperature(sac, agent, log_prob, batch.action.shape[-1])
-    targets = jax.tree.map(lambda slow, fast: slow + sac.target_rate * (fast - slow), agent.targets, agent.critics)
     diagnostics = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
-    return agent.replace(targets=targets), dict(zip(DIAGNOSTICS, diagnostics, strict=True))
+    return _update_targets(sac, agent), dict(zip(DIAGNOSTICS, diagnostics, strict=True))

@@ -1,0 +1,193 @@
+"""MEDAL: a backward controller that a classifier draws to the states of the demonstrations."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.cloning import Demonstrations
+from earl_jax.algos.learner.networks import apply, mlp
+from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.learner.sac import SAC, Agent
+from earl_jax.algos.method import RETURN, TASK, DemoList, Method
+from earl_jax.envs import Env
+from earl_jax.options import COUNT, within
+
+HALF_BATCH = 400
+"""Rows of each class in a step of the classifier (released)."""
+SMALLEST = 1e-10
+"""Added to the probability in the reward (released), which bounds it by 23."""
+_NETWORK = mlp((128,), 1)
+
+
+class Classifier(struct.PyTreeNode):
+    """The classifier's parameters with Adam's moments; loss and accuracy of its last step."""
+
+    params: Any
+    moments: Any
+    loss: jax.Array
+    accuracy: jax.Array
+
+    def logits(self, params: Any, obs: jax.Array, precision: str = "tf32") -> jax.Array:
+        """Return C [B] at `obs [B, o]`: the log-odds that a state with its goal is a demonstrated one."""
+        return apply(_NETWORK, params, obs, precision)[:, 0]
+
+
+class MEDAL(Method):
+    """Alternate a forward controller on task goals and a backward one that seeks the states of the demonstrations.
+
+    The classifier C(s, g) tells states D+ of the forward demonstrations from states D- of backward phases. The backward
+    reward is `-log(1 - sigmoid(C(s', g)) + 1e-10)` with the current C, times the reward scale, where g is the task goal
+    of the attempt that follows. A forward phase ends at success or after `phase_steps`, a backward one after
+    `phase_steps` only. All ends are terminal by default. Every `refresh_every` steps, C takes an Adam step on the binary
+    cross-entropy of 400 rows of each class, mixed: `x <- m x + (1 - m) x_p` and labels alike, with m ~ Beta(1, 1) for
+    each row and a random permutation p of the 800.
+
+    The forward controller's replay starts with the forward demonstrations, the backward one's with these and with the
+    backward demonstrations under every task goal. Cloning (`SAC.cloning`, `SAC.pretrain_steps`) draws the backward
+    controller to the backward demonstrations only.
+
+    Source: Sharma, Ahmad and Finn 2022, "A State-Distribution Matching Approach to Non-Episodic Reinforcement Learning"
+    (MEDAL), and its released code, which has the constants. Deliberate differences: networks,
+    temperature's loss (in log alpha instead of alpha) and optimiser are this package's `SAC`, without the release's
+    trunk `Linear(50), LayerNorm, tanh` that both critics share; the first steps are uniformly random, where the release
+    acts with the untrained policy, and C learns after them; rows of D+ and D- are drawn with replacement; D- leaves out
+    the last state of a phase; batches are full, where the release drops rows; a hard reset in a forward phase keeps the
+    goal; the end of a demonstration is terminal because it reaches its goal.
+    """
+
+    sac: SAC = SAC(random_steps=10_000)
+    phase_steps: int = struct.field(pytree_node=False, default=300, metadata=within(COUNT))
+    """Steps of a phase (released, on every task; the paper: H_E)."""
+    refresh_every: int = struct.field(pytree_node=False, default=10, metadata=within(COUNT))
+    """Steps between steps of the classifier (released)."""
+
+    name: ClassVar[str] = "medal"
+    controllers: ClassVar[int] = 2
+    phases: ClassVar[int] = 2
+    needs_demos: ClassVar[bool] = True
+    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+    own_rows: ClassVar[int] = HALF_BATCH
+
+    def directions(self, env: Env) -> tuple[str, ...]:
+        return tuple(direction for direction in self.demo_directions if direction in env.demo_directions)
+
+    def demo_lists(self, env: Env) -> tuple[DemoList, ...]:
+        back = DemoList("backward", RETURN, len(env.goal_states))
+        lists = (DemoList("forward", TASK), DemoList("forward", RETURN), back)
+        return tuple(entry for entry in lists if entry.direction in self.directions(env))
+
+    def phase_length(self, env: Env, phase: jax.Array) -> int:
+        return self.phase_steps
+
+    def ends_on_success(self, phase: jax.Array) -> jax.Array:
+        return phase == TASK
+
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
+    ) -> GoalIndices:
+        """Return the goals of a new phase: a backward phase draws the task goal, the forward one after it keeps it."""
+        task = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
+        return GoalIndices(goal=task, task=task)
+
+    def relabel(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    ) -> TransitionBatch:
+        """Return `batch` with a random task goal for backward demonstrations, the only ones that a way back clones."""
+        assert batch.demonstrated is not None
+        backward = batch.demonstrated & (batch.flags.goal >= goals.tasks)
+        task = jax.random.randint(key, backward.shape, 0, goals.tasks)
+        flags = batch.flags._replace(goal=jnp.where(backward, task, batch.flags.goal))
+        return batch._replace(flags=flags, demonstrated=batch.demonstrated & (backward | (phase == TASK)))
+
+    def reward(
+        self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Classifier
+    ) -> jax.Array:
+        """Return the task's reward in forward phases, and the classifier's at s' in backward ones.
+
+        Where a reset overwrote s', it is that at s.
+        """
+        state = jnp.where(batch.flags.no_successor[:, None], batch.state, batch.next_state)
+        obs = jnp.concatenate([state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
+        logits = method_state.logits(method_state.params, obs, self.sac.precision)
+        return jnp.where(phase == RETURN, -jnp.log(jax.nn.sigmoid(-logits) + SMALLEST), batch.reward)
+
+    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Classifier:
+        params = _NETWORK.init(key, jnp.zeros((env.obs_size,)))
+        return Classifier(params, sac_lib.ADAM.init(params), jnp.zeros(()), jnp.zeros(()))
+
+    def refresh(
+        self,
+        key: jax.Array,
+        env: Env,
+        goals: Goals,
+        agent: Agent,
+        method_state: Classifier,
+        own: TransitionBatch | None,
+    ) -> Classifier:
+        """Return the classifier after a step, or as it is before the first backward phase."""
+        assert own is not None
+        assert own.demonstrated is not None
+        row_key, mix_key = jax.random.split(key)
+        demonstrated = jnp.asarray(demonstrated_obs(env))
+        positive = demonstrated[jax.random.randint(row_key, (HALF_BATCH,), 0, len(demonstrated))]
+        negative = jnp.concatenate([own.state, jnp.asarray(goals.table)[own.flags.goal]], axis=-1)
+        updated = self.classify(mix_key, method_state, positive, negative)
+        none_yet = own.demonstrated[0]
+        return jax.tree.map(lambda new, old: jnp.where(none_yet, old, new), updated, method_state)
+
+    def classify(
+        self, key: jax.Array, method_state: Classifier, positive: jax.Array, negative: jax.Array
+    ) -> Classifier:
+        """Return the classifier after an Adam step on mixed rows of `positive [B, o]` and `negative [C, o]`."""
+        label = jnp.concatenate([jnp.ones(len(positive)), jnp.zeros(len(negative))])
+        obs, mixed = mix(key, jnp.concatenate([positive, negative]), label)
+
+        def loss(params):
+            logits = method_state.logits(params, obs, self.sac.precision)
+            agrees = (logits > 0) == (mixed > 0.5)
+            return (jax.nn.softplus(logits) - mixed * logits).mean(), agrees.mean()
+
+        (value, accuracy), grads = jax.value_and_grad(loss, has_aux=True)(method_state.params)
+        params, moments = sac_lib.descend(method_state.params, grads, method_state.moments, self.sac.learning_rate)
+        return Classifier(params, moments, value, accuracy)
+
+    def own_metrics(self, method_state: Classifier) -> dict[str, jax.Array]:
+        return {"classifier_loss": method_state.loss, "classifier_accuracy": method_state.accuracy}
+
+    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
+        return super().pretrain(key, env, agent, None if demos is None else demos_to_clone(env, demos))
+
+
+def mix(key: jax.Array, rows: jax.Array, labels: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return `rows [B, o]` and `labels [B]`, each mixed with another one: mixup (Zhang et al. 2018) with Beta(1, 1)."""
+    order_key, share_key = jax.random.split(key)
+    other = jax.random.permutation(order_key, len(rows))
+    share = jax.random.uniform(share_key, labels.shape)
+    mixed = share[:, None] * rows + (1 - share)[:, None] * rows[other]
+    return mixed, share * labels + (1 - share) * labels[other]
+
+
+def demonstrated_obs(env: Env) -> np.ndarray:
+    """Return D+: the states of the forward demonstrations with their goals, [T + D, o]."""
+    demos = env.demos("forward")
+    states = np.concatenate([demos.states, demos.next_states[demos.ends]])
+    return np.concatenate([states, np.concatenate([demos.goals, demos.goals[demos.ends]])], axis=-1)
+
+
+def demos_to_clone(env: Env, demos: Demonstrations) -> Demonstrations:
+    """Return the forward demonstrations for the forward controller, and the backward ones under each task goal."""
+    size, tasks = env.state_size, env.goal_states
+    is_forward = (np.abs(demos.obs[:, None, size:] - tasks).max(axis=-1) < 1e-6).any(axis=1)
+    forward, back = (demos.controller == TASK) & is_forward, (demos.controller == RETURN) & ~is_forward
+    count = int(back.sum())
+    goals, states = np.repeat(tasks, count, axis=0), np.tile(demos.obs[back, :size], (len(tasks), 1))
+    return Demonstrations(
+        obs=np.concatenate([demos.obs[forward], np.concatenate([states, goals], axis=-1)]),
+        action=np.concatenate([demos.action[forward], np.tile(demos.action[back], (len(tasks), 1))]),
+        controller=np.repeat([TASK, RETURN], [int(forward.sum()), count * len(tasks)]),
+    )

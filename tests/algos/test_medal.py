@@ -1,0 +1,203 @@
+"""MEDAL: its classifier, the reward that this gives, goals and phases, and who samples which demonstrations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import resume
+from earl_jax.algos import make_algo
+from earl_jax.algos.goals import GoalIndices, goal_table
+from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
+from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
+from earl_jax.algos.method import RETURN, TASK
+from earl_jax.training.demo_rows import demo_rows, demonstrations
+from tests.conftest import make_train_state, run_whole, take_lane, tiny_method, tiny_train
+
+KEYS = jax.random.split(jax.random.key(0), 300)
+PHASE = 8
+"""Steps of a phase in these tests."""
+
+
+@pytest.fixture(scope="module")
+def medal(env):
+    """Return the method, the goals and the classifier's first state."""
+    method, goals = make_algo("medal", learning_rate=1e-2), goal_table(env)
+    return method, goals, jax.jit(lambda key: method.init_state(key, env, goals))(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def lived(problem):
+    """Return the start and the end of three phases with random actions: forward, back, forward."""
+    method = tiny_method("medal", phase_steps=PHASE)
+    start = make_train_state(problem, method, [0, 1])
+    return start, run_whole(problem, method, start, 3 * PHASE, explore=True)
+
+
+def make_batch(states, goal, demonstrated=False, no_successor=False):
+    size = len(states)
+    no = jnp.zeros(size, bool)
+    flags = TransitionFlags(jnp.broadcast_to(jnp.asarray(goal), size), no, no, no | no_successor, no)
+    return TransitionBatch(
+        row=jnp.arange(size),
+        state=jnp.asarray(states),
+        action=jnp.zeros((size, 3)),
+        next_state=jnp.asarray(states) + 1,
+        reward=jnp.full(size, 0.25),
+        flags=flags,
+        demonstrated=no | demonstrated,
+    )
+
+
+def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(medal):
+    method, _, classifier = medal
+    centres = jnp.array([1.0, -1.0])[:, None, None]
+    clouds = centres + 0.3 * jax.random.normal(jax.random.key(1), (2, 100, 12))
+
+    @jax.jit
+    def learn_clouds(classifier):
+        step = lambda carry, key: (method.classify(key, carry, clouds[0], clouds[1]), None)  # noqa: E731
+        return jax.lax.scan(step, classifier, KEYS)[0]
+
+    after = learn_clouds(classifier)
+    demonstrated, other = [np.asarray(after.logits(after.params, cloud)) for cloud in clouds]
+    assert (demonstrated > 0).all()
+    assert (other < 0).all()
+    assert float(after.loss) < float(method.classify(KEYS[0], classifier, clouds[0], clouds[1]).loss)
+    assert float(after.accuracy) > 0.85
+
+
+def test_mixup_takes_rows_and_labels_in_the_same_shares():
+    rows, labels = jnp.eye(50), jnp.arange(50) % 2.0
+    mixed, mixed_labels = mix(jax.random.key(0), rows, labels)
+    np.testing.assert_allclose(mixed.sum(axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(mixed @ labels, mixed_labels, atol=1e-6)
+    shares = np.diag(np.asarray(mixed))
+    assert (np.count_nonzero(mixed, axis=1) <= 2).all()
+    assert shares.min() < 0.2
+    assert shares[shares < 1].max() > 0.8
+
+
+@pytest.mark.parametrize("logit", [-3.0, 0.0, 2.0, 40.0])
+def test_the_backward_reward_is_the_released_formula(env, medal, logit):
+    method, goals, classifier = medal
+    params = jax.tree.map(jnp.zeros_like, classifier.params)
+    params["params"]["hidden_1"]["bias"] = jnp.array([logit])
+    batch = make_batch(goals.table[:3], 0)
+    constant = classifier.replace(params=params)
+    expected = -np.log(1 - 1 / (1 + np.exp(-logit)) + 1e-10)
+    np.testing.assert_allclose(method.reward(env, goals, batch, RETURN, constant), [expected] * 3, rtol=1e-4)
+    np.testing.assert_array_equal(method.reward(env, goals, batch, TASK, constant), batch.reward)
+
+
+def test_the_reward_is_that_of_the_next_state_unless_a_reset_overwrote_it(env, medal):
+    method, goals, classifier = medal
+    states = jnp.asarray(goals.table[5:25])
+    goal = jnp.asarray(np.tile(goals.table[2], (20, 1)))
+    for lost, state in ((False, states + 1), (True, states)):
+        batch = make_batch(states, 2, no_successor=lost)
+        logits = np.asarray(classifier.logits(classifier.params, jnp.concatenate([state, goal], axis=1)))
+        expected = np.logaddexp(0, logits)
+        np.testing.assert_allclose(method.reward(env, goals, batch, RETURN, classifier), expected, rtol=1e-4)
+
+
+def test_a_way_back_draws_the_task_goal_that_the_next_attempt_keeps(medal):
+    method, goals, _ = medal
+    current = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
+    draw = jax.jit(jax.vmap(lambda key, phase: method.next_goal(key, goals, phase, current, ()), (0, None)))
+    back, forward = draw(KEYS, jnp.asarray(RETURN)), draw(KEYS, jnp.asarray(TASK))
+    assert set(np.asarray(back.goal).tolist()) == {0, 1, 2, 3}
+    np.testing.assert_array_equal(back.goal, back.task)
+    assert (forward.goal == 3).all()
+    assert (forward.task == 3).all()
+    assert bool(method.ends_on_success(jnp.asarray(TASK)))
+    assert not bool(method.ends_on_success(jnp.asarray(RETURN)))
+
+
+def test_phases_in_the_loop_keep_their_goals_and_lists(problem, lived):
+    start, end = lived
+    first = int(start.replay.row)
+    flags = replay_lib.unpack(end.replay.flags[first : first + 3 * PHASE])
+    goals = np.asarray(flags.goal).reshape(3, PHASE, 2)
+    assert (goals < problem.goals.tasks).all()
+    assert (goals == goals[:, :1]).all()
+    np.testing.assert_array_equal(goals[2], goals[1])
+    np.testing.assert_array_equal(np.asarray(flags.timeout)[:, 0], np.arange(1, 3 * PHASE + 1) % PHASE == 0)
+    own = end.replay.counts - start.replay.counts
+    np.testing.assert_array_equal(own, [[2 * PHASE, PHASE]] * 2)
+
+
+def test_the_classifier_gets_states_of_ways_back_alone(lived):
+    start, end = lived
+    keys, first = jax.random.split(jax.random.key(5), 2), int(start.replay.row)
+    own = replay_lib.sample_own(end.replay, keys, RETURN, 200)
+    for lane in (0, 1):
+        assert set(np.asarray(own.row[lane]).tolist()) == set(range(first + PHASE, first + 2 * PHASE))
+    assert not own.demonstrated.any()
+    assert replay_lib.sample_own(start.replay, keys, RETURN, 200).demonstrated.all()
+
+
+def test_the_classifier_waits_for_the_first_way_back(problem, lived, medal):
+    method, goals, classifier = medal
+    refresh = jax.jit(lambda own: method.refresh(KEYS[0], problem.env, goals, None, classifier, own))
+    keys = jax.random.split(jax.random.key(5), 2)
+    before, after = [
+        refresh(take_lane(replay_lib.sample_own(state.replay, keys, RETURN, method.own_rows), 0)) for state in lived
+    ]
+    leaf = jax.tree.leaves(classifier.params)[0]
+    np.testing.assert_array_equal(jax.tree.leaves(before.params)[0], leaf)
+    assert np.abs(jax.tree.leaves(after.params)[0] - leaf).max() > 1e-3
+
+
+def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_goal(problem):
+    demos = demo_rows(problem, tiny_method("medal"))
+    forward, backward = [len(problem.env.demos(name).ends) for name in ("forward", "backward")]
+    assert len(demos.listed(TASK)) == forward
+    assert len(demos.listed(RETURN)) == forward + 4 * backward
+    assert len(demos.states) == len(problem.goals.candidates)
+
+
+def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_own(medal, env):
+    method, goals, _ = medal
+    batch = make_batch(np.zeros((400, 6)), np.repeat([1, goals.tasks], 200), demonstrated=np.arange(400) % 2 == 0)
+    back = method.relabel(KEYS[0], env, goals, batch, RETURN)
+    goal = np.asarray(back.flags.goal)
+    np.testing.assert_array_equal(goal[:200], 1)
+    assert set(goal[200::2].tolist()) == {0, 1, 2, 3}
+    np.testing.assert_array_equal(goal[201::2], goals.tasks)  # no demonstration
+    np.testing.assert_array_equal(back.demonstrated, (np.arange(400) % 2 == 0) & (np.arange(400) >= 200))
+    np.testing.assert_array_equal(method.relabel(KEYS[0], env, goals, batch, TASK).demonstrated, batch.demonstrated)
+
+
+def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):
+    env = problem.env
+    demos = demos_to_clone(env, demonstrations(problem, tiny_method("medal")))
+    forward, backward = env.demos("forward"), env.demos("backward")
+    assert len(demos.of(TASK).obs) == len(forward.ends)
+    own = demos.of(RETURN)
+    assert len(own.obs) == 4 * len(backward.ends)
+    np.testing.assert_array_equal(
+        own.obs[:, 6:].reshape(4, -1, 6), np.repeat(env.goal_states[:, None], len(backward.ends), 1)
+    )
+    np.testing.assert_array_equal(own.obs[: len(backward.ends), :6], backward.states)
+    np.testing.assert_array_equal(own.action, np.tile(backward.actions, (4, 1)))
+
+
+def test_the_demonstrated_states_are_those_of_whole_demonstrations(env):
+    obs, forward = demonstrated_obs(env), env.demos("forward")
+    assert obs.shape == (len(forward.ends) + 12, 12)
+    assert env.success(obs[-12:]).all()
+
+
+def test_medal_writes_its_own_columns_and_resumes_with_them(tmp_path):
+    tiny_train("medal", phase_steps=PHASE, steps=80, out=tmp_path / "run", checkpoint_every=40)
+    result = resume(tmp_path / "run", steps=120)
+    header, *rows = (tmp_path / "run" / "metrics.csv").read_text().splitlines()
+    names = {"medal/classifier_loss", "medal/classifier_accuracy"}
+    assert names < set(header.split(","))
+    assert len(rows) == 2 * 3
+    for name in names:
+        assert result.metrics[name].shape == (2, 3)
+        assert (result.metrics[name][:, -1] > 0).all()
+    assert all(np.isfinite(values).all() for values in result.metrics.values())
