@@ -1,0 +1,70 @@
+"""What cloning the demonstrations alone earns: `python -m benchmarks.cloning` (some minutes on two cores).
+
+Runs `bc` on the sparse tasks: actors cloned from the demonstrations of both directions before the first step, then a
+life without learning. Deployed success, from the ordinary starts and from wide ones, is that of the cloned policy at
+every evaluation. Writes config.json and metrics.csv of each run into results/cloning, and the table of docs/formalism.md.
+With `--table` it writes the table alone.
+"""
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import earl_jax
+from benchmarks.paper_cells import PAGES, with_table
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD
+from earl_jax.report.runs import Curves, read
+from earl_jax.report.tables import interval_text, markdown_table
+
+ROOT = Path(__file__).parent / "results" / "cloning"
+PAGE = PAGES / "docs" / "formalism.md"
+MARKS = "<!-- cloning -->", "<!-- end of cloning -->"
+TASKS = ("sawyer_peg", "sawyer_door", "tabletop_organization")
+RUN = {"seeds": 5, "steps": 10_000, "eval_every": 2_000, "eval_episodes": 20}
+HEADER = ("task", "deployed", "from wide starts", "forward", "way back", "seeds alive at the end")
+
+
+def run(task: str) -> None:
+    """Train `bc` on `task` and keep its config and metrics."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "run"
+        earl_jax.train(task, "bc", out=folder, **RUN)
+        (ROOT / task).mkdir(parents=True, exist_ok=True)
+        for name in ("config.json", "metrics.csv"):
+            shutil.copyfile(folder / name, ROOT / task / name)
+
+
+def table() -> str:
+    """Return the table of the runs in results/cloning."""
+    return markdown_table(HEADER, [_line(task, read(ROOT / task)) for task in TASKS])
+
+
+def _line(task: str, curves: Curves) -> list[str]:
+    deployed, wide = (
+        interval_text(*mean_interval(curves.metrics[name].mean(axis=1))) for name in (curves.deployed_metric, WIDE)
+    )
+    shares = [
+        f"{np.nanmean(curves.metrics[name][:, 0]):.2f}, then {np.nanmean(curves.metrics[name][:, -1]):.2f}"
+        for name in (FORWARD, BACK)
+    ]
+    alive = curves.metrics[ALIVE][:, -1]
+    return [task, deployed, wide, *shares, f"{int(alive.sum())} of {len(alive)}"]
+
+
+def main() -> None:
+    """Run what was not run yet, and write the table."""
+    for task in TASKS:
+        if "--table" not in sys.argv and not (ROOT / task / "metrics.csv").exists():
+            run(task)
+            print(task, _line(task, read(ROOT / task)), flush=True)
+    if MARKS[0] in PAGE.read_text():
+        PAGE.write_text(with_table(PAGE.read_text(), table(), *MARKS))
+
+
+if __name__ == "__main__":
+    main()
