@@ -45,15 +45,12 @@ def table() -> str:
 
 
 def _line(task: str, curves: Curves) -> list[str]:
-    deployed, wide = (
-        interval_text(*mean_interval(curves.metrics[name].mean(axis=1))) for name in (curves.deployed_metric, WIDE)
-    )
-    shares = [
-        f"{np.nanmean(curves.metrics[name][:, 0]):.2f}, then {np.nanmean(curves.metrics[name][:, -1]):.2f}"
-        for name in (FORWARD, BACK)
-    ]
+    scores = [curves.metrics[name].mean(axis=1) for name in (curves.deployed_metric, WIDE)]
+    first, last = ([float(np.nanmean(curves.metrics[name][:, at])) for name in (FORWARD, BACK)] for at in (0, -1))
+    texts = [interval_text(*mean_interval(values)) for values in scores]
+    texts += [f"{start:.2f}, then {end:.2f}" for start, end in zip(first, last, strict=True)]
     alive = curves.metrics[ALIVE][:, -1]
-    return [task, deployed, wide, *shares, f"{int(alive.sum())} of {len(alive)}"]
+    return [task, *texts, f"{int(alive.sum())} of {len(alive)}"]
 
 
 def main() -> None:
