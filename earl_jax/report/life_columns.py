@@ -49,8 +49,8 @@ def _mean(values: np.ndarray) -> float | None:
 
 def life_headings(rows: list[dict[str, Any]]) -> list[str]:
     """Return the headings of those columns that a row has a value for."""
-    shown = [WIDE_HEADING] if any(row["wide"] is not None for row in rows) else []
-    return shown + [heading for name, (_, heading, _) in MEANS.items() if any(row[name] is not None for row in rows)]
+    headings = [WIDE_HEADING] if any(row["wide"] is not None for row in rows) else []
+    return headings + [heading for name, (_, heading, _) in MEANS.items() if any(row[name] is not None for row in rows)]
 
 
 def life_texts(row: dict[str, Any], headings: list[str]) -> list[str]:
