@@ -217,7 +217,7 @@ class Env(Demonstrated, abc.ABC):
     def reset_wide(self) -> Callable[[jax.Array], State] | None:
         """`reset` from wide starts, `reset_wide(key) -> State`, for `deployed/success_wide`; None for a task without.
 
-        At least half of these starts lie where no demonstration begins, and the agent could reach all of them by
+        About half of these starts or more lie where no demonstration begins, in places that the agent could reach by
         itself. A task whose reward is dense has none, because its score is a return.
         """
         return None
