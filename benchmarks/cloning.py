@@ -31,7 +31,16 @@ TASKS = ("sawyer_peg", "sawyer_door", "tabletop_organization")
 RUN = {"seeds": 5, "steps": 10_000, "eval_every": 2_000, "eval_episodes": 20}
 EPISODES = 200
 EXPERTS = ROOT / "experts.csv"
-HEADER = ("task", "deployed", "from wide starts", "forward", "way back", "seeds alive at the end", "expert, wide")
+HEADER = (
+    "task",
+    "deployed",
+    "from wide starts",
+    "forward",
+    "way back",
+    "C(A)",
+    "seeds alive at the end",
+    "expert, wide",
+)
 
 
 def run(task: str) -> None:
@@ -77,6 +86,7 @@ def line(task: str, curves: Curves) -> list[str]:
     first, last = ([float(np.nanmean(curves.metrics[name][:, at])) for name in (FORWARD, BACK)] for at in (0, -1))
     texts = [interval_text(*mean_interval(values)) for values in scores]
     texts += [f"{start:.2f}, then {end:.2f}" for start, end in zip(first, last, strict=True)]
+    texts.append(f"{curves.metrics['continuing/reward'][:, -1].mean():.4f}")
     alive = curves.metrics[ALIVE][:, -1]
     return [task, *texts, f"{int(alive.sum())} of {len(alive)}"]
 

@@ -1,7 +1,7 @@
 """The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.leaderboard`.
 
-Rows of ours are the runs in results/paper and results/leaderboard; published ones are in assets/published. `--add RUN`
-checks a run folder, copies its config.json and metrics.csv into results/leaderboard, and writes the page again.
+Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. `--add RUN` checks a run
+folder, copies its config.json and metrics.csv into results/leaderboard, and writes the page again.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from benchmarks.published_rows import Row, published_rows, score_text
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE
 from earl_jax.metrics.statistics import Estimate
@@ -24,7 +25,7 @@ from earl_jax.report.tables import interval_text, markdown_table, row_of, step_i
 from earl_jax.runs.folder import RunFolder
 
 RESULTS = Path(__file__).parent / "results"
-FOLDERS = ("paper", "leaderboard")
+FOLDERS = ("paper", "cloning", "leaderboard")
 PAGE = PAGES / "docs" / "leaderboard.md"
 SCORES = "<!-- scores -->", "<!-- end of scores -->"
 TESTS = "<!-- tests -->", "<!-- end of tests -->"
@@ -118,7 +119,9 @@ def tests_text(runs: list[tuple[MethodRuns, str]]) -> str:
 def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
     for number, first in enumerate(groups):
         for second in groups[number + 1 :]:
-            if second.env == first.env and min(first.curves.seeds, second.curves.seeds) >= FEWEST_SEEDS:
+            seeds = min(first.curves.seeds, second.curves.seeds)
+            steps = min(first.curves.steps[-1], second.curves.steps[-1])
+            if second.env == first.env and seeds >= FEWEST_SEEDS and steps >= CROSSING_WINDOW:
                 yield first, second
 
 
