@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +29,7 @@ ROOT = Path(__file__).parent / "results" / "cloning"
 PAGE = PAGES / "docs" / "formalism.md"
 MARKS = "<!-- cloning -->", "<!-- end of cloning -->"
 TASKS = ("sawyer_peg", "sawyer_door", "tabletop_organization")
-RUN = {"seeds": 5, "steps": 10_000, "eval_every": 2_000, "eval_episodes": 20}
+RUN: dict[str, Any] = {"seeds": 5, "steps": 10_000, "eval_every": 2_000, "eval_episodes": 20}
 EPISODES = 200
 EXPERTS = ROOT / "experts.csv"
 HEADER = (
