@@ -8,9 +8,9 @@ import pytest
 import earl_jax
 from earl_jax import Continuing
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
+from earl_jax.metrics.life import ALIVE, FORWARD, STILL
 from earl_jax.training import select_seed, split_options, train
-from tests.conftest import ALGOS, tiny_train
+from tests.conftest import ALGOS, assert_all_finite, tiny_train, without_shares
 
 
 @pytest.mark.parametrize("algo", ALGOS)
@@ -20,8 +20,7 @@ def test_results_have_a_leading_seed_axis(algo):
     assert {values.shape for values in result.metrics.values()} == {(2, 3)}
     assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
     assert int(result.train_state.step) == 120
-    shares = {FORWARD, BACK}  # nan, because no phase has ended yet
-    assert all(np.isfinite(values).all() for name, values in result.metrics.items() if name not in shares)
+    assert_all_finite(without_shares(result.metrics))
     assert {WIDE, FORWARD, ALIVE, STILL} <= set(result.metrics)
     assert result.metrics["entropy"][0, -1] != result.metrics["entropy"][1, -1]
 
