@@ -124,11 +124,11 @@ def tested_summary(rows: list[dict[str, Any]]) -> str:
     return markdown_table(header, lines)
 
 
-def with_table(page: str, table: str) -> str:
-    """Return the text of `page` with `table` between the comments that mark its place."""
-    before, _, rest = page.partition(START)
-    _, _, after = rest.partition(END)
-    return f"{before}{START}\n\n{table}\n\n{END}{after}"
+def with_table(page: str, table: str, start: str = START, end: str = END) -> str:
+    """Return the text of `page` with `table` between the comments `start` and `end` that mark its place."""
+    before, _, rest = page.partition(start)
+    _, _, after = rest.partition(end)
+    return f"{before}{start}\n\n{table}\n\n{end}{after}"
 
 
 def pairs(root: Path = ROOT) -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ import pytest
 
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
+from earl_jax.metrics.life import BACK, FORWARD
 from earl_jax.protocol import Protocol
 from earl_jax.training import runner, select_seed, train
 from earl_jax.training.demo_rows import replay_capacity
@@ -151,6 +152,11 @@ def assert_equal_trees(actual, expected, **tolerance):
 
 def assert_all_finite(tree):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree))
+
+
+def without_shares(metrics):
+    """Return `metrics` without the shares of phases that reached their goal: they are nan where no phase has ended."""
+    return {name: values for name, values in metrics.items() if name not in (FORWARD, BACK)}
 
 
 def write_files(files, folder):

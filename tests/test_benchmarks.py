@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget, kernels, paper_cells, per_device, redraw, run
+from benchmarks import budget, cloning, kernels, paper_cells, per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
@@ -220,6 +220,12 @@ def test_the_tables_of_cells_in_the_docs_are_those_of_the_runs():
         text = (paper_cells.PAGES / page).read_text()
         assert paper_cells.with_table(text, table) == text, "run python -m benchmarks.paper_cells"
         assert paper_cells.with_table(text, "| another |") != text
+
+
+def test_the_table_of_cloning_in_the_docs_is_that_of_its_runs():
+    text = cloning.PAGE.read_text()
+    assert paper_cells.with_table(text, cloning.table(), *cloning.MARKS) == text, "run python -m benchmarks.cloning"
+    assert paper_cells.with_table(text, "| another |", *cloning.MARKS) != text
 
 
 def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():

@@ -38,7 +38,11 @@ def infos(session: Session, result: StepResult) -> dict[str, np.ndarray]:
         "success": np.array(result.success),
         "interventions": np.array(result.interventions, np.int64),
     }
-    return values if session.is_training else {**values, "is_success": np.array(result.reached)}
+    if not session.is_training:
+        values["is_success"] = np.array(result.reached)
+    if session.starts == "wide":
+        values["is_success_wide"] = np.array(result.reached)
+    return values
 
 
 def require_reset(state: SessionState | None) -> SessionState:

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.envs import Env, State, current_options, make
+from earl_jax.envs import Env, State, current_options, make, start_of
+from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.errors import InputError
@@ -86,12 +87,17 @@ class Session:
     protocol: Protocol
     mode: str = "train"
     attempt_steps: int = ATTEMPT_STEPS
+    starts: str = STARTS[0]
+    """The distribution of an episode's start, one of `envs.starts.STARTS`."""
 
     def __post_init__(self):
         if self.mode not in MODES:
             raise InputError(f"mode {self.mode!r} is not one of {', '.join(MODES)}")
         if self.attempt_steps < 1:
             raise InputError(f"attempt_steps must be at least 1, not {self.attempt_steps}")
+        if self.is_training and self.starts != STARTS[0]:
+            raise InputError(f"starts={self.starts!r} is for episodes, mode 'eval'; a lifetime starts from s0 ~ rho")
+        start_of(self.env, self.starts)
 
     @classmethod
     def of(
@@ -101,6 +107,7 @@ class Session:
         mode: str = "train",
         setting: str | Setting = Deployment.name,
         attempt_steps: int = ATTEMPT_STEPS,
+        starts: str = STARTS[0],
         **options: Any,
     ) -> "Session":
         """Return the session of `task`, a name with its `options` or an `Env`, for a batch of `lanes`.
@@ -111,7 +118,7 @@ class Session:
         setting = setting_of(setting) if isinstance(setting, str) else setting
         env, setting = split_setting(_make_task(task, options), setting)
         setting, env = with_explicit_horizon(setting, env, options), setting.wrap(env.for_lanes(lanes))
-        return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps)
+        return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps, starts)
 
     @property
     def is_training(self) -> bool:
@@ -128,7 +135,7 @@ class Session:
         zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
         return SessionState(
             key=key,
-            env_state=self.env.reset(reset_key),
+            env_state=start_of(self.env, self.starts)(reset_key),
             steps=zero,
             attempt_age=zero,
             interventions=zero,
@@ -275,7 +282,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     known, options = [field.name for field in dataclasses.fields(make(task))], current_options(task, options)
     for option in options:
         if option not in known:
-            choices = ", ".join(["mode", "setting", "attempt_steps", *known])
+            choices = ", ".join(["mode", "setting", "attempt_steps", "starts", *known])
             raise InputError(f"env {task!r} has no option {option!r}; choose from {choices}")
     return make(task, **options)
 

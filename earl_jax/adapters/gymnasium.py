@@ -46,7 +46,8 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
     simulation breaks.
 
     `info` has the current `goal [g]`; `success`: the step reached the goal that it was made under; `interventions` so
-    far; and in episodes `is_success`: a step so far was a success.
+    far; and in episodes `is_success`: a step so far was a success. With `starts="wide"` the latter is `is_success_wide`
+    too, by which a log tells both kinds of episodes apart.
     """
 
     metadata = METADATA
@@ -62,7 +63,8 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
             width: width of a picture in pixels.
             height: height of a picture in pixels.
             options: `mode`; `setting`: `deployment`, `continuing`, or an object of `earl_jax.protocol` with its own
-                interventions and budget; `attempt_steps`; and options of the task: `reward_type`, `engine`,
+                interventions and budget; `attempt_steps`; `starts` of episodes: `initial`, `uniform` or `wide`; and
+                options of the task: `reward_type`, `engine`,
                 `train_horizon` and so on.
 
         Raises:

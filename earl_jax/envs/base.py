@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
@@ -203,6 +204,23 @@ class Env(Demonstrated, abc.ABC):
             ValueError: this task has no such distribution.
         """
         raise InputError(f"{self.name} has no uniform distribution of starts")
+
+    def object_position(self, state: State) -> jax.Array | None:
+        """Return the position [k] of what the agent has to move in `state`, without noise; None for a task without.
+
+        `continuing/still_steps` counts the steps since it last moved.
+        """
+        del state
+        return None
+
+    @property
+    def reset_wide(self) -> Callable[[jax.Array], State] | None:
+        """`reset` from wide starts, `reset_wide(key) -> State`, for `deployed/success_wide`; None for a task without.
+
+        About half of these starts or more lie where no demonstration begins, in places that the agent could reach by
+        itself. A task whose reward is dense has none, because its score is a return.
+        """
+        return None
 
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].

@@ -5,7 +5,7 @@ The original writes positions and integrates no forces, so this task is plain ar
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import jax
@@ -89,6 +89,15 @@ class TabletopOrganization(Env):
         qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)
         info = {"goal": self.sample_goal(goal_key)}
         return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
+
+    @property
+    def reset_wide(self) -> Callable[[jax.Array], State] | None:
+        """`reset_uniform`: gripper and mug anywhere on the table; every place is within reach."""
+        return self.reset_uniform if self.sparse else None
+
+    def object_position(self, state: State) -> jax.Array:
+        """Return the mug's x, y [2] in `state`, table units."""
+        return state.data.qpos[2:]
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""

@@ -5,7 +5,12 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.envs import Env
+from earl_jax.envs import Env, State
+
+WIDE = "deployed/success_wide"
+"""The metric of episodes from `Env.reset_wide`, on tasks that have it."""
+WIDE_KEY = 1
+"""Folded into the key of an evaluation for wide starts, so that the ordinary ones stay as they are."""
 
 
 def episode(
@@ -16,6 +21,11 @@ def episode(
     It starts from `start(key) -> State`, s0 ~ rho by default. A broken simulation ends the episode: later steps earn no
     reward.
     """
+    return _follow(env, policy, (start or env.reset)(key), horizon)
+
+
+def _follow(env: Env, policy: Callable, state: State, horizon: int) -> dict[str, jax.Array]:
+    """Return the results of the episode of `policy` that starts in `state`, as `episode`."""
 
     def step(carry, _):
         state, intact, success, total = carry
@@ -24,19 +34,31 @@ def episode(
         success |= intact & env.success(state.obs)
         return (state, intact, success, total + jnp.where(intact, state.reward, 0.0)), None
 
-    first = ((start or env.reset)(key), jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
+    first = (state, jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
     (_, _, success, total), _ = jax.lax.scan(step, first, length=horizon)
     return {"success": success.astype(jnp.float32), "return": total}
 
 
 def deployed(
-    env: Env, policy: Callable, key: jax.Array, horizon: int, episodes: int, start: Callable | None = None
+    env: Env,
+    policy: Callable,
+    key: jax.Array,
+    horizon: int,
+    episodes: int,
+    start: Callable | None = None,
+    wide: Callable | None = None,
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
     Starts are s0 ~ rho, or drawn by `start(key) -> State`. Success counts at any step, as in the released evaluations,
-    whose values are exact multiples of 0.1, although the paper's text speaks of returns.
+    whose values are exact multiples of 0.1, although the paper's text speaks of returns. With `wide(key) -> State`
+    there is also `deployed/success_wide`, of as many episodes from such starts (ours; docs/formalism.md says why).
+    They are part of the same scan, and change no other episode.
     """
-    keys = jax.random.split(key, episodes)
-    results = jax.vmap(lambda episode_key: episode(env, policy, episode_key, horizon, start))(keys)
-    return {f"deployed/{name}": values.mean() for name, values in results.items()}
+    states = jax.vmap(start or env.reset)(jax.random.split(key, episodes))
+    if wide is not None:
+        wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
+        states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))
+    results = jax.vmap(lambda state: _follow(env, policy, state, horizon))(states)
+    metrics = {f"deployed/{name}": values[:episodes].mean() for name, values in results.items()}
+    return metrics if wide is None else {**metrics, WIDE: results["success"][episodes:].mean()}

@@ -126,8 +126,11 @@ class Protocol:
     goal_change: int = 0
     """Steps between goal changes in the continuing setting; 0 if every new attempt draws its goal from p_g."""
 
+    alive_steps: int = 2_000
+    """Steps within which a lane that is alive reaches the goals of its phases."""
+
     def __post_init__(self):
-        for field in ("eval_horizon", "eval_every", "eval_episodes"):
+        for field in ("eval_horizon", "eval_every", "eval_episodes", "alive_steps"):
             if getattr(self, field) < 1:
                 raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
         for field in ("train_horizon", "goal_change"):

@@ -36,6 +36,8 @@ class Setting:
     """Threshold on the last action component above which the agent requests help, with a budget."""
     absorbed_reward: float = dataclasses.field(default=0.0, metadata=within("[-1000000000, 1000000000]"))
     """Reward of every step after the budget is spent."""
+    alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
+    """Steps within which a lane that is alive reaches the goals of its phases, for the metric `continuing/alive`."""
 
     name: ClassVar[str]
 
@@ -53,6 +55,7 @@ class Setting:
             eval_every=eval_every,
             eval_episodes=eval_episodes,
             intervention_chance=self.intervention_chance,
+            alive_steps=self.alive_steps,
         )
 
 
@@ -92,6 +95,7 @@ class Continuing(Setting):
             eval_every=eval_every,
             eval_episodes=eval_episodes,
             intervention_chance=self.intervention_chance,
+            alive_steps=self.alive_steps,
             goal_change=change,
         )
 

@@ -48,17 +48,22 @@ HEADER = (
 )
 
 
-def compare(folders: Sequence[Path], against: Literal["runs", "published"] = "runs") -> list[Row]:
+def compare(
+    folders: Sequence[Path], against: Literal["runs", "published"] = "runs", metric: str | None = None
+) -> list[Row]:
     """Return a row for each pair of methods on a task, or for each method beside its published score.
 
     Runs of the same task, method and options are pooled. Runs that are shorter than published are not compared; their
-    verdict says so.
+    verdict says so. `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score,
+    the only one that the paper's tables have.
 
     Raises:
-        ValueError: a folder is no run, or there is nothing to compare.
+        ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
+    if metric and against == "published":
+        raise InputError("the published scores are those of the deployed metric: leave out --metric")
     groups = read_methods(folders)
-    rows = published_rows(groups) if against == "published" else _pair_rows(groups)
+    rows = published_rows(groups) if against == "published" else _pair_rows(groups, metric)
     if not rows:
         choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
@@ -73,28 +78,36 @@ def with_verdicts(rows: list[Row]) -> list[Row]:
     return rows
 
 
-def recent_scores(curves: Curves, step: int) -> np.ndarray:
-    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer."""
+def recent_scores(curves: Curves, step: int, metric: str | None = None) -> np.ndarray:
+    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer.
+
+    `metric` is by default the deployed one.
+
+    Raises:
+        ValueError: the run has no such metric, or it has no value at some evaluation.
+    """
     until = curves.steps <= step
-    scores, steps = curves.metrics[curves.deployed_metric][:, until], curves.steps[until]
+    scores, steps = curves.metrics[metric or curves.deployed_metric][:, until], curves.steps[until]
+    if metric and not np.isfinite(scores).all():
+        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
     return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[:, -1]
 
 
-def _pair_rows(groups: Sequence[MethodRuns]) -> list[Row]:
+def _pair_rows(groups: Sequence[MethodRuns], metric: str | None) -> list[Row]:
     pairs = [(a, b) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
-    return [pair_row(first, second) for first, second in pairs]
+    return [pair_row(first, second, metric) for first, second in pairs]
 
 
-def pair_row(first: MethodRuns, second: MethodRuns) -> Row:
+def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None) -> Row:
     """Return the comparison of two methods on a task at the last step that both have, without an adjusted p.
 
     Raises:
         ValueError: one is scored by success and the other by return.
     """
-    if first.curves.deployed_metric != second.curves.deployed_metric:
+    if metric is None and first.curves.deployed_metric != second.curves.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
     step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
-    scores, others = recent_scores(first.curves, step), recent_scores(second.curves, step)
+    scores, others = (recent_scores(runs.curves, step, metric) for runs in (first, second))
     return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
 
 

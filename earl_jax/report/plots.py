@@ -8,6 +8,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.report.life_columns import SHARES
 from earl_jax.report.runs import Curves, labels, read_all
 from earl_jax.report.style import PICTURES, new_figure, save
 from earl_jax.report.tables import seeds_text
@@ -16,11 +17,13 @@ PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the l
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
 
 
-def plot_runs(folders: Sequence[Path], out: Path) -> Path:
+def plot_runs(folders: Sequence[Path], out: Path, metric: str | None = None) -> Path:
     """Draw deployed and continuing curves of `folders`, means with Student's 95 % bands, and return `out`.
 
+    `metric`, a column of metrics.csv, takes the place of the deployed one.
+
     Raises:
-        ValueError: a folder is no run, `out` has an unknown suffix, or matplotlib is not installed.
+        ValueError: a folder is no run or has no such metric, `out` has an unknown suffix, or matplotlib is not installed.
     """
     if out.suffix not in PICTURES:
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
@@ -28,10 +31,16 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     figure, axes = new_figure(1, 2, (10, 4.2))
     for panel, axis in zip(PANELS, axes[0], strict=True):
         for number, (curves, name) in enumerate(zip(runs, labels(runs), strict=True)):
-            _draw(axis, curves, curves.metrics[_metric(panel, curves)], f"C{number}", name)
-        metric = _metric(panel, runs[0])
-        axis.set(title=PANELS[panel], ylabel=AXES[metric], xlabel="environment steps of a seed", xlim=(0, None))
-        if metric == "deployed/success":
+            _draw(axis, curves, curves.metrics[_metric(panel, curves, metric)], f"C{number}", name)
+        drawn = _metric(panel, runs[0], metric)
+        title = PANELS[panel] if drawn in AXES else drawn
+        axis.set(
+            title=title,
+            ylabel=AXES.get(drawn, drawn.rpartition("/")[2]),
+            xlabel="environment steps of a seed",
+            xlim=(0, None),
+        )
+        if drawn in SHARES:
             axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
         axis.xaxis.set_major_formatter("{x:,.0f}")
         axis.locator_params(axis="x", nbins=6)
@@ -41,8 +50,8 @@ def plot_runs(folders: Sequence[Path], out: Path) -> Path:
     return save(figure, out)
 
 
-def _metric(panel: str, curves: Curves) -> str:
-    return "continuing/reward" if panel == "continuing" else curves.deployed_metric
+def _metric(panel: str, curves: Curves, metric: str | None) -> str:
+    return "continuing/reward" if panel == "continuing" else metric or curves.deployed_metric
 
 
 def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 
 from earl_jax.envs import make
 from earl_jax.errors import InputError
-from earl_jax.metrics.continuing import DIVERGED, count_diverged
+from earl_jax.metrics.continuing import count_diverged
 from earl_jax.protocol import Deployment
+from earl_jax.report.life_columns import LATER_METRICS
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import METRICS
@@ -131,7 +132,7 @@ def _pooled(path: Path, group: list[Curves]) -> Curves:
     metrics = {
         name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])
         for name in group[0].metrics
-        if name != DIVERGED or all(name in part.metrics for part in group)  # earlier versions did not write it
+        if name not in LATER_METRICS or all(name in part.metrics for part in group)  # earlier versions did not write it
     }
     return Curves(group[0].config, steps, Columns(path, metrics))
 

@@ -15,6 +15,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.report.life_columns import life_headings, life_texts, life_values
 from earl_jax.report.published import LEVELS, published_score
 from earl_jax.report.runs import Curves, labels, options_text, read_all
 
@@ -75,6 +76,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),
         "published_continuing": _published("table2", curves),
+        **life_values(curves.metrics, last),
         **_crossings(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
@@ -140,10 +142,15 @@ def file_table(path: Path, header: Sequence[str], lines: Sequence[Sequence[Any]]
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Return `rows` as a markdown table: means with intervals, published scores beside them."""
-    return "\n".join([markdown_table(HEADER, _lines(rows)), "", *_notes(rows)])
+    return "\n".join([markdown_table(_header(rows), _lines(rows)), "", *_notes(rows)])
+
+
+def _header(rows: list[dict[str, Any]]) -> list[str]:
+    return [*HEADER, *life_headings(rows)]
 
 
 def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    headings = life_headings(rows)
     return [
         [
             row["env"], row["algo"], f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}", f"{row['steps']:,}",
@@ -152,6 +159,7 @@ def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
             row["published_continuing"] or "-", *(_reached(row, level) for level in LEVELS),
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
+            *life_texts(row, headings),
         ]
         for row in rows
     ]  # fmt: skip
@@ -195,7 +203,7 @@ def write(rows: list[dict[str, Any]], path: Path) -> None:
         ValueError: `path` has another suffix.
     """
     if path.suffix in (".md", ".tex"):
-        path.write_text(file_table(path, HEADER, _lines(rows), "\n".join(_notes(rows))))
+        path.write_text(file_table(path, _header(rows), _lines(rows), "\n".join(_notes(rows))))
     elif path.suffix == ".csv":
         with path.open("w", newline="") as handle:
             writer = csv.DictWriter(handle, rows[0], lineterminator="\n")

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos.learner.replay import Replay
+from earl_jax.metrics.life import Life, counts_from
 from earl_jax.runs.hosts import gathered
 
 EARLIER_NAMES = {"flags": "marks"}
@@ -43,6 +44,25 @@ def typed(leaves: dict[str, Any], like: Any) -> Any:
         return jax.random.wrap_key_data(leaf) if _is_key(shape) else jnp.asarray(leaf)
 
     return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(shapes)])
+
+
+def without_life(lanes: Any) -> Any:
+    """Return `lanes` as versions saved them that had no `Life`."""
+    return jax.tree.map(lambda part: None if isinstance(part, Life) else part, lanes, is_leaf=_is_life)
+
+
+def with_life(lanes: Any, like: Any, step: int) -> Any:
+    """Return `lanes` with the `Life` of `like` where they have none; its counts begin at `step`."""
+    return jax.tree.map(
+        lambda shape, part: counts_from(shape, step) if isinstance(shape, Life) and part is None else part,
+        like,
+        lanes,
+        is_leaf=_is_life,
+    )
+
+
+def _is_life(part: Any) -> bool:
+    return isinstance(part, Life)
 
 
 def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:

@@ -42,6 +42,7 @@ class PlannedRun:
         """Return the properties that all runs of one program have in common."""
         config, env = self.run.config, self.run.env
         lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
+        lengths += (self.run.protocol.alive_steps,)
         task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
         return task, lengths, program_signature(self.run.method)
 

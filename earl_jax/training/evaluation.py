@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import plain_task, with_engine
+from earl_jax.envs import plain_task, start_of, with_engine
 from earl_jax.envs.state import all_finite
-from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
+from earl_jax.metrics.life import life_metrics
 from earl_jax.options import require
 from earl_jax.runs.config import EPISODES, SEED
 from earl_jax.runs.folder import RunFolder
@@ -19,23 +19,27 @@ from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState
 
-STARTS = ("initial", "uniform")
 EVALUATION_KEY = 2
 """Folded into a lane's key, so that evaluations neither change nor repeat the randomness of training."""
 
 
 def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the state with a new reward window, and the metrics [N] of both of the paper's evaluations."""
+    """Return the state with a new window, and the metrics [N] of both of the paper's evaluations and of the life."""
     window, step = jnp.asarray(problem.protocol.eval_every, jnp.float32), state.step.astype(jnp.float32)
     deployed_metrics = jax.vmap(lambda m, lane: deployed_lane(problem, m, lane, state.step))(method, state.lanes)
     counters, continuing_metrics = jax.vmap(lambda lane: continuing(lane.counters, lane.env_state, step, window))(
         state.lanes
     )
+    alive_steps, sparse = problem.protocol.alive_steps, problem.env.sparse
+    life, phase_metrics = jax.vmap(lambda life: life_metrics(life, state.step, alive_steps, method.phases, sparse))(
+        counters.life
+    )
     diverged = jax.vmap(has_diverged)(state.lanes)
     own = jax.vmap(lambda m, lane: m.own_metrics(lane.method_state))(method, state.lanes)
-    metrics = {**deployed_metrics, **continuing_metrics, **counters.diagnostics, DIVERGED: diverged.astype(jnp.int32)}
+    metrics = {**deployed_metrics, **continuing_metrics, **phase_metrics, **counters.diagnostics}
     metrics |= {f"{method.name}/{name}": values for name, values in own.items()}
-    return state.replace(lanes=state.lanes.replace(counters=counters)), metrics
+    metrics[DIVERGED] = diverged.astype(jnp.int32)
+    return state.replace(lanes=state.lanes.replace(counters=counters.replace(life=life))), metrics
 
 
 def has_diverged(lane: LaneState) -> jax.Array:
@@ -47,7 +51,8 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
     """Return the deployed evaluation of one lane's task controller after `step` steps, in the task without help."""
     env, protocol = plain_task(problem.env), problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
-    return deployed(env, Policy.of(problem.env, method, lane), key, protocol.eval_horizon, protocol.eval_episodes)
+    policy = Policy.of(problem.env, method, lane)
+    return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.reset_wide)
 
 
 def evaluate(
@@ -62,21 +67,19 @@ def evaluate(
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
         engine: a physics engine to use instead of the run's own.
-        starts: `initial` for s0 ~ rho, or `uniform` over the whole workspace (figure 5 of the paper), if the task has
-            that.
+        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 5 of the paper), or `wide` for those
+            of the column `deployed/success_wide`, if the task has them.
 
     Raises:
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
-    if starts not in STARTS:
-        raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
     require("episodes", episodes, EPISODES)
     require("seed", seed, SEED)
     env, policies = load_policies(RunFolder.open(Path(folder)))
     env = with_engine(env, engine)
+    start = start_of(env, starts)
 
     def evaluate_policy(policy):
-        start = env.reset_uniform if starts == "uniform" else env.reset
         return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}

@@ -7,6 +7,7 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import sac
 from earl_jax.algos.method import TASK, Method
 from earl_jax.metrics.continuing import Counters
+from earl_jax.metrics.life import Life, init_life
 from earl_jax.protocol import Rules
 from earl_jax.training.demo_rows import demonstrations, init_replay
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
@@ -42,21 +43,22 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
 
     agents = jax.vmap(init_agent)(jax.random.split(agent_key, method.controllers))
     pretrain_key = jax.random.fold_in(agent_key, 1)
+    env_state = env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal])
     return LaneState(
         key=lane_key,
-        env_state=env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal]),
+        env_state=env_state,
         phase=phase,
         phase_step=phase_step,
         goal_indices=goal_indices,
         agent=method.pretrain(pretrain_key, env, agents, demonstrations(problem, method)),
         method_state=method_state,
-        counters=_zero_counters(),
+        counters=_zero_counters(init_life(env, env_state)),
         rules=rules,
         visits=None if env.map_bounds is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )
 
 
-def _zero_counters() -> Counters:
+def _zero_counters(life: Life) -> Counters:
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     return Counters(
         window_reward=zero,
@@ -65,4 +67,5 @@ def _zero_counters() -> Counters:
         faults=none,
         reached=none,
         diagnostics=dict.fromkeys(sac.DIAGNOSTICS, zero),
+        life=life,
     )

@@ -19,6 +19,7 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs.state import tree_where
+from earl_jax.metrics.life import advance_life
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
 from earl_jax.training.ordering import after
@@ -121,11 +122,14 @@ def finish_and_store(
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
     end = _step_end(problem, method, lane, env_state, earned, keys, step)
+    is_task, has_goal = lane.phase == TASK, jnp.asarray(method.ends_on_success(lane.phase), bool)
+    life = advance_life(lane.counters.life, env, env_state, is_task, end.over & has_goal, end.reached, step + 1)
     counters = lane.counters.replace(
+        life=life,
         window_reward=lane.counters.window_reward + jnp.where(end.fault, 0.0, earned),
         interventions=lane.counters.interventions + end.reset,
         faults=lane.counters.faults + end.fault,
-        reached=lane.counters.reached + (end.reached & (lane.phase == TASK)),
+        reached=lane.counters.reached + (end.reached & is_task),
     )
     phase = jnp.where(end.restarts, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)

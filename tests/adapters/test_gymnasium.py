@@ -210,6 +210,21 @@ def test_an_episode_is_truncated_at_its_horizon_and_the_next_starts():
     assert not env.step(STAY)[3]
 
 
+def test_episodes_can_begin_at_wide_starts():
+    env = ResetFreeEnv(TABLETOP, starts="wide", **EPISODE)
+    starts = {tuple(env.reset(seed=seed)[0][:4]) for seed in range(3)}
+    assert len(starts) == 3, "the ordinary start is always the same"
+    env.set_goal(env.state.env_state.obs[:6])
+    info = env.step(STAY)[4]
+    assert info["is_success"]
+    assert info["is_success_wide"]
+    assert "is_success_wide" not in ResetFreeEnv(TABLETOP, **EPISODE).reset(seed=0)[1]
+    with pytest.raises(ValueError, match="starts='wide' is for episodes"):
+        ResetFreeEnv(TABLETOP, starts="wide")
+    with pytest.raises(ValueError, match="unknown starts 'far'; choose from initial, uniform, wide"):
+        ResetFreeEnv(TABLETOP, starts="far", **EPISODE)
+
+
 def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
     right = np.array([1.0, 0.0, -1.0])
     episode = ResetFreeEnv(Fragile(reward_type="dense"), mode="eval")

@@ -13,6 +13,7 @@ COUNTERS = Counters(
     faults=jnp.asarray(1),
     reached=jnp.asarray(4),
     diagnostics={},
+    life=None,
 )
 
 

@@ -98,3 +98,21 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     assert r"[95 \%]" in tex
     assert tex.startswith("% Scores are means")
     assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
+
+
+def test_another_metric_is_compared_by_its_name(tmp_path):
+    wide = {"deployed/success_wide": constant(*GOOD)}, {"deployed/success_wide": constant(*BAD)}
+    paths = [
+        write_run(tmp_path / algo, TABLETOP, algo, constant(*BAD), metrics=metrics)
+        for algo, metrics in zip(("naive", "fbrl"), wide, strict=True)
+    ]
+    assert compare(paths)[0]["difference"] == 0
+    [row] = compare(paths, metric="deployed/success_wide")
+    assert row["difference"] == pytest.approx(np.mean(GOOD) - np.mean(BAD))
+    with pytest.raises(ValueError, match="has no column 'deployed/wide'"):
+        compare(paths, metric="deployed/wide")
+    with pytest.raises(ValueError, match="leave out --metric"):
+        compare(paths, "published", metric="deployed/success_wide")
+    unknown = write_run(tmp_path / "nan", TABLETOP, "r3l", constant(*BAD), metrics={"deployed/success_wide": np.nan})
+    with pytest.raises(ValueError, match="of r3l has no value at some evaluations"):
+        compare([paths[0], unknown], metric="deployed/success_wide")

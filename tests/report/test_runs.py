@@ -18,6 +18,18 @@ def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
     assert other.metrics["deployed/success"].shape == (2, 3)
 
 
+def test_pooled_runs_have_the_later_metrics_that_all_of_them_have(tmp_path):
+    with_wide, with_both = {"deployed/success_wide": 0.5}, {"deployed/success_wide": 0.25, "continuing/alive": 1}
+    paths = [
+        write_run(tmp_path / name, TABLETOP, "naive", rising(1, 3), seeds=(seed,), metrics=metrics)
+        for seed, (name, metrics) in enumerate({"a": with_both, "b": with_wide, "c": {}}.items())
+    ]
+    [pooled] = read_all(paths[:2])
+    np.testing.assert_allclose(pooled.metrics["deployed/success_wide"][:, 0], [0.25, 0.5])
+    assert "continuing/alive" not in pooled.metrics
+    assert "deployed/success_wide" not in read_all(paths)[0].metrics
+
+
 def test_runs_are_pooled_over_their_common_steps(tmp_path):
     paths = [
         write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import BACK, STILL
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.report.run_files import TABLETOP, read_csv, write_run
@@ -91,3 +93,20 @@ def test_a_task_that_cannot_be_built_is_an_error_that_names_the_run(tmp_path):
     (folder / "config.json").write_text((folder / "config.json").read_text().replace(TABLETOP, "maze"))
     with pytest.raises(ValueError, match=f"{folder}: unknown env 'maze'"):
         tables.tabulate([folder])
+
+
+def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_path):
+    old = write_three_evaluations(tmp_path / "old")
+    life = {WIDE: [[0.0, 0.5, 0.25], [0.0, 0.5, 0.75]], BACK: [[np.nan, 0.5, np.nan], [np.nan, 1.0, 0.5]], STILL: 1234}
+    new = write_run(tmp_path / "new", TABLETOP, "fbrl", np.ones((2, 3)), metrics={**REWARDS, **life})
+    rows = tables.tabulate([new, old])
+    assert rows[0]["wide"] == pytest.approx(0.5)
+    assert rows[0]["wide_low"] < 0.5 < rows[0]["wide_high"]
+    assert (rows[0]["back_success"], rows[0]["still_steps"], rows[0]["alive"]) == (0.5, 1234, None)
+    assert {rows[1][name] for name in ("wide", "back_success", "still_steps")} == {None}
+    header, _, first, second = tables.markdown(rows).splitlines()[:4]
+    assert header.endswith("| wide, mean [95 %] | back | still |")
+    assert first.endswith("| 0.50 | 1,234 |")
+    assert second.endswith("| - | - | - |")
+    assert "wide" not in tables.markdown(tables.tabulate([old]))
+    assert tables.tabulate([new], last=2)[0]["back_success"] == pytest.approx(2 / 3)

@@ -57,6 +57,15 @@ def test_a_replay_of_an_earlier_release_is_restored(state):
     assert np.asarray(restored.flags).any()
 
 
+def test_lanes_of_a_version_without_counts_of_the_life_are_restored(tmp_path, state):
+    lanes = state.lanes.replace(counters=state.lanes.counters.replace(life=None))
+    checkpoint.save(tmp_path, state.replace(lanes=lanes))
+    restored = checkpoint.restore(tmp_path, jax.eval_shape(lambda: state))
+    assert_equal_trees(snapshot.without_life(restored.lanes), lanes)
+    assert restored.lanes.counters.life.moved_at.tolist() == [40, 40]
+    assert_equal_trees(jax.tree.map(jnp.shape, restored.lanes), jax.tree.map(jnp.shape, state.lanes))
+
+
 def test_a_larger_buffer_keeps_both_ends_of_the_index(tmp_path, problem, state):
     checkpoint.save(tmp_path, state)
     larger = make_train_state(problem, tiny_method("fbrl"), [0, 1], steps=500)

@@ -7,8 +7,10 @@ import pytest
 
 import earl_jax
 from earl_jax import Continuing
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, FORWARD, STILL
 from earl_jax.training import select_seed, split_options, train
-from tests.conftest import ALGOS, tiny_train
+from tests.conftest import ALGOS, assert_all_finite, tiny_train, without_shares
 
 
 @pytest.mark.parametrize("algo", ALGOS)
@@ -18,7 +20,8 @@ def test_results_have_a_leading_seed_axis(algo):
     assert {values.shape for values in result.metrics.values()} == {(2, 3)}
     assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
     assert int(result.train_state.step) == 120
-    assert all(np.isfinite(values).all() for values in result.metrics.values())
+    assert_all_finite(without_shares(result.metrics))
+    assert {WIDE, FORWARD, ALIVE, STILL} <= set(result.metrics)
     assert result.metrics["entropy"][0, -1] != result.metrics["entropy"][1, -1]
 
 

@@ -198,6 +198,10 @@ class DHandLightbulb(MujocoEnv):
         upright = jnp.array([1.0, 0.0, 0.0, 0.0])
         return state.data.replace(qpos=jnp.concatenate([joints, state.info["goal"], upright]))
 
+    def object_position(self, state: State) -> jax.Array:
+        """Return the bulb's position [3] in `state`, metres."""
+        return self._parts(state.obs)[1]
+
     def success(self, obs: jax.Array) -> jax.Array:
         _, bulb, _, goal = self._parts(obs)
         return jnp.linalg.norm(bulb - goal, axis=-1) < RADIUS

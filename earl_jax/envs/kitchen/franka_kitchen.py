@@ -175,6 +175,10 @@ class FrankaKitchen(MujocoEnv):
         robot, objects = state.data.qpos[: rewards.ROBOT], state.info["goal"][rewards.FIRST[rewards.ROBOT :]]
         return state.data.replace(qpos=jnp.concatenate([robot, objects]))
 
+    def object_position(self, state: State) -> jax.Array:
+        """Return the joints [n] of the appliances in `state`, radians and metres."""
+        return state.data.qpos[rewards.ROBOT :]
+
     def success(self, obs: jax.Array) -> jax.Array:
         objects = obs[..., rewards.ROBOT : 23] - obs[..., 23 + rewards.ROBOT :]
         return jnp.linalg.norm(objects, axis=-1) <= RADIUS

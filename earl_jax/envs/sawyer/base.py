@@ -39,17 +39,17 @@ LEASH = np.array([0.38, 0.03], np.float32)
 
 
 class Pose(NamedTuple):
-    """The arm after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`.
+    """The arm after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`; also arrays.
 
     The original simulates 250 substeps at every reset, after which it is not yet at rest. These are the resulting
     states.
     """
 
-    target: tuple[float, ...]
-    qpos: tuple[float, ...]
-    qvel: tuple[float, ...]
-    warmstart: tuple[float, ...]
-    hand: tuple[float, ...]
+    target: tuple[float, ...] | jax.Array
+    qpos: tuple[float, ...] | jax.Array
+    qvel: tuple[float, ...] | jax.Array
+    warmstart: tuple[float, ...] | jax.Array
+    hand: tuple[float, ...] | jax.Array
     grip: float
 
 
@@ -117,9 +117,14 @@ class Sawyer(MujocoEnv):
         object_joints = self.joints_at(state.info["goal"][-3:])
         return state.data.replace(qpos=jnp.concatenate([state.data.qpos[:ARM], object_joints]))
 
-    def start_at(self, joints: jax.Array, position: jax.Array, goal: jax.Array, **info: jax.Array) -> State:
-        """Return the state with the arm in its reset pose and the object at `joints [j]`, observed at `position`."""
-        pose, rest = self.pose, jnp.zeros_like(joints)
+    def start_at(
+        self, joints: jax.Array, position: jax.Array, goal: jax.Array, arm: Pose | None = None, **info: jax.Array
+    ) -> State:
+        """Return the state with the object at `joints [j]`, observed at `position`, and the arm in its reset pose.
+
+        `arm` is another pose, whose fields can be arrays.
+        """
+        pose, rest = arm or self.pose, jnp.zeros_like(joints)
 
         def join(arm, rest):
             return jnp.concatenate([jnp.asarray(arm, jnp.float32), rest])
@@ -173,6 +178,10 @@ class Sawyer(MujocoEnv):
         inside = ((object_position >= self.object_low) & (object_position <= self.object_high)).all()
         inside &= ((hand >= HAND_LOW - 0.2) & (hand <= HAND_HIGH + 0.2)).all()
         return super().fault(state) | ~inside
+
+    def object_position(self, state: State) -> jax.Array:
+        """Return the observed position [3] of the object in `state`, metres."""
+        return state.obs[self.state_size - 3 : self.state_size]
 
     def to_goal(self, obs: jax.Array) -> jax.Array:
         """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""

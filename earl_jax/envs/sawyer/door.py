@@ -1,6 +1,7 @@
 """Sawyer door: close an open door by its handle; a reset-free agent must open it again itself."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import ClassVar
 
 import jax
@@ -9,8 +10,9 @@ import numpy as np
 
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
+from earl_jax.envs.sawyer.door_arms import drawn_arm
 from earl_jax.envs.shaping import tolerance
-from earl_jax.envs.state import State
+from earl_jax.envs.state import State, tree_where
 from earl_jax.physics import EngineCost
 
 HINGE = np.array([-0.085, 0.85], np.float32)
@@ -19,6 +21,8 @@ HANDLE = np.array([0.375722, -0.10714], np.float32)
 HEIGHT = np.float32(0.100036)
 OPEN = -np.pi / 3
 NOISE = np.pi / 20
+STOP = -1.39
+"""The largest opening drawn: the stop of the hinge is at -1.4."""
 DOOR = np.array([0.1, 0.95, 0.1], np.float32)
 """The door's own position, which the released dense reward uses as the handle's start."""
 CLOSED = np.array([0.29072163, 0.74286009, 0.10003595], np.float32)
@@ -96,6 +100,22 @@ class SawyerDoor(Sawyer):
         noise = jax.random.uniform(key, maxval=NOISE if self.door_noise else 0.0)
         angle = -noise if self.reset_at_goal else OPEN + noise
         return self.start_at(angle[None], handle_at(angle), goal)
+
+    @property
+    def reset_wide(self) -> Callable[[jax.Array], State] | None:
+        """Half of the starts are ordinary. In the others the door and the arm are anywhere.
+
+        The door's angle is uniform from its stop to 9 degrees from closed, and the arm rests in one of 16 poses all
+        over its range that touch the door at no angle. The release has no such starts.
+        """
+        return self._reset_wide if self.sparse and not self.reset_at_goal else None
+
+    def _reset_wide(self, key: jax.Array) -> State:
+        start_key, far_key, angle_key, arm_key = jax.random.split(key, 4)
+        angle = jax.random.uniform(angle_key, minval=STOP, maxval=-NOISE)
+        arm = drawn_arm(arm_key, self.name)
+        far = self.start_at(angle[None], handle_at(angle), jnp.asarray(self.goal_states)[0], arm)
+        return tree_where(jax.random.bernoulli(far_key), far, self.reset(start_key))
 
     def joints_at(self, position: jax.Array) -> jax.Array:
         """Return the door's angle [1] with its handle at `position [3]`."""

@@ -1,6 +1,7 @@
 """Sawyer peg: pick a peg up and push it into a hole in the side of a block."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import ClassVar
 
 import jax
@@ -114,6 +115,14 @@ class SawyerPeg(Sawyer):
         goals = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)
         start = self._peg_start(start_key)
         return self._start_with_peg(start, goals[jax.random.randint(goal_key, (), 0, len(goals))])
+
+    @property
+    def reset_wide(self) -> Callable[[jax.Array], State] | None:
+        """The starts of `wide=True`: half of them all over the table, where no demonstration begins."""
+        return self._reset_wide if self.sparse and not self.reset_at_goal else None
+
+    def _reset_wide(self, key: jax.Array) -> State:
+        return dataclasses.replace(self, listed=False, wide=True).reset(key)
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
         """Return a start state with the middle of the peg at `peg [3]`."""

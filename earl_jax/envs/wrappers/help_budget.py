@@ -4,7 +4,9 @@ Source: Sharma et al. 2022, appendix on irreversible states. docs/irreversible.m
 """
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
@@ -154,12 +156,23 @@ class HelpBudget(Env):
         return self.task.sample_goal(key)
 
     def reset(self, key: jax.Array) -> State:
-        inner_key, own_key = jax.random.split(key)
-        return self._initial_state(self.task.reset(inner_key), own_key)
+        return self._reset_by(self.task.reset, key)
 
     def reset_uniform(self, key: jax.Array) -> State:
+        return self._reset_by(self.task.reset_uniform, key)
+
+    def object_position(self, state: State) -> jax.Array | None:
+        return self.task.object_position(state.data)
+
+    @property
+    def reset_wide(self) -> Callable[[jax.Array], State] | None:
+        reset = self.task.reset_wide
+        return None if reset is None else functools.partial(self._reset_by, reset)
+
+    def _reset_by(self, reset: Callable[[jax.Array], State], key: jax.Array) -> State:
+        """Return the first state of a lifetime in which the task starts from `reset(key)`."""
         inner_key, own_key = jax.random.split(key)
-        return self._initial_state(self.task.reset_uniform(inner_key), own_key)
+        return self._initial_state(reset(inner_key), own_key)
 
     def _initial_state(self, inner: State, key: jax.Array) -> State:
         """Return the first state of a lifetime, with the whole budget and the task in the state `inner`.

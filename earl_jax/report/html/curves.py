@@ -6,7 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.html.runs import Line
+from earl_jax.report.life_columns import SHARES
 from earl_jax.report.published import published_crossings, published_score, published_steps
 from earl_jax.report.tables import WINDOW, trailing
 
@@ -29,7 +32,12 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel(None, "Deployed, from s₀", "{} of the greedy task policy"),
+    Panel(WIDE, "Deployed, from wide starts", "success of the greedy task policy"),
     Panel("continuing/reward", "Continuing", "task reward per step, over the lifetime so far"),
+    Panel(FORWARD, "Forward phases", "share that reached the goal since the last evaluation"),
+    Panel(BACK, "Ways back", "share that reached the goal since the last evaluation"),
+    Panel(ALIVE, "Lanes alive", "share of seeds that recently reached the goals of both phases"),
+    Panel(STILL, "Object at rest", "steps since it last moved"),
     Panel("interventions", "Interventions", "since the first step"),
     Panel("reached", "Goals reached", "by the task controller", always=False),
     Panel("faults", "Faults", "resets after a broken simulation", always=False),
@@ -48,7 +56,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
         pairs = [(line, metric) for line, metric in pairs if metric in line.curves.metrics]
         if not pairs or not (panel.always or any(line.curves.metrics[metric].any() for line, metric in pairs)):
             continue
-        rates = pairs[0][1] == "deployed/success"
+        rates = pairs[0][1] in SHARES
         plots.append(
             {
                 "title": panel.title,

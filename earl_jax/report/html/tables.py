@@ -8,6 +8,8 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.metrics.continuing import DIVERGED, diverged_text
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.html.runs import Line
@@ -28,11 +30,16 @@ STRIP_WIDTH, STRIP_MARGIN, STRIP_MIDDLE = 240, 5, 13
 OFFSETS = (0, -5, 5, -9, 9)
 """Vertical offsets of dots that would cover each other."""
 FINAL_COLUMNS = {
+    WIDE: ("success from wide starts", 3),
     "continuing/reward": ("reward per step", 4),
     "interventions": ("interventions", 0),
     "faults": ("faults", 0),
     DIVERGED: ("diverged", 0),
     "reached": ("goals reached", 0),
+    FORWARD: ("forward phases reached", 2),
+    BACK: ("ways back reached", 2),
+    ALIVE: ("alive", 0),
+    STILL: ("steps since the object moved", 0),
     "help/asked": ("requested help", 0),
     "help/enforced": ("enforced help", 0),
     "help/budget": ("remaining budget", 1),

@@ -2,6 +2,7 @@
 
 import pytest
 
+from earl_jax.report.html.curves import panels
 from earl_jax.report.html.runs import find_runs, gather
 from earl_jax.report.html.tables import paper_table, seed_table, speeds, strips
 from tests.report.run_files import constant, write_page_run
@@ -50,3 +51,20 @@ def test_the_seed_table_has_the_final_values_of_every_seed(fbrl):
     table = seed_table(fbrl)
     assert table["head"][-1] == "requested help"
     assert table["rows"][2]["texts"] == ["0.800", "0.676", "0.0080", "30", "30", "30", "30"]
+
+
+def test_a_page_shows_wide_starts_and_the_life(tmp_path):
+    scores = constant(0.5, 1.0)
+    run = write_page_run(tmp_path / "a", "fbrl", scores)
+    table = (run / "metrics.csv").read_text().splitlines()
+    added = ["deployed/success_wide,continuing/back_success,continuing/alive", *["0.125,nan,1"] * 4]
+    (run / "metrics.csv").write_text("".join(f"{line},{more}\n" for line, more in zip(table, added, strict=True)))
+    lines = gather(find_runs([run]))[0]
+    seeds = seed_table(lines)
+    texts = dict(zip(seeds["head"], seeds["rows"][0]["texts"], strict=True))
+    assert (texts["success from wide starts"], texts["ways back reached"], texts["alive"]) == ("0.125", "–", "1")
+    plots = {plot["title"]: plot for plot in panels(lines)}
+    wide, back = plots["Deployed, from wide starts"], plots["Ways back"]
+    assert wide["range"] == back["range"] == [-0.04, 1.04]
+    assert wide["lines"][0]["plain"]["mean"] == [0.125, 0.125]
+    assert back["lines"][0]["plain"]["mean"] == [None, None]

@@ -1,0 +1,185 @@
+"""The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.leaderboard`.
+
+Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. `--add RUN` checks a run
+folder, copies its config.json and metrics.csv into results/leaderboard, and writes the page again.
+"""
+
+import argparse
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from benchmarks.paper_cells import PAGES, commit_of, with_table
+from benchmarks.published_rows import Row, published_rows, score_text
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.crossings import CROSSING_WINDOW
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.comparison import pair_row, recent_scores, with_verdicts
+from earl_jax.report.runs import Curves, MethodRuns, by_method, pooling_key, read
+from earl_jax.report.tables import interval_text, markdown_table, row_of, step_interval
+from earl_jax.runs.folder import RunFolder
+
+RESULTS = Path(__file__).parent / "results"
+FOLDERS = ("paper", "cloning", "leaderboard")
+PAGE = PAGES / "docs" / "leaderboard.md"
+SCORES = "<!-- scores -->", "<!-- end of scores -->"
+TESTS = "<!-- tests -->", "<!-- end of tests -->"
+HEADER = (
+    "method",
+    "from",
+    "seeds",
+    "steps",
+    "deployed [95 %]",
+    "wide [95 %]",
+    "C(A) [95 %]",
+    "alive",
+    "to 0.5",
+    "to 0.9",
+    "commit",
+)
+FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
+FILES = ("config.json", "metrics.csv")
+
+
+def folders(root: Path = RESULTS) -> list[Path]:
+    """Return the run folders of the leaderboard."""
+    return sorted(file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
+
+
+def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
+    """Return the runs of the leaderboard with the commit of each, by task and method.
+
+    Folders with the same task, method and options would be one method with more seeds; they are kept apart here,
+    because their commits can differ.
+    """
+    runs = [(curves, commit_of(folder)[:9]) for folder in folders(root) if (curves := read(folder)).comparable]
+    commits = {id(curves): commit for curves, commit in runs}
+    return [(group, commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
+
+
+def our_row(group: MethodRuns, commit: str) -> Row:
+    """Return the row of one run: scores over the last 100,000 steps, each with Student's 95 % interval over seeds."""
+    curves, step = group.curves, int(group.curves.steps[-1])
+    deployed, wide = (_score(curves, step, metric) for metric in (curves.deployed_metric, WIDE))
+    crossings = row_of(curves, 1, "")
+    alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
+    return Row(
+        env=group.env,
+        method=group.label,
+        source="earl_jax",
+        seeds=curves.seeds,
+        steps=step,
+        deployed=deployed,
+        wide=wide,
+        continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
+        alive="-" if alive is None else f"{alive:.0%}",
+        crossings=tuple(_crossing(crossings, level) for level in (0.5, 0.9)),
+        commit=commit,
+        order=-float(recent_scores(curves, step).mean()),
+    )
+
+
+def _score(curves: Curves, step: int, metric: str) -> str:
+    if metric not in curves.metrics:
+        return "-"
+    return score_text(curves.config.env, *mean_interval(recent_scores(curves, step, metric)))
+
+
+def _crossing(row: dict[str, Any], level: float) -> str:
+    names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
+    return step_interval(Estimate(*(float("nan") if row[name] is None else row[name] for name in names)))
+
+
+def scores_text(runs: list[tuple[MethodRuns, str]]) -> str:
+    """Return a table for each task, by deployed mean, with the published rows among ours."""
+    rows = [our_row(group, commit) for group, commit in runs] + published_rows()
+    parts = []
+    for env in PAPER_TASKS:
+        of_task = sorted((row for row in rows if row.env == env), key=lambda row: row.order)
+        if of_task:
+            parts.append(f"### {env}\n\n{markdown_table(HEADER, [row.texts for row in of_task])}")
+    return "\n\n".join(parts)
+
+
+def tests_text(runs: list[tuple[MethodRuns, str]]) -> str:
+    """Return what can be told apart: the pairs of our runs on a task, by deployed score, with an adjusted p under 0.05."""
+    pairs = list(_pairs([group for group, _ in runs]))
+    tested = with_verdicts([pair_row(first, second) for first, second in pairs])
+    clear = [row for row in tested if row["verdict"] in ("above", "below")]
+    lines = [_test_line(row) for row in clear]
+    header = ("task", "higher", "lower", "at step", "difference [95 %]", "adjusted p")
+    return f"{len(clear)} of {len(tested)} pairs differ.\n\n{markdown_table(header, lines)}"
+
+
+def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
+    for number, first in enumerate(groups):
+        for second in groups[number + 1 :]:
+            seeds = min(first.curves.seeds, second.curves.seeds)
+            steps = min(first.curves.steps[-1], second.curves.steps[-1])
+            if second.env == first.env and seeds >= FEWEST_SEEDS and steps >= CROSSING_WINDOW:
+                yield first, second
+
+
+def _test_line(row: dict[str, Any]) -> list[str]:
+    above = row["verdict"] == "above"
+    names = (row["first"], row["second"]) if above else (row["second"], row["first"])
+    sign, ends = (1, ("low", "high")) if above else (-1, ("high", "low"))
+    difference = score_text(row["env"], sign * row["difference"], *(sign * row[end] for end in ends))
+    return [row["env"], *names, f"{row['steps']:,}", difference, f"{row['p_holm']:.2g}"]
+
+
+def page_text(page: str, root: Path = RESULTS) -> str:
+    """Return the text of `page` with the tables of the runs under `root`."""
+    runs = entries(root)
+    return with_table(with_table(page, scores_text(runs), *SCORES), tests_text(runs), *TESTS)
+
+
+def add(run: Path, root: Path = RESULTS) -> Path:
+    """Copy the config and metrics of `run` into results/leaderboard and return their folder.
+
+    Raises:
+        ValueError: the run breaks a rule of docs/leaderboard.md; the message names it.
+    """
+    curves = read(run)
+    config = curves.config
+    _require(config.env in PAPER_TASKS, f"{config.env} is not one of the tasks {', '.join(PAPER_TASKS)}")
+    _require(curves.comparable, "the task has options, another kind of reward or another setting than the paper's")
+    _require(not config.algo_class, f"{config.algo_class} is not registered, so others cannot repeat the run")
+    _require(curves.seeds >= FEWEST_SEEDS, f"it has {curves.seeds} seeds, fewer than {FEWEST_SEEDS}")
+    _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
+    _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
+    _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
+    _require(bool(commit_of(run)), "its config.json has no commit")
+    known = {pooling_key(read(folder).config): folder for folder in folders(root)}
+    other = known.get(pooling_key(config))
+    _require(other is None, f"{other} has the same task, method and options")
+    target = root / "leaderboard" / config.env / f"{config.algo}-{RunFolder.open(run).id[:8]}"
+    _require(not target.exists(), f"{target} exists")
+    target.mkdir(parents=True)
+    for name in FILES:
+        shutil.copyfile(run / name, target / name)
+    return target
+
+
+def _require(condition: bool, rule: str) -> None:
+    if not condition:
+        raise InputError(f"this run cannot be added: {rule}")
+
+
+def main() -> None:
+    """Write the page, with a new run if one is given."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--add", type=Path, metavar="RUN", help="run folder to add")
+    run = parser.parse_args().add
+    if run:
+        print(add(run))
+    PAGE.write_text(page_text(PAGE.read_text()))
+
+
+if __name__ == "__main__":
+    main()

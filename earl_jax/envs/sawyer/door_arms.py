@@ -1,0 +1,64 @@
+"""Arm poses for the door's wide starts: the hand all over its range, clear of the door at every angle.
+
+`python -m earl_jax.envs.sawyer.door_arms FILE.npz` regenerates assets/starts/sawyer_door.npz, to rounding.
+"""
+
+import sys
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.envs.sawyer.base import REACH, Pose
+
+if TYPE_CHECKING:
+    from earl_jax.envs.sawyer.door import SawyerDoor
+
+TARGETS = np.array(
+    [
+        [-0.4, 0.45, 0.4], [-0.3, 0.7, 0.4], [-0.1, 0.6, 0.35], [0.0, 0.7, 0.4], [0.2, 0.6, 0.4], [0.25, 0.7, 0.38],
+        [0.4, 0.5, 0.4], [0.4, 0.7, 0.35], [-0.45, 0.42, 0.1], [-0.48, 0.55, 0.12], [-0.4, 0.7, 0.1], [-0.35, 0.5, 0.2],
+        [0.45, 0.45, 0.1], [0.48, 0.6, 0.08], [0.3, 0.42, 0.1], [0.2, 0.42, 0.22],
+    ],
+    np.float32,
+)  # fmt: skip
+"""Metres. The door with its handle sweeps the disc of 0.49 m about its hinge, right of x = -0.17, below z = 0.25: the hand
+is outside of the disc, left of it or above."""
+TRAVEL_HEIGHT = 0.42
+RISING, CROSSING, SETTLING = 40, 100, 600
+"""Control steps in which the hand goes up, goes across, and goes down and comes to rest."""
+
+
+def settle(env: "SawyerDoor") -> dict[str, np.ndarray]:
+    """Return the arm at rest at `TARGETS`, float32: `qpos [n, 9]`, mocap `target [n, 3]` and observed `hand [n, 3]`."""
+
+    def to_rest(target):
+        def step(state, number):
+            above, across = jnp.append(state.obs[:2], TRAVEL_HEIGHT), jnp.append(target[:2], TRAVEL_HEIGHT)
+            waypoint = jnp.where(number < RISING, above, jnp.where(number < RISING + CROSSING, across, target))
+            move = (waypoint - state.data.mocap_pos[0]) / REACH
+            return env.step(state, jnp.append(jnp.clip(move, -1.0, 1.0), -1.0)), None
+
+        start = env.reset(jax.random.key(0))
+        return jax.lax.scan(step, start, jnp.arange(RISING + CROSSING + SETTLING))[0]
+
+    states = jax.jit(jax.vmap(to_rest))(TARGETS)
+    fields = {"qpos": states.data.qpos[:, :9], "target": states.data.mocap_pos[:, 0], "hand": states.obs[:, :3]}
+    return {name: np.asarray(values, np.float32) for name, values in fields.items()}
+
+
+def drawn_arm(key: jax.Array, name: str) -> Pose:
+    """Return one of the poses of task `name`, at rest with an open gripper; its fields are arrays."""
+    table = assets.starts(name)
+    index = jax.random.randint(key, (), 0, len(table["qpos"]))
+    arm = {field: jnp.asarray(values)[index] for field, values in table.items()}
+    still = jnp.zeros_like(arm["qpos"])
+    return Pose(arm["target"], arm["qpos"], still, still, arm["hand"], 1.0)
+
+
+if __name__ == "__main__":
+    from earl_jax.envs.sawyer.door import SawyerDoor
+
+    np.savez_compressed(sys.argv[1], **settle(SawyerDoor(engine="c")))  # pyright: ignore[reportArgumentType]

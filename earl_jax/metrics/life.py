@@ -1,0 +1,93 @@
+"""What happens inside a life: phases that reach their goal in both directions, and an object that nobody moves any more.
+
+These metrics are ours; docs/formalism.md says why deployed success alone does not show them.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from earl_jax.envs import Env, State
+
+FORWARD, BACK = "continuing/forward_success", "continuing/back_success"
+ALIVE, STILL = "continuing/alive", "continuing/still_steps"
+LIFE_METRICS = (FORWARD, BACK, ALIVE, STILL)
+MOVED = 0.01
+"""Distance of the object from where it lay that counts as a movement: metres, radians or table units."""
+
+
+class Life(struct.PyTreeNode):
+    """Counts of one lane: [2] is the task phase and the others, int32; steps are counted from 1.
+
+    `ended [2]`, `reached [2]`: phases with a goal that have ended, and those of them that reached it; `counted [2, 2]`:
+    both at the last evaluation; `reached_at [2]`: the step of the last one reached, at first that of the start;
+    `moved_at []`: the step at which the object last moved, and `rest [k]`, float32, where it was then. Without an
+    object, `rest` is None.
+    """
+
+    ended: jax.Array
+    reached: jax.Array
+    counted: jax.Array
+    reached_at: jax.Array
+    moved_at: jax.Array
+    rest: jax.Array | None
+
+
+def init_life(env: Env, env_state: State) -> Life:
+    """Return the counts of a lane that starts in `env_state`."""
+    none = jnp.zeros(2, jnp.int32)
+    rest = env.object_position(env_state)
+    return Life(none, none, jnp.zeros((2, 2), jnp.int32), none, jnp.zeros((), jnp.int32), rest)
+
+
+def counts_from(life: Life, step: int) -> Life:
+    """Return counts of the same shape, [N, ...], that begin at `step`, for lanes of earlier versions without any."""
+    fresh = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), life)
+    return fresh.replace(reached_at=fresh.reached_at + step, moved_at=fresh.moved_at + step)
+
+
+def advance_life(
+    life: Life, env: Env, env_state: State, is_task: jax.Array, over: jax.Array, reached: jax.Array, step: jax.Array
+) -> Life:
+    """Return the counts after step number `step`, counted from 1, which led to `env_state`; bool scalars.
+
+    `is_task`: in the phase of the task; `over`: a phase with a goal ended with it, and `reached` its goal.
+    """
+    phase = jnp.stack([is_task, ~is_task])
+    ends, reaches = phase & over, phase & reached
+    life = life.replace(
+        ended=life.ended + ends,
+        reached=life.reached + reaches,
+        reached_at=jnp.where(reaches, step, life.reached_at),
+    )
+    position = env.object_position(env_state)
+    if position is None or life.rest is None:
+        return life
+    moved = jnp.square(position - life.rest).sum() > MOVED**2
+    return life.replace(moved_at=jnp.where(moved, step, life.moved_at), rest=jnp.where(moved, position, life.rest))
+
+
+def life_metrics(
+    life: Life, step: jax.Array, alive_steps: int, phases: int, sparse: bool
+) -> tuple[Life, dict[str, jax.Array]]:
+    """Return the counts with a new window, and one lane's metrics after `step` steps.
+
+    `continuing/forward_success` and `continuing/back_success` are the shares of phases since the last evaluation that
+    reached their goal, among those that ended, however they ended: nan if none did. `continuing/alive` is 1 where each
+    of the two has reached its goal within the last `alive_steps` steps, or since the start if that is later, else 0; a
+    direction in which no phase with a goal has ended yet does not count. `continuing/still_steps` are the steps since
+    the object last moved by a centimetre (`MOVED`).
+
+    Tasks with a dense reward have no goals to reach, and methods with one phase no way back: they have the columns that
+    make sense for them.
+    """
+    counts = jnp.stack([life.ended, life.reached])
+    ended, reached = counts - life.counted
+    shares = jnp.where(ended > 0, reached / jnp.maximum(ended, 1), jnp.nan)
+    alive = ((step - life.reached_at <= alive_steps) | (life.ended == 0)).all()
+    metrics = {FORWARD: shares[0], BACK: shares[1], ALIVE: alive.astype(jnp.int32)} if sparse else {}
+    if phases == 1:
+        metrics.pop(BACK, None)
+    if life.rest is not None:
+        metrics[STILL] = step - life.moved_at
+    return life.replace(counted=counts), metrics

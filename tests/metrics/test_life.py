@@ -1,0 +1,74 @@
+"""The metrics of a life, from counts whose values are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL, advance_life, counts_from, init_life, life_metrics
+
+FORWARD_PHASE, BACK_PHASE = True, False
+
+
+def mug_at(env, x):
+    state = env.reset(jax.random.key(0))
+    return state.replace(data=state.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
+
+
+@pytest.fixture(scope="module")
+def advance(env):
+    return jax.jit(lambda life, x, *rest: advance_life(life, env, mug_at(env, x), *rest))
+
+
+def after(env, advance, *steps):
+    """Return the counts after `steps`: mug's x, phase, over, reached."""
+    life = init_life(env, mug_at(env, 0.0))
+    for number, (x, *flags) in enumerate(steps, 1):
+        life = advance(life, x, *(jnp.asarray(flag) for flag in flags), jnp.asarray(number))
+    return life
+
+
+def values(life, step, alive_steps=3, phases=2, sparse=True):
+    life, metrics = life_metrics(life, jnp.asarray(step), alive_steps, phases, sparse)
+    return life, {name: float(value) for name, value in metrics.items()}
+
+
+def test_success_shares_count_the_phases_that_ended_since_the_last_evaluation(env, advance):
+    steps = [(0.0, FORWARD_PHASE, True, True), (0.0, FORWARD_PHASE, True, False), (0.0, BACK_PHASE, True, True)]
+    life, first = values(after(env, advance, *steps, (0.0, BACK_PHASE, False, False)), 4)
+    assert (first[FORWARD], first[BACK]) == (0.5, 1.0)
+    _, second = values(life, 4)
+    assert np.isnan(second[FORWARD])
+    assert np.isnan(second[BACK])
+
+
+def test_a_lane_is_alive_if_both_directions_were_reached_recently(env, advance):
+    both = after(env, advance, (0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, True))
+    assert values(both, 4)[1][ALIVE] == 1
+    assert values(both, 5)[1][ALIVE] == 0, "the forward goal was reached 4 steps ago"
+    assert values(both, 5, alive_steps=4)[1][ALIVE] == 1
+    stuck = after(env, advance, (0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, False))
+    assert values(stuck, 3)[1][ALIVE] == 1, "too young to be lost"
+    assert values(stuck.replace(reached_at=jnp.array([9, 0])), 9)[1][ALIVE] == 0
+
+
+def test_a_direction_without_a_goal_does_not_count(env, advance):
+    forward_only = after(env, advance, (0.0, FORWARD_PHASE, True, True)).replace(reached_at=jnp.array([9, 0]))
+    assert values(forward_only, 9)[1][ALIVE] == 1
+    assert values(forward_only, 9, phases=1)[1].keys() == {FORWARD, ALIVE, STILL}
+    assert values(forward_only, 9, sparse=False)[1].keys() == {STILL}
+
+
+def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(env, advance):
+    steps = [(x, FORWARD_PHASE, False, False) for x in (0.5, 0.505, 0.506, 0.507)]
+    assert values(after(env, advance, *steps), 4)[1][STILL] == 3
+    creeping = [(0.006 * number, FORWARD_PHASE, False, False) for number in range(1, 4)]
+    assert values(after(env, advance, *creeping), 3)[1][STILL] == 1, "slow movements add up"
+    assert values(after(env, advance, (0.0, FORWARD_PHASE, False, False)), 1)[1][STILL] == 1
+
+
+def test_counts_of_earlier_checkpoints_begin_at_their_step(env):
+    life = jax.tree.map(lambda leaf: leaf[None], init_life(env, mug_at(env, 0.0)))
+    fresh = jax.tree.map(lambda leaf: leaf[0], counts_from(life, 5000))
+    assert values(fresh, 5000)[1][ALIVE] == 1
+    assert values(fresh, 5000)[1][STILL] == 0

@@ -1,0 +1,95 @@
+"""The leaderboard follows from the run folders, and takes only runs that keep its rules."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from benchmarks import leaderboard
+from benchmarks.paper_cells import with_table
+from earl_jax.metrics.deployed import WIDE
+from tests.report.run_files import write_page_run
+
+SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of five seeds that keeps the rules."""
+    return written(tmp_path / "run", SCORES)
+
+
+def written(path, scores, **options):
+    """Write a run that evaluates every 10,000 steps with ten episodes, and has success from wide starts."""
+    steps = [10_000 * number for number in range(1, scores.shape[1] + 1)]
+    folder = write_page_run(path, "naive", scores, steps=steps, **options)
+    table = (folder / "metrics.csv").read_text().splitlines()
+    wide = [f"{line},{WIDE if number == 0 else 0.25}" for number, line in enumerate(table)]
+    (folder / "metrics.csv").write_text("\n".join(wide) + "\n")
+    change(folder, eval_episodes=10)
+    return folder
+
+
+def change(folder, **values):
+    config = json.loads((folder / "config.json").read_text())
+    config["provenance"]["commit"] = "0123456789abcdef"
+    (folder / "config.json").write_text(json.dumps({**config, **values}))
+
+
+def test_the_page_is_that_of_the_runs():
+    page = leaderboard.PAGE.read_text()
+    assert leaderboard.page_text(page) == page, "run python -m benchmarks.leaderboard"
+    assert leaderboard.page_text(with_table(page, "| another |", *leaderboard.SCORES)) == page
+
+
+def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
+    target = leaderboard.add(run, tmp_path / "results")
+    assert sorted(path.name for path in target.iterdir()) == ["config.json", "metrics.csv"]
+    text = leaderboard.scores_text(leaderboard.entries(tmp_path / "results"))
+    [row] = [line for line in text.splitlines() if "earl_jax" in line]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[:4] == ["naive", "earl_jax", "5", "0.10M"]
+    assert cells[4].startswith("0.490 [")
+    assert cells[5] == "0.250 [0.250, 0.250]"
+    assert cells[-1] == "012345678"
+    rows = text.split("### sawyer_door")[0].splitlines()
+    assert rows.index(row) > next(number for number, line in enumerate(rows) if "| RISC |" in line)
+
+
+def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
+    root = tmp_path / "results"
+    leaderboard.add(run, root)
+    for name, top in (("better", 0.5), ("same", 0.001)):
+        other = written(tmp_path / name, SCORES + top, layer_norm=True, reward_scale=1.0 + top)
+        leaderboard.add(other, root)
+    text = leaderboard.tests_text(leaderboard.entries(root))
+    assert text.startswith("2 of 3 pairs differ.")
+    assert text.count("| naive (layer_norm=True, reward_scale=1.5) |") == 2
+    assert "+" not in text
+    assert "0.500 [" in text
+
+
+@pytest.mark.parametrize(
+    ("values", "rule"),
+    [
+        ({"eval_episodes": 2}, "evaluations have fewer than 10 episodes"),
+        ({"steps": 110_000}, "it has 100000 of 110000 steps"),
+        ({"env_options": {"wide": True}}, "the task has options"),
+        ({"algo_class": "mine:Naive"}, "mine:Naive is not registered"),
+    ],
+)
+def test_a_run_that_breaks_a_rule_is_refused(tmp_path, run, values, rule):
+    change(run, **values)
+    with pytest.raises(ValueError, match=f"this run cannot be added: {rule}"):
+        leaderboard.add(run, tmp_path / "results")
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_run_with_few_seeds_and_a_second_one_of_the_same_options_are_refused(tmp_path, run):
+    with pytest.raises(ValueError, match="it has 4 seeds, fewer than 5"):
+        leaderboard.add(written(tmp_path / "few", SCORES[:4]), tmp_path / "results")
+    leaderboard.add(run, tmp_path / "results")
+    copy = shutil.copytree(run, tmp_path / "copy")
+    with pytest.raises(ValueError, match="has the same task, method and options"):
+        leaderboard.add(copy, tmp_path / "results")
