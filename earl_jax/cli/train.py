@@ -1,6 +1,7 @@
 """Commands that train one run: train, resume."""
 
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -128,6 +129,7 @@ def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple
 def resume(
     folder: Positional[Path],
     steps: int | None = None,
+    seeds: Seeds | None = None,
     devices: Devices = None,
     hosts: Hosts = None,
     minutes: Minutes = None,
@@ -138,27 +140,32 @@ def resume(
     Args:
         folder: Run folder.
         steps: New length of the run. By default the run keeps its length.
+        seeds: Seeds that the finished run shall have, as --seeds of train: those that it lacks are trained from step 0 to its
+            end and added to its files. By default it keeps its seeds.
     """
     limit = parse_minutes(minutes)
+    from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit)
-    _emit_result(result, folder, json)
+    wanted = None if seeds is None else parse_seeds(seeds)
+    result = api.resume(folder, steps=steps, seeds=wanted, progress=True, devices=devices, minutes=limit)
+    is_part = result.seeds != RunFolder.open(folder).config.seeds
+    _emit_result(result, folder, json, result.seeds if is_part else ())
 
 
-def _emit_result(result: Any, out: Path, as_json: bool) -> None:
+def _emit_result(result: Any, out: Path, as_json: bool, added: Sequence[int] = ()) -> None:
     """Print the deployed score of `result` over its seeds, and how to continue it after a time limit.
 
-    Before the first evaluation there is no score.
+    Before the first evaluation there is no score. `added` are the seeds to be added to a run, if the result is theirs.
     """
     from earl_jax.training.stopping import resume_command
 
     values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
     values = {"out": str(out), "engine": result.engine, **values, "stopped": not result.finished}
     if not result.finished:
-        command = resume_command(out)
+        command = resume_command(out, added)
         values |= {"step": result.step, "resume": command}
         text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
         text += f"continue with: {command}"

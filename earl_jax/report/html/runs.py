@@ -15,7 +15,12 @@ from earl_jax.report.runs import Curves, MethodRuns, by_method, pooling_key, rea
 from earl_jax.report.style import colours
 from earl_jax.report.tables import row_of
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.contents import CHECKPOINTS, MERGED, NEW_SEEDS
 from earl_jax.runs.folder import RunFolder
+
+
+INSIDE = {CHECKPOINTS, NEW_SEEDS, MERGED}
+"""Folders in a run folder, which hold no other run."""
 
 
 class Run(NamedTuple):
@@ -85,7 +90,7 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
 
 def _runs_below(folder: Path) -> Iterator[Path]:
     for path, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if name != "checkpoints")
+        folders[:] = sorted(set(folders) - INSIDE)
         if "config.json" in files or "metrics.csv" in files:
             yield Path(path)
 
