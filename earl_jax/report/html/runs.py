@@ -18,7 +18,6 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, MERGED, NEW_SEEDS
 from earl_jax.runs.folder import RunFolder
 
-
 INSIDE = {CHECKPOINTS, NEW_SEEDS, MERGED}
 """Folders in a run folder, which hold no other run."""
 
