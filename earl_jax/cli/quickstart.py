@@ -3,18 +3,10 @@
 import time
 from pathlib import Path
 
-ALGO = "fbrl"
-SEEDS = 2
-STEPS = 170_000
-EPISODES = 20
-PRESET = {
-    "hidden_sizes": (64, 64),
-    "batch_size": 64,
-    "learning_rate": 1e-3,
-    "timeout_bootstrap": True,
-    "demo_share": 0.5,
-    "layer_norm": True,
-}
+from earl_jax.presets import preset
+
+ENV, ALGO = "tabletop_organization", "fbrl"
+PRESET = preset("quick", ENV)
 """Hyper-parameters that learn within minutes on a laptop. Task, rewards, phases, evaluation and the lack of resets are the
 paper's."""
 
@@ -38,21 +30,11 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
     from earl_jax.training import train
 
     began = time.perf_counter()
-    steps = steps or STEPS
-    print(CHANGES.format(steps=steps, seeds=SEEDS, episodes=EPISODES))
+    steps = steps or PRESET["steps"]
+    lengths = {"steps": steps, "eval_every": min(PRESET["eval_every"], steps), "checkpoint_every": steps}
+    print(CHANGES.format(steps=steps, seeds=PRESET["seeds"], episodes=PRESET["eval_episodes"]))
     run = out / ALGO
-    result = train(
-        "tabletop_organization",
-        ALGO,
-        seeds=SEEDS,
-        steps=steps,
-        eval_every=min(10_000, steps),
-        eval_episodes=EPISODES,
-        out=run,
-        checkpoint_every=steps,
-        progress=True,
-        **PRESET,
-    )
+    result = train(ENV, ALGO, out=run, progress=True, **{**PRESET, **lengths})
     figure = plot_runs([run], out / "curves.png")
     table = out / "table.md"
     rows = tabulate([run], last=3)

@@ -21,18 +21,21 @@ from earl_jax.cli.arguments import (
 )
 from earl_jax.cli.parsing import parse_seeds
 from earl_jax.errors import InputError
+from earl_jax.presets import ALGO, LENGTHS
+from earl_jax.presets import preset as named_preset
 
 
 def train(
     env: Positional[str | None] = None,
-    algo: str = "fbrl",
+    algo: str = ALGO,
     seeds: Seeds | None = None,
-    steps: int = 100_000,
+    steps: int | None = None,
     out: Path = Path("runs/latest"),
     config: Path | None = None,
-    eval_every: int = 10_000,
-    eval_episodes: int = 10,
-    checkpoint_every: int = 100_000,
+    preset: str | None = None,
+    eval_every: int | None = None,
+    eval_episodes: int | None = None,
+    checkpoint_every: int | None = None,
     setting: Literal["deployment", "continuing"] = "deployment",
     engine: Engine = None,
     devices: Devices = None,
@@ -49,14 +52,15 @@ def train(
         env: Task, a name from `earl-jax list`.
         algo: Method, a name from `earl-jax list`.
         seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8. By
-            default 5, or those of --config.
-        steps: Training steps of each seed.
+            default 5, or those of --config or --preset.
+        steps: Training steps of each seed. By default 100,000, or those of --preset.
         out: New folder for config.json, metrics.csv and checkpoints.
         config: Run folder, or a config.json, of a run to repeat, in place of the task, the method and their options. --seeds
             takes other seeds. By default none.
-        eval_every: Steps between evaluations.
-        eval_episodes: Greedy episodes of each deployed evaluation.
-        checkpoint_every: Steps between checkpoints.
+        preset: Lengths, seeds and options by name, from `earl-jax list`; what is given besides wins. By default none.
+        eval_every: Steps between evaluations. By default 10,000, or those of --preset.
+        eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
+        checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
         setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
@@ -71,6 +75,7 @@ def train(
         "eval_every": eval_every,
         "eval_episodes": eval_episodes,
         "checkpoint_every": checkpoint_every,
+        "preset": preset,
         "setting": setting,
         "set": set,
     }
@@ -99,10 +104,13 @@ def _objects_by_name(env: str | None, given: dict[str, Any]) -> tuple[Any, dict[
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
-    values = dict(given)
-    pairs = parse_options(values.pop("set"))
-    task, values["setting"], options = api.split_options(env, {"setting": values["setting"], **pairs})
-    return task, {**values, "algo": algos.method_for(task, values["algo"], **options)}
+    pairs, name = parse_options(given["set"]), given["preset"]
+    lengths = {key: value for key, value in given.items() if key in LENGTHS and value is not None}
+    values = {**LENGTHS, **lengths} if name is None else named_preset(name, env, **lengths)
+    options = {key: value for key, value in values.items() if key not in LENGTHS}
+    task, setting, options = api.split_options(env, {**options, "setting": given["setting"], **pairs})
+    lengths = {key: values[key] for key in LENGTHS}
+    return task, {**lengths, "setting": setting, "algo": algos.method_for(task, given["algo"], **options)}
 
 
 def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

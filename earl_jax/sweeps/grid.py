@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.presets import LENGTHS, preset
 
-COUNTS = {"steps": 100_000, "eval_every": 10_000, "eval_episodes": 10, "checkpoint_every": 100_000}
-KEYS = ("envs", "algos", "seeds", *COUNTS, "options")
+COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}
+KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options")
 MOST_RUNS, MOST_SEEDS = 10_000, 65_536
 """The largest numbers of runs in a grid and of seeds in a run."""
 LONGEST = 150
@@ -75,15 +76,27 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     for key in block:
         if key not in KEYS:
             raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
-    counts = {key: _count(key, block.get(key, default)) for key, default in COUNTS.items()}
-    seeds = _seeds(block.get("seeds", 5))
-    alternatives = _alternatives(_options(block))
     envs, algos = _names(block, "envs"), _names(block, "algos")
-    _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
-    for env, algo in itertools.product(envs, algos):
-        for values in itertools.product(*alternatives.values()):
+    for env in envs:
+        own = _with_preset(block, env)
+        counts = {key: _count(key, own.get(key, default)) for key, default in COUNTS.items()}
+        seeds = _seeds(own.get("seeds", LENGTHS["seeds"]))
+        alternatives = _alternatives(_options(own))
+        _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
+        for algo, *values in itertools.product(algos, *alternatives.values()):
             options = dict(zip(alternatives, values, strict=True))
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
+
+
+def _with_preset(block: dict[str, Any], env: str) -> dict[str, Any]:
+    """Return `block` with the lengths and options of its preset, if it names one, for a task; its own values win."""
+    if "preset" not in block:
+        return block
+    given = {key: block[key] for key in ("seeds", *COUNTS) if key in block}
+    values = preset(str(block["preset"]), env, **given)
+    lengths = {key: values.pop(key) for key in LENGTHS}
+    options = {name: [list(value)] if isinstance(value, tuple) else value for name, value in values.items()}
+    return {**block, **lengths, "options": {**options, **_options(block)}}
 
 
 def _check_runs(count: int) -> None:

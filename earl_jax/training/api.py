@@ -13,6 +13,7 @@ from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, current_options, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
@@ -99,7 +100,7 @@ def _lane(lanes: Any, i: jax.Array) -> Any:
 
 def train(
     env: str | Env,
-    algo: str | Method,
+    algo: str | Method = ALGO,
     *,
     setting: str | Setting = Deployment.name,
     engine: str | None = None,

@@ -75,7 +75,8 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
     ("text", "message"),
     [
         ("envs = [", "can't be read"),
-        ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from envs, algos"),
+        ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from preset, envs, algos"),
+        ("envs = 'e'\nalgos = 'a'\npreset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
         ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),
@@ -100,6 +101,16 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
 def test_invalid_grids_are_refused(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         read(tmp_path, text)
+
+
+def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
+    text = "preset = 'strong'\nenvs = ['tabletop_organization', 'sawyer_door']\nalgos = 'naive'\n[options]\nlayer_norm = false\n"
+    specs = read(tmp_path, text)
+    assert [(spec.steps, len(spec.seeds)) for spec in specs] == [(2_500_000, 5), (4_000_000, 5)]
+    assert specs[0].options == {"layer_norm": False, "timeout_bootstrap": True}
+    [quick] = read(tmp_path, "envs = 'e'\nalgos = 'a'\npreset = 'quick'\nseeds = [7]\neval_every = 40\n")
+    assert (quick.seeds, quick.steps, quick.eval_every) == ((7,), 170_000, 40)
+    assert quick.options["hidden_sizes"] == [64, 64]
 
 
 def test_missing_file_is_refused(tmp_path):
