@@ -1,4 +1,4 @@
-"""A grid in a TOML file: tasks x methods x options, one run for each combination. Reading it imports no learner."""
+"""A grid in a TOML file: tasks x methods x options, one run for each combination or sample. It imports no learner."""
 
 import dataclasses
 import hashlib
@@ -13,9 +13,10 @@ from typing import Any
 
 from earl_jax.errors import InputError
 from earl_jax.presets import LENGTHS, preset
+from earl_jax.sweeps.samples import SAMPLERS, is_distribution, samples
 
 COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}
-KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options")
+KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options", "samples", "sampler", "sample_seed")
 MOST_RUNS, MOST_SEEDS = 10_000, 65_536
 """The largest numbers of runs in a grid and of seeds in a run."""
 LONGEST = 150
@@ -81,11 +82,24 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
         own = _with_preset(block, env)
         counts = {key: _count(key, own.get(key, default)) for key, default in COUNTS.items()}
         seeds = _seeds(own.get("seeds", LENGTHS["seeds"]))
-        alternatives = _alternatives(_options(own))
-        _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
-        for algo, *values in itertools.product(algos, *alternatives.values()):
-            options = dict(zip(alternatives, values, strict=True))
+        alternatives, sampled = _alternatives(_options(own)), _sampled(own)
+        _check_runs(math.prod(map(len, (envs, algos, sampled, *alternatives.values()))))
+        for algo, *values, sample in itertools.product(algos, *alternatives.values(), sampled):
+            options = {**dict(zip(alternatives, values, strict=True)), **sample}
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
+
+
+def _sampled(block: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the samples of the options of `block` that are distributions; one empty sample if there are none."""
+    given = {key: block[key] for key in ("samples", "sampler", "sample_seed") if key in block}
+    distributions = {name: value for name, value in _options(block).items() if is_distribution(value)}
+    if not distributions and not given:
+        return [{}]
+    if not distributions or "samples" not in given:
+        named = ", ".join(distributions or given)
+        missing = "samples = N" if distributions else "an option with a distribution, such as { uniform = [0, 1] }"
+        raise InputError(f"{named} needs {missing}")
+    return samples(distributions, given["samples"], given.get("sampler", SAMPLERS[0]), given.get("sample_seed", 0))
 
 
 def _with_preset(block: dict[str, Any], env: str) -> dict[str, Any]:
@@ -140,7 +154,11 @@ def _options(block: dict[str, Any]) -> dict[str, Any]:
 
 def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the alternative values of each option, sorted by the names of the options."""
-    alternatives = {name: value if isinstance(value, list) else [value] for name, value in sorted(options.items())}
+    alternatives = {
+        name: value if isinstance(value, list) else [value]
+        for name, value in sorted(options.items())
+        if not is_distribution(value)
+    }
     for name, values in alternatives.items():
         texts = [json.dumps(value, default=str) for value in values]
         if not texts or len(set(texts)) < len(texts):
