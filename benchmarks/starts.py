@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.output import emit
-from earl_jax.presets import PRESETS
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.deployed import deployed
 from earl_jax.physics import PhysicsState
+from earl_jax.presets import PRESETS
 from earl_jax.training import Policy, Result, train
 
 TASK = "tabletop_organization"

@@ -34,6 +34,7 @@ COMMANDS = {
     "evaluate": inspect_runs.evaluate,
     "plot": inspect_runs.plot,
     "table": inspect_runs.table,
+    "best": inspect_runs.best,
     "compare": inspect_runs.compare,
     "render": render.render,
     "report": report.report,

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import (
     Comparison,
     Sample,
@@ -19,11 +20,11 @@ from earl_jax.metrics.comparison import (
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
-from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
 from earl_jax.report.published import published_score, published_steps
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
 from earl_jax.report.style import new_figure, save
 from earl_jax.report.tables import file_table, markdown_table, millions, write
+from earl_jax.report.terminal import shown_table, wrapped
 
 Row = dict[str, Any]
 PICTURES = (".png", ".pdf", ".svg")
@@ -76,8 +77,7 @@ def with_verdicts(rows: list[Row]) -> list[Row]:
 def recent_scores(curves: Curves, step: int) -> np.ndarray:
     """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer."""
     until = curves.steps <= step
-    scores, steps = curves.metrics[curves.deployed_metric][:, until], curves.steps[until]
-    return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[:, -1]
+    return crossings.recent_scores(curves.steps[until], curves.metrics[curves.deployed_metric][:, until])
 
 
 def _pair_rows(groups: Sequence[MethodRuns]) -> list[Row]:
@@ -128,6 +128,13 @@ def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sam
 def table_text(rows: Sequence[Row]) -> str:
     """Return the rows of `compare` as a markdown table with the rule below it."""
     return f"{markdown_table(HEADER, _lines(rows))}\n\n{RULE}"
+
+
+def shown(rows: Sequence[Row], width: int | None) -> str:
+    """Return the text of `table_text` for a terminal of `width` columns, or as it is without a width."""
+    if width is None:
+        return table_text(rows)
+    return f"{shown_table(HEADER, _lines(rows), width)}\n\n{wrapped(RULE, width)}"
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:

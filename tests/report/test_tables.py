@@ -5,6 +5,7 @@ import pytest
 
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
+from tests.cli.process import run
 from tests.report.run_files import TABLETOP, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
@@ -38,7 +39,7 @@ def test_runs_in_the_continuing_setting_have_no_published_scores(tmp_path):
     write_three_evaluations(tmp_path / "a")
     write_three_evaluations(tmp_path / "b", setting=Continuing(goal_change=7))
     deployment, continuing = tables.tabulate([tmp_path / "a", tmp_path / "b"])
-    assert deployment["algo"] == "naive (goal_change=default, setting=default)"
+    assert deployment["algo"] == "naive"
     assert deployment["published_deployed"] == "0.32 (0.17)"
     assert continuing["algo"] == "naive (goal_change=7, setting=continuing)"
     assert continuing["published_deployed"] is None
@@ -58,7 +59,7 @@ def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_pat
 def test_markdown_names_the_options_in_which_runs_differ(tmp_path):
     paths = [write_three_evaluations(tmp_path / "a"), write_three_evaluations(tmp_path / "b", reward_scale=1.0)]
     text = tables.markdown(tables.tabulate(paths))
-    assert "| naive (reward_scale=default) |" in text
+    assert "| naive |" in text
     assert "| naive (reward_scale=1.0) |" in text
     assert "naive (reward_scale=1.0): reward_scale=1.0" in text
 
@@ -91,3 +92,17 @@ def test_a_task_that_cannot_be_built_is_an_error_that_names_the_run(tmp_path):
     (folder / "config.json").write_text((folder / "config.json").read_text().replace(TABLETOP, "maze"))
     with pytest.raises(ValueError, match=f"{folder}: unknown env 'maze'"):
         tables.tabulate([folder])
+
+
+def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
+    write_three_evaluations(tmp_path / "runs/a")
+    write_three_evaluations(tmp_path / "runs/b", reward_scale=1.0)
+    arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "one", "--last", "2")
+    code, out, _ = run(*arguments, "--out", tmp_path / "t.tex")
+    assert code == 0
+    assert "| env | algo | seeds | steps | continuing/recent, mean [95 %] |" in out
+    assert "| tabletop_organization | one | 2 | 30 | 0.015 [0.015, 0.015] |" in out
+    assert r"ten & 2 & 30 & 0.015 [0.015, 0.015] \\" in (tmp_path / "t.tex").read_text()
+    assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
+    code, _, err = run("table", tmp_path / "runs", "--labels", "one")
+    assert (code, "give one for each of: naive; naive (reward_scale=1.0)" in err) == (2, True)

@@ -79,8 +79,14 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
         ("envs = 'e'\nalgos = 'a'\npreset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
         ("envs = 'e'\nalgos = 'a'\noptions.x = { uniform = [0, 1] }", "x needs samples = N"),
         ("envs = 'e'\nalgos = 'a'\nsamples = 3", "samples needs an option with a distribution"),
-        ("envs = 'e'\nalgos = 'a'\nsamples = 0\noptions.x = { uniform = [0, 1] }", "samples must be a whole number from 1"),
-        ("envs = 'e'\nalgos = 'a'\nsamples = 2\noptions.x = { normal = [0, 1] }", "one of uniform, log_uniform, integers"),
+        (
+            "envs = 'e'\nalgos = 'a'\nsamples = 0\noptions.x = { uniform = [0, 1] }",
+            "samples must be a whole number from 1",
+        ),
+        (
+            "envs = 'e'\nalgos = 'a'\nsamples = 2\noptions.x = { normal = [0, 1] }",
+            "one of uniform, log_uniform, integers",
+        ),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
         ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),

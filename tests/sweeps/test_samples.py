@@ -67,7 +67,11 @@ def test_invalid_distributions_name_the_option(distribution, message):
 
 
 def test_invalid_numbers_and_samplers_are_named():
-    for arguments, message in (((0,), "samples must"), ((True,), "samples must"), ((3, "grid"), "choose from random, sobol")):
+    for arguments, message in (
+        ((0,), "samples must"),
+        ((True,), "samples must"),
+        ((3, "grid"), "choose from random, sobol"),
+    ):
         with pytest.raises(ValueError, match=message):
             samples(OPTIONS, *arguments)
     with pytest.raises(ValueError, match="sample_seed must be a whole number from 0"):

@@ -12,7 +12,8 @@ from typing import Any
 from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
 from earl_jax.report.html.origin import report_command
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
+from earl_jax.report.runs import find_runs
 from earl_jax.runs.files import write_atomically
 
 TEMPLATES = Path(__file__).parent / "templates"

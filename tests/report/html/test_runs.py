@@ -5,8 +5,9 @@ import json
 import pytest
 
 from earl_jax.report.html.line_style import lightened, shaded
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
 from earl_jax.report.html.writing import write_page
+from earl_jax.report.runs import find_runs
 from tests.report.run_files import TABLETOP, rising, write_page_run
 
 

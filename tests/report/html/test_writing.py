@@ -11,8 +11,9 @@ import pytest
 
 from earl_jax.cli.report import report
 from earl_jax.report.html.origin import origins
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
 from earl_jax.report.html.writing import write_page
+from earl_jax.report.runs import find_runs
 from tests.conftest import tiny_train
 from tests.report.html.conftest import EVIL
 from tests.report.html.reader import Reader
