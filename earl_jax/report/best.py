@@ -105,13 +105,15 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         parts += [f"{env}, {of_task[0]['metric']}", shown_table(HEADER, [_cells(row) for row in of_task[:top]], width)]
         hidden = len(of_task) - top
         parts.append(
-            wrapped(" ".join([*([f"{hidden} more are not shown."] if hidden > 0 else []), _told(of_task)]), width)
+            wrapped(
+                " ".join([*([f"{hidden} more are not shown."] if hidden > 0 else []), _verdict_text(of_task)]), width
+            )
         )
     parts += [wrapped(RULE.format(test=TESTS[test]), width)]
     return "\n\n".join([*parts, *([wrapped(OPTIMISM, width)] if len(rows) > 1 else [])])
 
 
-def _told(rows: Sequence[Row]) -> str:
+def _verdict_text(rows: Sequence[Row]) -> str:
     """Return which of the runs of a task cannot be told from its best, and whether any of them could be."""
     tested = [row for row in rows if not math.isnan(row["difference"])]
     unclear = [row for row in tested if row["verdict"] == "cannot tell"]

@@ -130,7 +130,7 @@ def table_text(rows: Sequence[Row]) -> str:
     return f"{markdown_table(HEADER, _lines(rows))}\n\n{RULE}"
 
 
-def shown(rows: Sequence[Row], width: int | None) -> str:
+def terminal_text(rows: Sequence[Row], width: int | None) -> str:
     """Return the text of `table_text` for a terminal of `width` columns, or as it is without a width."""
     if width is None:
         return table_text(rows)

@@ -158,14 +158,14 @@ def _read_below(folders: Sequence[Path]) -> Iterator[tuple[Path, Curves]]:
         if (folder / CONFIG).is_file() or not folder.is_dir():
             yield folder, read(folder)
             continue
-        found, causes = find_runs([folder]), []
-        for path in found:
+        paths, causes = find_runs([folder]), []
+        for path in paths:
             try:
                 yield path, read(path)
             except InputError as error:
                 causes.append(str(error))
                 warnings.warn(f"left out: {error}", RunWarning, stacklevel=2)
-        if len(causes) == len(found):
+        if len(causes) == len(paths):
             raise InputError(f"no run below {folder} can be read: {causes[0]}")
 
 

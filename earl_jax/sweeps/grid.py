@@ -84,8 +84,11 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
         seeds = _seeds(own.get("seeds", LENGTHS["seeds"]))
         alternatives, sampled = _alternatives(_options(own)), _sampled(own)
         _check_runs(math.prod(map(len, (envs, algos, sampled, *alternatives.values()))))
-        for algo, *values, sample in itertools.product(algos, *alternatives.values(), sampled):
-            options = {**dict(zip(alternatives, values, strict=True)), **sample}
+        combinations = [
+            dict(zip(alternatives, values, strict=True)) for values in itertools.product(*alternatives.values())
+        ]
+        for algo, combination, sample in itertools.product(algos, combinations, sampled):
+            options = {**combination, **sample}
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
 
 

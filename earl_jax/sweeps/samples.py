@@ -104,7 +104,7 @@ def _points(count: int, size: int, sampler: str, seed: int) -> list[list[Point]]
         from scipy.stats import qmc  # it takes a second
 
         # A whole power of two: the balance of Sobol's sequence holds for those.
-        return qmc.Sobol(size, seed=seed).random_base2(math.ceil(math.log2(count)))[:count].tolist()
+        return qmc.Sobol(size, rng=seed).random_base2(math.ceil(math.log2(count)))[:count].tolist()
     import numpy as np
 
     return np.random.default_rng(seed).random((count, size)).tolist()

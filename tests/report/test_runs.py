@@ -80,7 +80,7 @@ def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
         assert [curves.config.algo for curves in read_all([tmp_path])] == ["naive", "fbrl"]
     shutil.rmtree(tmp_path / "x/a")
     shutil.rmtree(tmp_path / "x/b")
-    with pytest.warns(RunWarning), pytest.raises(ValueError, match="no run below .*x can be read: .*young"):
+    with pytest.warns(RunWarning), pytest.raises(ValueError, match=r"no run below .*x can be read: .*young"):
         read_all([tmp_path / "x"])
     with pytest.raises(ValueError, match="nowhere is not a run folder"):
         read_all([tmp_path / "nowhere"])
