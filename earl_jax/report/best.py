@@ -10,7 +10,7 @@ from earl_jax.metrics.comparison import LEVEL, Sample, holm, mean_interval, perm
 from earl_jax.report.comparison import recent_scores
 from earl_jax.report.runs import Curves, MethodRuns, options_text, read_methods
 from earl_jax.report.style import task_order
-from earl_jax.report.tables import interval_text, millions
+from earl_jax.report.tables import interval_text
 from earl_jax.report.terminal import shown_table, wrapped
 
 Row = dict[str, Any]
@@ -140,6 +140,6 @@ def _cells(row: Row) -> list[str]:
     if not math.isnan(row["difference"]):
         difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
     return [
-        str(row["rank"]), row["label"], str(row["seeds"]), millions(row["steps"]),
+        str(row["rank"]), row["label"], str(row["seeds"]), f"{row['steps']:,}",
         interval_text(row["score"], row["low"], row["high"]), difference, number(row["p_holm"]), row["verdict"],
     ]  # fmt: skip

@@ -48,10 +48,7 @@ def read(path: Path) -> list[RunSpec]:
     Raises:
         ValueError: the file cannot be read, or has an unknown key or an invalid value; the message names it.
     """
-    try:
-        table = tomllib.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"grid {path} can't be read: {error}") from error
+    table = _read_table(path)
     try:
         specs: dict[str, RunSpec] = {}
         for block in _blocks(table):
@@ -60,6 +57,40 @@ def read(path: Path) -> list[RunSpec]:
     except ValueError as error:
         raise InputError(f"grid {path}: {error}") from error
     return list(specs.values())
+
+
+def read_space(path: Path) -> tuple[RunSpec, dict[str, dict[str, Any]]]:
+    """Return the run that a file with one task and one method describes, and the distributions of its other options.
+
+    Raises:
+        ValueError: as `read`, or there are several tasks, methods or values of an option, or no distribution.
+    """
+    table = _read_table(path)
+    try:
+        if {"runs", "samples", "sampler", "sample_seed"} & set(table):
+            raise InputError("a search has no [[runs]], samples, sampler or sample_seed; it draws the options itself")
+        options = _options(table)
+        distributions = {name: value for name, value in options.items() if is_distribution(value)}
+        if not distributions:
+            raise InputError("a search needs options with a distribution, such as { log_uniform = [1e-4, 1e-2] }")
+        fixed = {name: value for name, value in options.items() if name not in distributions}
+        specs = list(_specs({**table, "options": fixed}))
+        if len(specs) > 1:
+            raise InputError(
+                "a search has one task, one method and one value of each option; a list can be a choice = [...]"
+            )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    preset_names = distributions.keys() & specs[0].options.keys()
+    options = {name: value for name, value in specs[0].options.items() if name not in preset_names}
+    return dataclasses.replace(specs[0], options=options), distributions
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"grid {path} can't be read: {error}") from error
 
 
 def _blocks(table: dict[str, Any]) -> list[dict[str, Any]]:

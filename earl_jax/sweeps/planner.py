@@ -79,7 +79,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     Raises:
         ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
-    planned = [_planned_run(spec, out) for spec in grid.read(path)]
+    planned = [planned_run(spec, out) for spec in grid.read(path)]
     runs = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
     groups = [
         {
@@ -94,7 +94,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     return {"out": str(out), "runs": runs, "groups": groups}
 
 
-def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
+def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training."""
     path = out / spec.name
     try:

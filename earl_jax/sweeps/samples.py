@@ -72,12 +72,12 @@ def _are_ends(kind: str, ends: list[Any]) -> bool:
 
 def _uniform(ends: list[float]) -> Callable[[Point], float]:
     low, high = map(float, ends)
-    return lambda u: _rounded(low + u * (high - low), low, high)
+    return lambda u: rounded(low + u * (high - low), low, high)
 
 
 def _log_uniform(ends: list[float]) -> Callable[[Point], float]:
     low, high = map(float, ends)
-    return lambda u: _rounded(low * (high / low) ** u, low, high)
+    return lambda u: rounded(low * (high / low) ** u, low, high)
 
 
 def _integers(ends: list[int]) -> Callable[[Point], int]:
@@ -93,7 +93,7 @@ KINDS = {"uniform": _uniform, "log_uniform": _log_uniform, "integers": _integers
 """Distributions by name; each makes the quantile function of its list."""
 
 
-def _rounded(value: float, low: float, high: float) -> float:
+def rounded(value: float, low: float, high: float) -> float:
     """Return `value` with four significant digits, still between `low` and `high`."""
     return min(max(float(f"{value:.{DIGITS}g}"), low), high)
 

@@ -49,7 +49,7 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     text = best_text(few)
     assert "Of 2 others of the same length, 2 cannot be told from the best: rank 2, 3." in text
     assert "the smallest adjusted p of so many permutation tests is 0.67" in text
-    assert "| 1 | naive (reward_scale=1.0) | 2 | 0.00M | 0.825 [0.507, 1.143] |" in text
+    assert "| 1 | naive (reward_scale=1.0) | 2 | 20 | 0.825 [0.507, 1.143] |" in text
     welch = best_text(best([tmp_path], "welch"), "welch")
     assert "None could be" not in welch
     assert "by Welch's test" in welch
