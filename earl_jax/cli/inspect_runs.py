@@ -117,14 +117,18 @@ def compare(
     Args:
         folders: Run folders, or folders of them; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds.
-        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
+        out: Files that also receive the comparison: .md, .tex, .csv, .html, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import terminal_text, write_comparison
+    from earl_jax.report.html.comparison import write_comparison_page
     from earl_jax.report.terminal import terminal_width
 
     rows = compare_runs(folders, against)
     for path in out:
         with replacing(path):
-            write_comparison(rows, path)
+            if path.suffix == ".html":
+                write_comparison_page(rows, folders, against, path)
+            else:
+                write_comparison(rows, path)
     emit({"rows": rows}, json, terminal_text(rows, terminal_width()))

@@ -127,14 +127,14 @@ def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sam
 
 def table_text(rows: Sequence[Row]) -> str:
     """Return the rows of `compare` as a markdown table with the rule below it."""
-    return f"{markdown_table(HEADER, _lines(rows))}\n\n{RULE}"
+    return f"{markdown_table(HEADER, cells(rows))}\n\n{RULE}"
 
 
 def terminal_text(rows: Sequence[Row], width: int | None) -> str:
     """Return the text of `table_text` for a terminal of `width` columns, or as it is without a width."""
     if width is None:
         return table_text(rows)
-    return f"{shown_table(HEADER, _lines(rows), width)}\n\n{wrapped(RULE, width)}"
+    return f"{shown_table(HEADER, cells(rows), width)}\n\n{wrapped(RULE, width)}"
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
@@ -144,17 +144,20 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
         ValueError: `path` has another suffix, or matplotlib is not installed.
     """
     if path.suffix not in TABLES + PICTURES:
-        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
+        raise InputError(
+            f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}, or as .html by the command"
+        )
     if path.suffix in PICTURES:
         return save(_draw(rows), path)
     if path.suffix == ".csv":
         write(list(rows), path)
     else:
-        path.write_text(file_table(path, HEADER, _lines(rows), RULE))
+        path.write_text(file_table(path, HEADER, cells(rows), RULE))
     return path
 
 
-def _lines(rows: Sequence[Row]) -> list[list[str]]:
+def cells(rows: Sequence[Row]) -> list[list[str]]:
+    """Return the texts of `rows` under `HEADER`."""
     return [
         [
             row["env"], f"{row['first']}, {_seeds(row['seeds'])}", f"{row['second']}, {_seeds(row['other_seeds'])}",
