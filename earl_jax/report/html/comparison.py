@@ -10,7 +10,7 @@ from earl_jax.errors import InputError
 from earl_jax.report.comparison import HEADER, RULE, Row, cells
 from earl_jax.report.html.writing import TEMPLATES, raw, template_environment, write_ascii
 
-WIDTH, MARGIN = 220, 6
+WIDTH, MARGIN = 180, 6
 """Of a drawn interval, in pixels."""
 
 
@@ -50,9 +50,9 @@ def _task(rows: Sequence[Row]) -> dict[str, Any]:
 
     drawn = [
         {
-            "cells": line[1:],
+            "texts": line[1:],
             "plot": None if math.isnan(row["low"]) else [x(row[key]) for key in ("low", "difference", "high")],
-            "clear": row["verdict"] in ("above", "below"),
+            "is_clear": row["verdict"] in ("above", "below"),
         }
         for row, line in zip(rows, cells(rows), strict=True)
     ]

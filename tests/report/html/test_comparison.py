@@ -17,8 +17,9 @@ def folders(tmp_path):
     write_run(tmp_path / "a", TABLETOP, "naive", constant(0.1, 0.2, 0.1, 0.2, 0.15))
     write_run(tmp_path / "b", TABLETOP, "fbrl", constant(0.9, 0.8, 0.9, 0.8, 0.85))
     write_run(tmp_path / "c", DOOR, "naive", constant(0.5), env_options={"demo_file": "<script>"})
-    write_run(tmp_path / "d", DOOR, "fbrl", constant(0.5))
-    return [tmp_path / name for name in "abcd"]
+    write_run(tmp_path / "d", DOOR, "fbrl", constant(0.5, 0.6))
+    write_run(tmp_path / "e", DOOR, "oracle", constant(0.6, 0.7))
+    return [tmp_path / name for name in "abcde"]
 
 
 def test_the_page_has_every_cell_and_draws_the_intervals(folders, tmp_path):
@@ -28,7 +29,8 @@ def test_the_page_has_every_cell_and_draws_the_intervals(folders, tmp_path):
     page, rows = out.read_text(), compare(folders)
     assert all(cell in page for line in cells(rows) for cell in line)
     assert all(name in page for name in HEADER[1:])
-    assert page.count("<svg") == 1  # a single seed has no interval
+    assert page.count("<svg") == 2  # a single seed has no interval
+    assert page.count('class="clear"') == 2  # the line and the mark of the only difference that can be told
     assert "<script" not in page
     assert f"earl-jax compare {folders[0]}" in page
     [low, high] = re.search(r'<line class="clear" x1="([\d.]+)" x2="([\d.]+)"', page).groups()
