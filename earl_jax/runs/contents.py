@@ -12,7 +12,7 @@ from earl_jax.runs.table import complete_lines, table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 TENSORBOARD, WANDB = "tensorboard", "wandb"
-NEW_SEEDS, MERGED = "new_seeds", "merged"
+NEW_SEEDS, MERGED = "new_seeds", "merged_seeds"
 """Folders in a run folder while seeds are added to it."""
 FILES = (CONFIG, METRICS, POLICIES)
 EVENTS = "events.out.tfevents."

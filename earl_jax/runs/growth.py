@@ -1,7 +1,7 @@
 """More seeds for a finished run: the folder where they are trained, and its merging into the folder of the run.
 
 The new seeds have a run folder of their own in that of the run, `new_seeds`. When it is finished, the merged files are
-written to `merged` there and moved into place one by one. `merged` exists in the run folder while they are moved, so
+written to `merged_seeds` there and moved into place one by one. That folder is in the run folder while they are moved, so
 that after a kill nobody reads half of them and the same command goes on.
 """
 
@@ -70,7 +70,7 @@ def merge(folder: RunFolder, added: RunFolder, write_state: Callable[[RunFolder]
 
 
 def finish_merge(path: Path) -> None:
-    """Move the files of `merged` into the run folder at `path` if a kill has stopped that.
+    """Move the merged files into the run folder at `path` if a kill has stopped that.
 
     Raises:
         ValueError: another process is merging there.

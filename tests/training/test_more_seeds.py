@@ -81,7 +81,7 @@ def test_the_command_line_continues_after_its_minutes_and_after_a_kill_in_the_me
         earl_jax.resume(folder, seeds=4)
     with pytest.raises(ValueError, match=f"being merged into {folder}; if that was killed: earl-jax resume {folder}"):
         RunFolder.open(folder)
-    (folder / "merged/policies.npz").replace(folder / "policies.npz")  # a kill after the first files
+    (folder / "merged_seeds/policies.npz").replace(folder / "policies.npz")  # a kill after the first files
     monkeypatch.setattr(growth, "_move_merged", real)
     code, out, _ = run("resume", folder)
     assert (code, "over 4 seeds" in out) == (0, True)
