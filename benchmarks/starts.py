@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.output import emit
-from earl_jax.cli.quickstart import PRESET
 from earl_jax.envs import Env, State, make
 from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.deployed import deployed
 from earl_jax.physics import PhysicsState
+from earl_jax.presets import PRESETS
 from earl_jax.training import Policy, Result, train
 
 TASK = "tabletop_organization"
@@ -72,7 +72,9 @@ def main() -> None:
     arguments = parser.parse_args()
     report = {}
     for algo in ("fbrl", "oracle"):
-        result = train(TASK, algo, seeds=2, steps=arguments.steps, eval_every=50_000, progress=True, **PRESET)
+        result = train(
+            TASK, algo, seeds=2, steps=arguments.steps, eval_every=50_000, progress=True, **PRESETS["quick"].options
+        )
         report[algo] = {name: evaluate(result, start) for name, start in starts(result.env).items()}
     emit(
         {"steps": arguments.steps, "success": report},

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
     from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
     from earl_jax.errors import InputError
+    from earl_jax.presets import preset
     from earl_jax.protocol import Continuing, Deployment, Protocol
     from earl_jax.training import Problem, Result, evaluate, lifetime, resume, select_seed, train
 
@@ -35,6 +36,7 @@ _HOME = {
     "method_for": "algos",
     "register_algo": "algos",
     "register_env": "envs",
+    "preset": "presets",
     "resume": "training",
     "select_seed": "training",
     "train": "training",
@@ -60,6 +62,7 @@ __all__ = [
     "make",
     "make_algo",
     "method_for",
+    "preset",
     "register_algo",
     "register_env",
     "resume",

@@ -1,7 +1,12 @@
 """Arguments that several commands share, and the output of a command as text or JSON."""
 
+import contextlib
+import datetime
 import json
 import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -56,6 +61,30 @@ Slurm = Annotated[
     tuple[str, ...],
     tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none."),
 ]
+
+
+Labels = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        help="Names of the lines, one for each, in the order in which they are shown. By default method and options."
+    ),
+]
+Metric = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="Column of metrics.csv to show, such as interventions. By default the deployed and continuing scores."
+    ),
+]
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[None]:
+    """A context that writes `path`; where a file was there before, a line on stderr says so after it was replaced."""
+    before = path.stat() if path.is_file() else None
+    yield
+    if before is not None:
+        when = datetime.datetime.fromtimestamp(before.st_mtime).isoformat(" ", "seconds")
+        print(f"earl-jax: replaced {path} of {when}", file=sys.stderr)
 
 
 def parse_minutes(text: str | None) -> TimeLimit | None:

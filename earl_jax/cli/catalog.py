@@ -10,6 +10,7 @@ from earl_jax import algos, envs
 from earl_jax.cli.class_source import ClassSource, Field, class_at
 from earl_jax.cli.module_source import module_of
 from earl_jax.errors import InputError
+from earl_jax.presets import LENGTHS, PRESETS
 
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
@@ -20,7 +21,7 @@ DIRECTIONS = ("forward", "backward")
 
 
 def catalog() -> dict[str, Any]:
-    """Return the names of the tasks (`envs`) and methods (`algos`), their descriptions, and the learner's options.
+    """Return the names of the tasks (`envs`) and methods (`algos`), their descriptions, the learner's options and the presets.
 
     A name whose class has no source to read, or that several packages claim, has the key `error` instead of the rest.
     """
@@ -31,7 +32,19 @@ def catalog() -> dict[str, Any]:
         "tasks": {name: describe_task(name) for name in tasks},
         "methods": {name: describe_method(name) for name in methods},
         "learner": learner_options(),
+        "presets": {name: describe_preset(name) for name in PRESETS},
     }
+
+
+def describe_preset(name: str) -> dict[str, Any]:
+    """Return the description of the preset `name`: what it is, its seeds and lengths, and its options of the learner.
+
+    The steps are None where they are those of the paper for the task.
+    """
+    values = PRESETS[name]
+    lengths = {**LENGTHS, "steps": None, **values.lengths}
+    options = {option: list(v) if isinstance(v, tuple) else v for option, v in values.options.items()}
+    return {"kind": "preset", "name": name, "summary": values.summary, **lengths, "values": options}
 
 
 def describe_task(name: str) -> dict[str, Any]:

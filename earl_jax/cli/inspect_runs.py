@@ -1,9 +1,9 @@
-"""Commands that inspect runs: evaluate, plot, table, compare."""
+"""Commands that inspect runs: evaluate, plot, table, best, compare."""
 
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import JSON, Engine, Positional, emit
+from earl_jax.cli.arguments import JSON, Engine, Labels, Metric, Positional, emit, replacing
 
 
 def evaluate(
@@ -31,54 +31,105 @@ def evaluate(
     emit({name: values.tolist() for name, values in metrics.items()}, json, "\n".join(lines))
 
 
-def plot(folders: Positional[tuple[Path, ...]], out: Path = Path("curves.png"), metric: str | None = None) -> None:
-    """Plot the deployed and continuing curves of runs, one line per method, with 95 % bands.
+def plot(
+    folders: Positional[tuple[Path, ...]],
+    out: Path = Path("curves.png"),
+    labels: Labels = (),
+    metric: Metric = None,
+    size: Literal["screen", "column", "page"] = "screen",
+    smooth: int = 1,
+) -> None:
+    """Plot the deployed and continuing curves of runs, one line per method, with 95 % bands, and print a caption.
 
     Args:
-        folders: Run folders.
-        out: Picture to write: .png, .pdf or .svg.
-        metric: Column of metrics.csv to draw in the place of the deployed score. By default none.
+        folders: Run folders, or folders of them, such as those of a sweep. Each task has panels of its own.
+        out: Picture to write: .png, .pdf or .svg. A line says so if it replaces one.
+        size: screen, or one column (85 mm) or a whole page (175 mm) of a paper.
+        smooth: Evaluations in the trailing mean that is drawn. 1 draws every evaluation.
     """
-    from earl_jax.report.plots import plot_runs
+    from earl_jax.report.plots import caption, plot_runs
 
-    print(plot_runs(folders, out, metric))
+    with replacing(out):
+        plot_runs(folders, out, labels, metric, size, smooth)
+    print(f"{out}\n{caption(smooth)}")
 
 
-def table(folders: Positional[tuple[Path, ...]], last: int = 1, out: Path | None = None, json: JSON = False) -> None:
+def table(
+    folders: Positional[tuple[Path, ...]],
+    last: int = 1,
+    labels: Labels = (),
+    metric: Metric = None,
+    out: Path | None = None,
+    json: JSON = False,
+) -> None:
     """Print the paper's two tables for runs, with the published figures if there are any.
 
     Args:
-        folders: Run folders.
+        folders: Run folders, or folders of them, such as those of a sweep.
         last: Number of final evaluations to average. The paper's tables use 1.
         out: File that also receives the table: .md, .tex or .csv. By default none.
     """
-    from earl_jax.report.tables import markdown, tabulate, write
+    from earl_jax.report import tables
+    from earl_jax.report.plots import checked_labels
+    from earl_jax.report.terminal import shown_table, terminal_width, wrapped
 
-    rows = tabulate(folders, last)
+    rows = tables.tabulate(folders, last) if metric is None else tables.tabulate_metric(folders, metric, last)
+    for row, name in zip(rows, checked_labels(labels, [row["algo"] for row in rows]), strict=True):
+        row["algo"] = name
     if out:
-        write(rows, out)
-    emit({"rows": rows}, json, markdown(rows))
+        with replacing(out):
+            tables.write(rows, out)
+    width = terminal_width()
+    text = shown_table(tables.header_of(rows), tables.lines_of(rows), width)
+    notes = "\n".join(wrapped(note, width) for note in tables.notes_of(rows))
+    emit({"rows": rows}, json, f"{text}\n\n{notes}")
+
+
+def best(
+    folders: Positional[tuple[Path, ...]],
+    test: Literal["permutation", "welch"] = "permutation",
+    top: int = 20,
+    json: JSON = False,
+) -> None:
+    """Rank the runs of a sweep, and say which of them cannot be told from the best of their task.
+
+    Args:
+        folders: Folders of sweeps, or run folders; seeds of the same task, method and options are pooled.
+        test: Test of the difference from the best run, adjusted by Holm. The permutation test needs more seeds.
+        top: Number of runs of each task to print.
+    """
+    from earl_jax.report.best import best as best_runs
+    from earl_jax.report.best import best_text
+    from earl_jax.report.terminal import terminal_width
+
+    rows = best_runs(folders, test)
+    emit({"rows": rows}, json, best_text(rows, test, top, terminal_width()))
 
 
 def compare(
     folders: Positional[tuple[Path, ...]],
     against: Literal["runs", "published"] = "runs",
-    metric: str | None = None,
+    metric: Metric = None,
     out: tuple[Path, ...] = (),
     json: JSON = False,
 ) -> None:
     """Test the differences of deployed scores between runs of a task, or from the published scores.
 
     Args:
-        folders: Run folders; seeds of the same task, method and options are pooled.
+        folders: Run folders, or folders of them; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds.
-        metric: Column of metrics.csv to test, such as deployed/success_wide. By default the deployed score.
-        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
+        out: Files that also receive the comparison: .md, .tex, .csv, .html, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
-    from earl_jax.report.comparison import table_text, write_comparison
+    from earl_jax.report.comparison import terminal_text, write_comparison
+    from earl_jax.report.html.comparison import write_comparison_page
+    from earl_jax.report.terminal import terminal_width
 
     rows = compare_runs(folders, against, metric)
     for path in out:
-        write_comparison(rows, path)
-    emit({"rows": rows}, json, table_text(rows))
+        with replacing(path):
+            if path.suffix == ".html":
+                write_comparison_page(rows, folders, against, path)
+            else:
+                write_comparison(rows, path)
+    emit({"rows": rows}, json, terminal_text(rows, terminal_width()))

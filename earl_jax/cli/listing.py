@@ -6,6 +6,7 @@ from typing import Any
 
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.errors import InputError
+from earl_jax.presets import PRESETS
 
 WIDTH = 80
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
@@ -14,14 +15,18 @@ TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --se
 the other. H_T: steps between hard interventions; H_E: steps of an evaluation episode; change: steps between goal changes \
 in the continuing setting. demos: demonstrations that ship. engine: MuJoCo's is auto, {}; "none" is plain arithmetic."""
 METHOD_NOTE = """Every method also has the learner's options: {}."""
+PUBLISHED = "published"
+PRESET_ROW = "{:<12}{:>5}{:>12}{:>10}"
+PRESET_NOTE = """A preset is a name for seeds, lengths and options of the learner: train --preset NAME, \
+preset = "NAME" in a sweep file, earl_jax.preset(NAME, TASK) in Python. What is given besides wins."""
 MORE = "earl-jax list NAME describes a task or a method with all of its options; --json prints everything."
 
 
 def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
-    """List the tasks and methods, with those of installed packages, or describe one of them.
+    """List the tasks, methods and presets, with those of installed packages, or describe one of them.
 
     Args:
-        name: Task or method to describe with all of its options. By default all are listed.
+        name: Task, method or preset to describe with all of its options. By default all are listed.
     """
     from earl_jax.cli import catalog
 
@@ -35,9 +40,11 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
         described = [catalog.describe_task(name)]
     elif name in algos.list_algos():
         described = [{**catalog.describe_method(name), "learner": catalog.learner_options()}]
+    elif name in PRESETS:
+        described = [catalog.describe_preset(name)]
     else:
-        choices = ", ".join([*envs.list_envs(), *algos.list_algos()])
-        raise InputError(f"there is no task or method {name!r}; choose from {choices}")
+        choices = ", ".join([*envs.list_envs(), *algos.list_algos(), *PRESETS])
+        raise InputError(f"there is no task, method or preset {name!r}; choose from {choices}")
     emit(described[0], json, _details(described[0]))
 
 
@@ -52,8 +59,19 @@ def _overview(everything: dict[str, Any]) -> str:
     lines.append(METHOD_ROW.format("method", "year", "demonstrations", "source"))
     for method in methods:
         lines += [*_method_row(method), *_below(method)]
-    lines += ["", *_wrap(METHOD_NOTE.format(", ".join(everything["learner"]))), "", *_wrap(MORE)]
+    lines += ["", *_wrap(METHOD_NOTE.format(", ".join(everything["learner"]))), ""]
+    lines.append(PRESET_ROW.format("preset", "seeds", "steps", "episodes"))
+    for preset in everything["presets"].values():
+        lines += _preset_rows(preset)
+    lines += ["", *_wrap(PRESET_NOTE), "", *_wrap(MORE)]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _preset_rows(preset: dict[str, Any]) -> list[str]:
+    steps = _number(preset["steps"]) if preset["steps"] else PUBLISHED
+    options = ", ".join(f"{name}={_cell(value)}" for name, value in preset["values"].items()) or "none"
+    row = PRESET_ROW.format(preset["name"], preset["seeds"], steps, preset["eval_episodes"])
+    return [row, *_wrap(preset["summary"], "    "), *_wrap(f"Options: {options}.", "    ")]
 
 
 def _task_row(task: dict[str, Any]) -> str:
@@ -91,8 +109,10 @@ def _is_own(option: str) -> bool:
 
 def _details(described: dict[str, Any]) -> str:
     """Return all of the description of one task or method."""
-    hidden = ("name", "kind", "options", "learner", "details", "summary")
+    hidden = ("name", "kind", "options", "learner", "details", "summary", "values")
     facts = {key.replace("_", " "): str(v) if key == "year" else v for key, v in described.items() if key not in hidden}
+    if described["kind"] == "preset":
+        facts["steps"] = described["steps"] or PUBLISHED
     lines = [f"{described['name']} ({described['kind']})"]
     if "summary" in described:
         lines += ["", *_wrap(described["summary"])]
@@ -101,6 +121,7 @@ def _details(described: dict[str, Any]) -> str:
         lines += textwrap.wrap(_cell(value), WIDTH, initial_indent=f"{key:<22}", subsequent_indent=" " * 22)
     for paragraph in described.get("details", []):
         lines += ["", *_wrap(paragraph)] if paragraph != described["summary"] else []
+    lines += [f"{name:<22}{_cell(value)}" for name, value in described.get("values", {}).items()]
     lines += _options_text("options", described.get("options", {}))
     lines += _options_text("options of the learner, which every method has", described.get("learner", {}))
     return "\n".join(line.rstrip() for line in lines)

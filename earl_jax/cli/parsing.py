@@ -76,13 +76,13 @@ def join_seeds(arguments: list[str]) -> list[str]:
     """Return the `arguments` of a command with the list after `--seeds` as one argument, so that it ends before a task.
 
     Raises:
-        ValueError: `train` or `reproduce` has the option `--seed`, which they lack.
+        ValueError: `train`, `resume` or `reproduce` has the option `--seed`, which they lack.
     """
-    if arguments[:1] not in (["train"], ["reproduce"]):
+    if arguments[:1] not in (["train"], ["resume"], ["reproduce"]):
         return arguments
     if any(argument.partition("=")[0] == "--seed" for argument in arguments):
         raise InputError(
-            f"there is no option --seed: use {SEEDS} (a count; for train also a range: 3:4 is seed 3 alone)"
+            f"there is no option --seed: use {SEEDS} (a count; except for reproduce also a range: 3:4 is seed 3 alone)"
         )
     joined: list[str] = []
     for argument in arguments:

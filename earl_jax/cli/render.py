@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import Positional
+from earl_jax.cli.arguments import Positional, replacing
 
 
 def render(
@@ -30,5 +30,6 @@ def render(
     """
     from earl_jax.rendering import api
 
-    path = api.render(source, out, acting, seed=seed, steps=steps, size=size, fps=fps, camera=camera, progress=True)
+    with replacing(api.output_path(source, out)):
+        path = api.render(source, out, acting, seed=seed, steps=steps, size=size, fps=fps, camera=camera, progress=True)
     print(path)

@@ -2,20 +2,32 @@
 
 from pathlib import Path
 
-from earl_jax.cli.arguments import Positional
+from earl_jax.cli.arguments import Positional, print_line, replacing
 
 
-def report(folders: Positional[tuple[Path, ...]], out: Path = Path("report.html")) -> None:
+def report(
+    folders: Positional[tuple[Path, ...]],
+    out: Path = Path("report.html"),
+    watch: bool = False,
+    every: float = 30.0,
+) -> None:
     """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 
     Args:
         folders: Run folders, or folders that contain them, such as those of a sweep or of a reproduction.
         out: Page to write, .html. An existing page is replaced.
+        watch: Write the page again whenever a run changes, for a sweep in progress, until Ctrl-C. In a browser it reloads.
+        every: Seconds between two looks at the runs with --watch.
     """
     import jax
 
     jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
+    from earl_jax.report.html.watching import watch_page
     from earl_jax.report.html.writing import write_page
 
-    page = write_page(folders, out)
+    if watch:
+        watch_page(folders, out, every, print_line)
+        return
+    with replacing(out):
+        page = write_page(folders, out)
     print(f"{page}: {page.stat().st_size / 1e6:.1f} MB")

@@ -1,6 +1,7 @@
 """Commands that train one run: train, resume."""
 
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,18 +21,21 @@ from earl_jax.cli.arguments import (
 )
 from earl_jax.cli.parsing import parse_seeds
 from earl_jax.errors import InputError
+from earl_jax.presets import ALGO, LENGTHS
+from earl_jax.presets import preset as named_preset
 
 
 def train(
     env: Positional[str | None] = None,
-    algo: str = "fbrl",
+    algo: str = ALGO,
     seeds: Seeds | None = None,
-    steps: int = 100_000,
+    steps: int | None = None,
     out: Path = Path("runs/latest"),
     config: Path | None = None,
-    eval_every: int = 10_000,
-    eval_episodes: int = 10,
-    checkpoint_every: int = 100_000,
+    preset: str | None = None,
+    eval_every: int | None = None,
+    eval_episodes: int | None = None,
+    checkpoint_every: int | None = None,
     setting: Literal["deployment", "continuing"] = "deployment",
     engine: Engine = None,
     devices: Devices = None,
@@ -48,14 +52,15 @@ def train(
         env: Task, a name from `earl-jax list`.
         algo: Method, a name from `earl-jax list`.
         seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8. By
-            default 5, or those of --config.
-        steps: Training steps of each seed.
+            default 5, or those of --config or --preset.
+        steps: Training steps of each seed. By default 100,000, or those of --preset.
         out: New folder for config.json, metrics.csv and checkpoints.
         config: Run folder, or a config.json, of a run to repeat, in place of the task, the method and their options. --seeds
             takes other seeds. By default none.
-        eval_every: Steps between evaluations.
-        eval_episodes: Greedy episodes of each deployed evaluation.
-        checkpoint_every: Steps between checkpoints.
+        preset: Lengths, seeds and options by name, from `earl-jax list`; what is given besides wins. By default none.
+        eval_every: Steps between evaluations. By default 10,000, or those of --preset.
+        eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
+        checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
         setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
@@ -70,6 +75,7 @@ def train(
         "eval_every": eval_every,
         "eval_episodes": eval_episodes,
         "checkpoint_every": checkpoint_every,
+        "preset": preset,
         "setting": setting,
         "set": set,
     }
@@ -98,10 +104,13 @@ def _objects_by_name(env: str | None, given: dict[str, Any]) -> tuple[Any, dict[
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
-    values = dict(given)
-    pairs = parse_options(values.pop("set"))
-    task, values["setting"], options = api.split_options(env, {"setting": values["setting"], **pairs})
-    return task, {**values, "algo": algos.method_for(task, values["algo"], **options)}
+    pairs, name = parse_options(given["set"]), given["preset"]
+    lengths = {key: value for key, value in given.items() if key in LENGTHS and value is not None}
+    values = {**LENGTHS, **lengths} if name is None else named_preset(name, env, **lengths)
+    options = {key: value for key, value in values.items() if key not in LENGTHS}
+    task, setting, options = api.split_options(env, {**options, "setting": given["setting"], **pairs})
+    lengths = {key: values[key] for key in LENGTHS}
+    return task, {**lengths, "setting": setting, "algo": algos.method_for(task, given["algo"], **options)}
 
 
 def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -128,6 +137,7 @@ def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple
 def resume(
     folder: Positional[Path],
     steps: int | None = None,
+    seeds: Seeds | None = None,
     devices: Devices = None,
     hosts: Hosts = None,
     minutes: Minutes = None,
@@ -138,27 +148,32 @@ def resume(
     Args:
         folder: Run folder.
         steps: New length of the run. By default the run keeps its length.
+        seeds: Seeds that the finished run shall have, as --seeds of train: those that it lacks are trained from step 0 to its
+            end and added to its files. By default it keeps its seeds.
     """
     limit = parse_minutes(minutes)
+    from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit)
-    _emit_result(result, folder, json)
+    wanted = None if seeds is None else parse_seeds(seeds)
+    result = api.resume(folder, steps=steps, seeds=wanted, progress=True, devices=devices, minutes=limit)
+    is_part = result.seeds != RunFolder.open(folder).config.seeds
+    _emit_result(result, folder, json, result.seeds if is_part else ())
 
 
-def _emit_result(result: Any, out: Path, as_json: bool) -> None:
+def _emit_result(result: Any, out: Path, as_json: bool, added: Sequence[int] = ()) -> None:
     """Print the deployed score of `result` over its seeds, and how to continue it after a time limit.
 
-    Before the first evaluation there is no score.
+    Before the first evaluation there is no score. `added` are the seeds to be added to a run, if the result is theirs.
     """
     from earl_jax.training.stopping import resume_command
 
     values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
     values = {"out": str(out), "engine": result.engine, **values, "stopped": not result.finished}
     if not result.finished:
-        command = resume_command(out)
+        command = resume_command(out, added)
         values |= {"step": result.step, "resume": command}
         text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
         text += f"continue with: {command}"

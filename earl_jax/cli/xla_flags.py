@@ -26,7 +26,7 @@ FLAGS = {
 }
 """By name. The first lets kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of
 steps of a task that the device simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
-COMMANDS = ("train", "resume", "sweep", "reproduce", "quickstart")
+COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
 HELP = {"-h", "--help"}
 
 

@@ -23,6 +23,11 @@ def trailing_mean(steps: np.ndarray, scores: np.ndarray, window: int = CROSSING_
     return np.where(np.asarray(steps) >= window, means, np.nan)
 
 
+def recent_scores(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Return the mean [...] of `scores [..., E]` over the evaluations of the last 100,000 of `steps [E]`, or all if fewer."""
+    return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[..., -1]
+
+
 def crossing(steps: np.ndarray, scores: np.ndarray, level: float, window: int = CROSSING_WINDOW) -> Estimate:
     """Return the first of `steps [E]` at which the mean over seeds of the trailing mean of `scores [N, E]` reaches `level`.
 

@@ -50,7 +50,7 @@ def render(
         ValueError: the source, suffix, acting or camera is unknown, the source has no such acting or camera, a number
             is not positive, a video's height or width is odd, or a library is missing.
     """
-    path = _output_path(source, out)
+    path = output_path(source, out)
     size = size or SIZES[path.suffix]
     _check_numbers(path, size, steps=steps, fps=fps)
     library("mediapy" if path.suffix == ".mp4" else "PIL")  # a missing library is reported before the simulation
@@ -64,7 +64,7 @@ def render(
     return _render_film(path, actor, steps, size, fps or RATES[path.suffix], camera, progress)
 
 
-def _output_path(source: str | Path, out: str | Path | None) -> Path:
+def output_path(source: str | Path, out: str | Path | None) -> Path:
     """Return the path of the file to write."""
     suffixes = [".png"] if str(source) == ALL else list(SIZES)
     path = Path(out or (Path(source) / "video.mp4" if is_run(source) else f"{source}{suffixes[0]}"))

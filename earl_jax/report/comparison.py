@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import (
     Comparison,
     Sample,
@@ -19,11 +20,11 @@ from earl_jax.metrics.comparison import (
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
-from earl_jax.metrics.crossings import CROSSING_WINDOW, trailing_mean
 from earl_jax.report.published import published_score, published_steps, share_text
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
 from earl_jax.report.style import PICTURES, new_figure, save
 from earl_jax.report.tables import file_table, markdown_table, millions, seeds_text, write
+from earl_jax.report.terminal import shown_table, wrapped
 
 Row = dict[str, Any]
 TABLES = (".md", ".tex", ".csv")
@@ -87,10 +88,10 @@ def recent_scores(curves: Curves, step: int, metric: str | None = None) -> np.nd
         ValueError: the run has no such metric, or it has no value at some evaluation.
     """
     until = curves.steps <= step
-    scores, steps = curves.metrics[metric or curves.deployed_metric][:, until], curves.steps[until]
+    scores = curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(scores).all():
         raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
-    return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[:, -1]
+    return crossings.recent_scores(curves.steps[until], scores)
 
 
 def _pair_rows(groups: Sequence[MethodRuns], metric: str | None) -> list[Row]:
@@ -155,7 +156,14 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
 
 def table_text(rows: Sequence[Row]) -> str:
     """Return the rows of `compare` as a markdown table with the rule below it."""
-    return f"{markdown_table(HEADER, _lines(rows))}\n\n{RULE}"
+    return f"{markdown_table(HEADER, cells(rows))}\n\n{RULE}"
+
+
+def terminal_text(rows: Sequence[Row], width: int | None) -> str:
+    """Return the text of `table_text` for a terminal of `width` columns, or as it is without a width."""
+    if width is None:
+        return table_text(rows)
+    return f"{shown_table(HEADER, cells(rows), width)}\n\n{wrapped(RULE, width)}"
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
@@ -165,17 +173,20 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
         ValueError: `path` has another suffix, or matplotlib is not installed.
     """
     if path.suffix not in TABLES + PICTURES:
-        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
+        raise InputError(
+            f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}, or as .html by the command"
+        )
     if path.suffix in PICTURES:
         return save(_draw(rows), path)
     if path.suffix == ".csv":
         write(list(rows), path)
     else:
-        path.write_text(file_table(path, HEADER, _lines(rows), RULE))
+        path.write_text(file_table(path, HEADER, cells(rows), RULE))
     return path
 
 
-def _lines(rows: Sequence[Row]) -> list[list[str]]:
+def cells(rows: Sequence[Row]) -> list[list[str]]:
+    """Return the texts of `rows` under `HEADER`."""
     return [
         [
             row["env"], f"{row['first']}, {seeds_text(row['seeds'])}", f"{row['second']}, {seeds_text(row['other_seeds'])}",

@@ -1,8 +1,9 @@
 """Learning curves as pictures."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -10,55 +11,185 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.life_columns import SHARES
 from earl_jax.report.runs import Curves, labels, read_all
-from earl_jax.report.style import PICTURES, new_figure, save
-from earl_jax.report.tables import seeds_text
+from earl_jax.report.style import LINE_STYLES, PICTURES, new_figure, save, task_order, text_size
+from earl_jax.report.tables import seeds_text, trailing
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
+COLOUR_COUNT = 10
+"""Colours of matplotlib's cycle."""
+INCH = 72
+"""Points of an inch."""
+FEWEST = 3
+"""Fewest seeds that have a band; of fewer, each is drawn."""
 
 
-def plot_runs(folders: Sequence[Path], out: Path, metric: str | None = None) -> Path:
-    """Draw deployed and continuing curves of `folders`, means with Student's 95 % bands, and return `out`.
+class Size(NamedTuple):
+    """The `width` of a figure and the `height` of a panel in inches, the size of its text in points, its `columns`."""
 
-    `metric`, a column of metrics.csv, takes the place of the deployed one.
+    width: float
+    height: float
+    points: float
+    columns: int
+
+    def letters(self, columns: int) -> int:
+        """Return how many letters fit beside a line in one of the `columns` of a legend."""
+        return int(self.width * INCH / (0.58 * self.points * columns)) - 6
+
+    def legend_height(self, names: Sequence[str], columns: int) -> float:
+        """Return the height in inches of a legend of `names` in `columns`."""
+        lines = max(sum(name.count("\n") + 1 for name in names[i::columns]) for i in range(columns))
+        return 1.35 * lines * self.points / INCH
+
+
+SIZES = {"screen": Size(10, 4.2, 10, 2), "column": Size(3.35, 2.3, 8, 1), "page": Size(6.9, 2.6, 8, 2)}
+"""A screen, and one column and both columns of a paper: 85 mm and 175 mm."""
+
+
+class Drawn(NamedTuple):
+    """A run to draw: its curves, the name of its line, and the number that gives its colour and dashes."""
+
+    curves: Curves
+    name: str
+    number: int
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """The colour, and dashes for those beyond ten colours."""
+        dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
+        return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
+
+    def handle(self, text: str) -> Any:
+        """Return the line of a legend with `text`."""
+        from matplotlib.lines import Line2D
+
+        return Line2D([], [], label=text, **self.style)
+
+
+def plot_runs(
+    folders: Sequence[Path],
+    out: Path,
+    names: Sequence[str] = (),
+    metric: str | None = None,
+    size: Literal["screen", "column", "page"] = "screen",
+    smooth: int = 1,
+) -> Path:
+    """Draw curves of `folders`, means with Student's 95 % bands, and return `out`.
+
+    Args:
+        folders: run folders, or folders of them such as a sweep's; each task has panels of its own.
+        out: the picture to write; `caption` describes it.
+        names: names of the lines, in the order of `line_names`.
+        metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
+        size: for a screen, or for one `column` or a whole `page` of a paper.
+        smooth: evaluations in the trailing mean that is drawn; 1 draws every evaluation.
 
     Raises:
-        ValueError: a folder is no run or has no such metric, `out` has an unknown suffix, or matplotlib is not installed.
+        ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, no run has the
+            `metric`, or matplotlib is not installed.
     """
     if out.suffix not in PICTURES:
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
-    runs = read_all(folders)
-    figure, axes = new_figure(1, 2, (10, 4.2))
-    for panel, axis in zip(PANELS, axes[0], strict=True):
-        for number, (curves, name) in enumerate(zip(runs, labels(runs), strict=True)):
-            _draw(axis, curves, curves.metrics[_metric(panel, curves, metric)], f"C{number}", name)
-        drawn = _metric(panel, runs[0], metric)
-        title = PANELS[panel] if drawn in AXES else drawn
-        axis.set(
-            title=title,
-            ylabel=AXES.get(drawn, drawn.rpartition("/")[2]),
-            xlabel="environment steps of a seed",
-            xlim=(0, None),
+    if size not in SIZES or smooth < 1:
+        raise InputError(f"size must be one of {', '.join(SIZES)}, and smooth at least 1, not {size} and {smooth}")
+    drawn = _drawn(read_all(folders), names)
+    tasks = task_order(line.curves.config.env for line in drawn)
+    panels = list(PANELS) if metric is None else [metric]
+    layout = SIZES[size]
+    columns = min(layout.columns, len(panels) * len(tasks))
+    rows = -(-len(panels) * len(tasks) // columns)
+    with text_size(layout.points):
+        entries = _legend_entries(drawn)
+        legend_columns = min(layout.columns + (size == "screen"), len(entries))
+        names = [textwrap.fill(text, layout.letters(legend_columns)) for text in entries]
+        height = layout.height * rows + layout.legend_height(names, legend_columns)
+        figure, axes = new_figure(rows, columns, (layout.width, height))
+        cells = [(env, panel) for env in tasks for panel in panels]
+        for axis, (env, panel) in zip(axes.flat, cells, strict=False):
+            lines = [line for line in drawn if line.curves.config.env == env]
+            _draw_panel(axis, lines, panel, smooth, env if len(tasks) > 1 else "")
+        for axis in axes.flat[len(cells) :]:
+            axis.set_visible(False)
+        handles = [line.handle(text) for line, text in zip(entries.values(), names, strict=True)]
+        figure.legend(handles=handles, loc="outside lower center", ncols=legend_columns, frameon=False)
+        if len(tasks) == 1:
+            figure.suptitle(tasks[0])
+        return save(figure, out)
+
+
+def line_names(runs: Sequence[Curves]) -> list[str]:
+    """Return the name of each of `runs` in a plot: its method, with the options in which its runs on a task differ."""
+    return labels(runs)
+
+
+def _drawn(runs: Sequence[Curves], names: Sequence[str]) -> list[Drawn]:
+    """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
+    given = line_names(runs)
+    distinct = list(dict.fromkeys(given))
+    renamed = dict(zip(distinct, checked_labels(names, distinct), strict=True))
+    return [Drawn(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
+
+
+def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
+    """Return the labels `names` for `lines`, or `lines` themselves without any.
+
+    Raises:
+        ValueError: there are not as many; the message lists the lines in their order.
+    """
+    if names and len(names) != len(lines):
+        raise InputError(
+            f"there are {len(names)} labels for {len(lines)} runs; give one for each of: {'; '.join(lines)}"
         )
-        if drawn in SHARES:
-            axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
-        axis.xaxis.set_major_formatter("{x:,.0f}")
-        axis.locator_params(axis="x", nbins=6)
-        axis.grid(alpha=0.3)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(", ".join(sorted({curves.config.env for curves in runs})))
-    return save(figure, out)
+    return names or lines
 
 
-def _metric(panel: str, curves: Curves, metric: str | None) -> str:
-    return "continuing/reward" if panel == "continuing" else metric or curves.deployed_metric
+def caption(smooth: int = 1) -> str:
+    """Return what a picture of `plot_runs` shows, as the caption of a figure."""
+    text = f"Means over seeds with Student's 95 % intervals; of fewer than {FEWEST} seeds, each is drawn thin instead."
+    smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
+    return text + smoothing
 
 
-def _draw(axis: Any, curves: Curves, values: np.ndarray, colour: str, name: str) -> None:
+def _metric(panel: str, curves: Curves) -> str:
+    return {"continuing": "continuing/reward", "deployed": curves.deployed_metric}.get(panel, panel)
+
+
+def _draw_panel(axis: Any, lines: Sequence[Drawn], panel: str, smooth: int, env: str) -> None:
+    """Draw one metric of one task."""
+    for line in lines:
+        _draw(axis, line, trailing(line.curves.metrics[_metric(panel, line.curves)], smooth))
+    metric = _metric(panel, lines[0].curves)
+    title = "\n".join(filter(None, (env, PANELS.get(panel, ""))))
+    axis.set(title=title, ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
+    if metric in SHARES:
+        axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
+    axis.xaxis.set_major_formatter(_steps)
+    axis.locator_params(axis="x", nbins=6)
+    axis.grid(alpha=0.3)
+
+
+def _steps(step: float, _: int) -> str:
+    """Return a number of steps as the text of a tick."""
+    return f"{step / 1e6:g}M" if step >= 1e6 else f"{step / 1e3:g}k" if step >= 1e3 else f"{step:g}"
+
+
+def _draw(axis: Any, line: Drawn, values: np.ndarray) -> None:
     """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
     mean, low, high = mean_interval(values)
-    axis.plot(curves.steps, mean, color=colour, label=f"{name}, {seeds_text(len(values))}")
-    if len(values) > 2:
-        axis.fill_between(curves.steps, low, high, color=colour, alpha=0.2, linewidth=0)
+    axis.plot(line.curves.steps, mean, **line.style)
+    if len(values) >= FEWEST:
+        axis.fill_between(line.curves.steps, low, high, color=line.style["color"], alpha=0.2, linewidth=0)
     else:
-        axis.plot(curves.steps, values.T, color=colour, alpha=0.3, linewidth=0.8)
+        axis.plot(line.curves.steps, values.T, color=line.style["color"], alpha=0.3, linewidth=0.8)
+
+
+def _legend_entries(drawn: Sequence[Drawn]) -> dict[str, Drawn]:
+    """Return a line for each text of the legend: names, with the number of seeds where it is the same on all tasks."""
+    by_number: dict[int, list[Drawn]] = {}
+    for line in drawn:
+        by_number.setdefault(line.number, []).append(line)
+    entries = {}
+    for lines in by_number.values():
+        counts = {line.curves.seeds for line in lines}
+        entries[f"{lines[0].name}, {seeds_text(min(counts))}" if len(counts) == 1 else lines[0].name] = lines[0]
+    return entries

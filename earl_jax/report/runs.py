@@ -1,6 +1,8 @@
 """Curves read from run folders, grouped by task and method."""
 
-from collections.abc import Sequence
+import os
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,11 +15,16 @@ from earl_jax.protocol import Deployment
 from earl_jax.report.life_columns import LATER_METRICS
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.contents import METRICS
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, NEW_SEEDS
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 
 SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
+
+
+INSIDE = {CHECKPOINTS, NEW_SEEDS, MERGED}
+"""Folders in a run folder, which hold no other run."""
 
 
 class Curves(NamedTuple):
@@ -98,22 +105,69 @@ def read(path: Path) -> Curves:
     return Curves(folder.config, steps, Columns(path, metrics))
 
 
+def find_runs(folders: Sequence[Path]) -> list[Path]:
+    """Return the run folders in and below `folders`, each once; links to folders are not followed.
+
+    Raises:
+        ValueError: a folder does not exist, or holds no run.
+    """
+    if not folders:
+        raise InputError("name at least one run folder, or a folder of them")
+    paths: dict[Path, Path] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder} is not a folder")
+        below = list(_runs_below(folder))
+        if not below:
+            raise InputError(f"{folder} is not a run folder and holds none: no config.json in it or below")
+        for path in below:
+            paths.setdefault(path.resolve(), path)
+    return list(paths.values())
+
+
+def _runs_below(folder: Path) -> Iterator[Path]:
+    for path, folders, files in os.walk(folder):
+        folders[:] = sorted(set(folders) - INSIDE)
+        if "config.json" in files or "metrics.csv" in files:
+            yield Path(path)
+
+
 def read_all(folders: Sequence[Path]) -> list[Curves]:
     """Return the curves of `folders`; seeds of the same task, method and options are pooled over their common steps.
 
+    A folder that is no run folder itself, such as that of a sweep, stands for the runs below it. A run found so that
+    cannot be read, for example one without an evaluation yet, is left out with a `RunWarning`.
+
     Raises:
-        ValueError: no folder is given, one of them cannot be read, or runs to pool have no step in common.
+        ValueError: no folder is given, one of them cannot be read or holds no run that can, or runs to pool have no step in
+            common.
     """
     if not folders:
         raise InputError("name at least one run folder")
     groups: dict[str, list[Curves]] = {}
     paths: dict[str, Path] = {}
-    for path in folders:
-        curves = read(path)
+    for path, curves in _read_below(folders):
         key = pooling_key(curves.config)
         groups.setdefault(key, []).append(curves)
         paths.setdefault(key, path)
     return [_pooled(paths[key], group) for key, group in groups.items()]
+
+
+def _read_below(folders: Sequence[Path]) -> Iterator[tuple[Path, Curves]]:
+    """Yield the folder and the curves of each run in `folders`. Errors as `read_all`."""
+    for folder in folders:
+        if (folder / CONFIG).is_file() or not folder.is_dir():
+            yield folder, read(folder)
+            continue
+        paths, causes = find_runs([folder]), []
+        for path in paths:
+            try:
+                yield path, read(path)
+            except InputError as error:
+                causes.append(str(error))
+                warnings.warn(f"left out: {error}", RunWarning, stacklevel=2)
+        if len(causes) == len(paths):
+            raise InputError(f"no run below {folder} can be read: {causes[0]}")
 
 
 def pooling_key(config: RunConfig) -> str:
@@ -146,10 +200,12 @@ def labels(runs: Sequence[Curves]) -> list[str]:
 
 
 def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
-    """Return the name of a method with those of its `options` in which its `peers` differ."""
-    keys = sorted({key for other in peers for key in other})
-    differing = [key for key in keys if any(other.get(key) != options.get(key) for other in peers)]
-    text = ", ".join(f"{key}={options.get(key, 'default')}" for key in differing)
+    """Return the name of a method with those of its changed `options` in which its `peers` differ.
+
+    An option with its default value is not named, so a run with the defaults has the bare name.
+    """
+    differing = [key for key in sorted(options) if any(other.get(key) != options[key] for other in peers)]
+    text = ", ".join(f"{key}={options[key]}" for key in differing)
     return f"{algo} ({text})" if text else algo
 
 
@@ -169,7 +225,7 @@ def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
         for algo in method_order(curves.config.algo for curves in of_task):
             peers = [curves for curves in of_task if curves.config.algo == algo]
             options = [curves.options for curves in peers]
-            names = [label(algo, changed, options) if changed else algo for changed in options]
+            names = [label(algo, changed, options) for changed in options]
             groups += [MethodRuns(env, algo, name, curves) for name, curves in zip(names, peers, strict=True)]
     return groups
 

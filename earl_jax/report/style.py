@@ -1,6 +1,7 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,21 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **options: An
         raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+@contextlib.contextmanager
+def text_size(points: float) -> Iterator[None]:
+    """A context in which figures have text of `points` points.
+
+    Raises:
+        ValueError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
+    with matplotlib.rc_context({"font.size": points}):
+        yield
 
 
 def save(figure: Any, path: Path) -> Path:

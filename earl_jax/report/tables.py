@@ -55,6 +55,26 @@ def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
     return [row_of(curves, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
 
 
+def tabulate_metric(folders: Sequence[Path], metric: str, last: int = 1) -> list[dict[str, Any]]:
+    """Return one row per method with the column `metric` of metrics.csv, averaged over the last evaluations.
+
+    Raises:
+        ValueError: as `tabulate`, or a run has no such column; the message names those that it has.
+    """
+    if last < 1:
+        raise InputError(f"last must be at least 1, not {last}")
+    runs = read_all(folders)
+    return [_metric_row(curves, metric, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
+
+
+def _metric_row(curves: Curves, metric: str, last: int, name: str) -> dict[str, Any]:
+    interval = mean_interval(curves.metrics[metric][:, -last:].mean(axis=1))
+    return {
+        "env": curves.config.env, "algo": name, "options": options_text(curves.options), "seeds": curves.seeds,
+        "steps": int(curves.steps[-1]), "metric": metric, "mean": interval.value, "low": interval.low, "high": interval.high,
+    }  # fmt: skip
+
+
 def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
     scores = curves.metrics[curves.deployed_metric]
@@ -96,10 +116,10 @@ def _crossings(curves: Curves) -> dict[str, float | None]:
     return row
 
 
-def trailing(curve: np.ndarray) -> np.ndarray:
-    """Return the mean of the last 10 evaluations at each evaluation of `curve [..., E]`."""
+def trailing(curve: np.ndarray, window: int = WINDOW) -> np.ndarray:
+    """Return the mean of the last `window` evaluations, or of all so far if fewer, at each evaluation of `curve [..., E]`."""
     ends = range(1, curve.shape[-1] + 1)
-    return np.stack([curve[..., max(0, end - WINDOW) : end].mean(axis=-1) for end in ends], axis=-1)
+    return np.stack([curve[..., max(0, end - window) : end].mean(axis=-1) for end in ends], axis=-1)
 
 
 def steps_per_reward(curves: Curves) -> float | None:
@@ -142,11 +162,35 @@ def file_table(path: Path, header: Sequence[str], lines: Sequence[Sequence[Any]]
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Return `rows` as a markdown table: means with intervals, published scores beside them."""
-    return "\n".join([markdown_table(_header(rows), _lines(rows)), "", *_notes(rows)])
+    return "\n".join([markdown_table(header_of(rows), lines_of(rows)), "", *notes_of(rows)])
 
 
-def _header(rows: list[dict[str, Any]]) -> list[str]:
-    return [*HEADER, *life_headings(rows)]
+def header_of(rows: list[dict[str, Any]]) -> Sequence[str]:
+    """Return the header of rows of `tabulate` or of `tabulate_metric`."""
+    if "metric" in rows[0]:
+        return ("env", "algo", "seeds", "steps", f"{rows[0]['metric']}, mean [95 %]")
+    return (*HEADER, *life_headings(rows))
+
+
+def lines_of(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    """Return the cells of rows of `tabulate` or of `tabulate_metric`, as text."""
+    if "metric" not in rows[0]:
+        return _lines(rows)
+    return [
+        [
+            row["env"],
+            row["algo"],
+            row["seeds"],
+            f"{row['steps']:,}",
+            _interval_of_any(row["mean"], row["low"], row["high"]),
+        ]
+        for row in rows
+    ]
+
+
+def _interval_of_any(value: float, low: float, high: float) -> str:
+    """Return `value [low, high]` of a number of any size."""
+    return f"{value:.4g}" + ("" if math.isnan(low) else f" [{low:.4g}, {high:.4g}]")
 
 
 def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
@@ -165,7 +209,8 @@ def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
     ]  # fmt: skip
 
 
-def _notes(rows: list[dict[str, Any]]) -> list[str]:
+def notes_of(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a line for each of `rows` with the options of its runs."""
     return [f"{row['algo']}: {row['options']}" for row in rows]
 
 
@@ -203,7 +248,7 @@ def write(rows: list[dict[str, Any]], path: Path) -> None:
         ValueError: `path` has another suffix.
     """
     if path.suffix in (".md", ".tex"):
-        path.write_text(file_table(path, _header(rows), _lines(rows), "\n".join(_notes(rows))))
+        path.write_text(file_table(path, header_of(rows), lines_of(rows), "\n".join(notes_of(rows))))
     elif path.suffix == ".csv":
         with path.open("w", newline="") as handle:
             writer = csv.DictWriter(handle, rows[0], lineterminator="\n")

@@ -14,7 +14,7 @@ from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, POLICIES
 from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
@@ -61,6 +61,11 @@ class RunFolder:
             raise InputError(f"{self.config_file} is damaged: it has no id")
         return identifier
 
+    @property
+    def engine(self) -> str | None:
+        """The physics engine that trained the run, as config.json has it; None in folders of earlier versions."""
+        return self._config_values().get("engine")
+
     @classmethod
     def create(
         cls, path: Path, config: RunConfig, engine: str, logs: Sequence[str] = (), overwrite: bool = False
@@ -95,9 +100,12 @@ class RunFolder:
         """Return the run folder at `path`.
 
         Raises:
-            ValueError: its config is missing or invalid, or a path in the folder points outside it.
+            ValueError: its config is missing or invalid, a path in the folder points outside it, or a kill stopped the
+                merging of new seeds into it.
         """
         file = path / CONFIG
+        if (path / MERGED).is_dir():
+            raise InputError(f"new seeds are being merged into {path}; if that was killed: earl-jax resume {path}")
         if not file.is_file():
             raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):

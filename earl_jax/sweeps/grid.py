@@ -1,4 +1,4 @@
-"""A grid in a TOML file: tasks x methods x options, one run for each combination. Reading it imports no learner."""
+"""A grid in a TOML file: tasks x methods x options, one run for each combination or sample. It imports no learner."""
 
 import dataclasses
 import hashlib
@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.presets import LENGTHS, preset
+from earl_jax.sweeps.samples import SAMPLERS, is_distribution, samples
 
-COUNTS = {"steps": 100_000, "eval_every": 10_000, "eval_episodes": 10, "checkpoint_every": 100_000}
-KEYS = ("envs", "algos", "seeds", *COUNTS, "options")
+COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}
+KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options", "samples", "sampler", "sample_seed")
 MOST_RUNS, MOST_SEEDS = 10_000, 65_536
 """The largest numbers of runs in a grid and of seeds in a run."""
 LONGEST = 150
@@ -46,10 +48,7 @@ def read(path: Path) -> list[RunSpec]:
     Raises:
         ValueError: the file cannot be read, or has an unknown key or an invalid value; the message names it.
     """
-    try:
-        table = tomllib.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"grid {path} can't be read: {error}") from error
+    table = _read_table(path)
     try:
         specs: dict[str, RunSpec] = {}
         for block in _blocks(table):
@@ -58,6 +57,40 @@ def read(path: Path) -> list[RunSpec]:
     except ValueError as error:
         raise InputError(f"grid {path}: {error}") from error
     return list(specs.values())
+
+
+def read_space(path: Path) -> tuple[RunSpec, dict[str, dict[str, Any]]]:
+    """Return the run that a file with one task and one method describes, and the distributions of its other options.
+
+    Raises:
+        ValueError: as `read`, or there are several tasks, methods or values of an option, or no distribution.
+    """
+    table = _read_table(path)
+    try:
+        if {"runs", "samples", "sampler", "sample_seed"} & set(table):
+            raise InputError("a search has no [[runs]], samples, sampler or sample_seed; it draws the options itself")
+        options = _options(table)
+        distributions = {name: value for name, value in options.items() if is_distribution(value)}
+        if not distributions:
+            raise InputError("a search needs options with a distribution, such as { log_uniform = [1e-4, 1e-2] }")
+        fixed = {name: value for name, value in options.items() if name not in distributions}
+        specs = list(_specs({**table, "options": fixed}))
+        if len(specs) > 1:
+            raise InputError(
+                "a search has one task, one method and one value of each option; a list can be a choice = [...]"
+            )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    preset_names = distributions.keys() & specs[0].options.keys()
+    options = {name: value for name, value in specs[0].options.items() if name not in preset_names}
+    return dataclasses.replace(specs[0], options=options), distributions
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"grid {path} can't be read: {error}") from error
 
 
 def _blocks(table: dict[str, Any]) -> list[dict[str, Any]]:
@@ -75,15 +108,43 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     for key in block:
         if key not in KEYS:
             raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
-    counts = {key: _count(key, block.get(key, default)) for key, default in COUNTS.items()}
-    seeds = _seeds(block.get("seeds", 5))
-    alternatives = _alternatives(_options(block))
     envs, algos = _names(block, "envs"), _names(block, "algos")
-    _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
-    for env, algo in itertools.product(envs, algos):
-        for values in itertools.product(*alternatives.values()):
-            options = dict(zip(alternatives, values, strict=True))
+    for env in envs:
+        own = _with_preset(block, env)
+        counts = {key: _count(key, own.get(key, default)) for key, default in COUNTS.items()}
+        seeds = _seeds(own.get("seeds", LENGTHS["seeds"]))
+        alternatives, sampled = _alternatives(_options(own)), _sampled(own)
+        _check_runs(math.prod(map(len, (envs, algos, sampled, *alternatives.values()))))
+        combinations = [
+            dict(zip(alternatives, values, strict=True)) for values in itertools.product(*alternatives.values())
+        ]
+        for algo, combination, sample in itertools.product(algos, combinations, sampled):
+            options = {**combination, **sample}
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
+
+
+def _sampled(block: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the samples of the options of `block` that are distributions; one empty sample if there are none."""
+    given = {key: block[key] for key in ("samples", "sampler", "sample_seed") if key in block}
+    distributions = {name: value for name, value in _options(block).items() if is_distribution(value)}
+    if not distributions and not given:
+        return [{}]
+    if not distributions or "samples" not in given:
+        named = ", ".join(distributions or given)
+        missing = "samples = N" if distributions else "an option with a distribution, such as { uniform = [0, 1] }"
+        raise InputError(f"{named} needs {missing}")
+    return samples(distributions, given["samples"], given.get("sampler", SAMPLERS[0]), given.get("sample_seed", 0))
+
+
+def _with_preset(block: dict[str, Any], env: str) -> dict[str, Any]:
+    """Return `block` with the lengths and options of its preset, if it names one, for a task; its own values win."""
+    if "preset" not in block:
+        return block
+    given = {key: block[key] for key in ("seeds", *COUNTS) if key in block}
+    values = preset(str(block["preset"]), env, **given)
+    lengths = {key: values.pop(key) for key in LENGTHS}
+    options = {name: [list(value)] if isinstance(value, tuple) else value for name, value in values.items()}
+    return {**block, **lengths, "options": {**options, **_options(block)}}
 
 
 def _check_runs(count: int) -> None:
@@ -127,7 +188,11 @@ def _options(block: dict[str, Any]) -> dict[str, Any]:
 
 def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the alternative values of each option, sorted by the names of the options."""
-    alternatives = {name: value if isinstance(value, list) else [value] for name, value in sorted(options.items())}
+    alternatives = {
+        name: value if isinstance(value, list) else [value]
+        for name, value in sorted(options.items())
+        if not is_distribution(value)
+    }
     for name, values in alternatives.items():
         texts = [json.dumps(value, default=str) for value in values]
         if not texts or len(set(texts)) < len(texts):

@@ -80,7 +80,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     Raises:
         ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
-    planned = [_planned_run(spec, out) for spec in grid.read(path)]
+    planned = [planned_run(spec, out) for spec in grid.read(path)]
     runs = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
     groups = [
         {
@@ -95,7 +95,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     return {"out": str(out), "runs": runs, "groups": groups}
 
 
-def _planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
+def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training."""
     path = out / spec.name
     try:
@@ -140,8 +140,9 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     differing = [name for name in wanted if existing[name] != wanted[name]]
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
-        raise InputError(
-            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
-        )
+        remedy = "choose another --out, or change the grid to match"
+        if differing == ["seeds"] and set(existing["seeds"]) < set(wanted["seeds"]):
+            remedy = f"add them with: earl-jax resume {path} --seeds {' '.join(map(str, wanted['seeds']))}"
+        raise InputError(f"{path} holds a run that differs ({differences}); {remedy}")
     folder.require_rows()
     return dataclasses.replace(folder, config=config)

@@ -13,12 +13,15 @@ from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, current_options, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.growth import finish_merge
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs, require_libraries
 from earl_jax.time_limit import TimeLimit
+from earl_jax.training.more_seeds import add_seeds
 from earl_jax.training.plan import Plan
 from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
@@ -97,7 +100,7 @@ def _lane(lanes: Any, i: jax.Array) -> Any:
 
 def train(
     env: str | Env,
-    algo: str | Method,
+    algo: str | Method = ALGO,
     *,
     setting: str | Setting = Deployment.name,
     engine: str | None = None,
@@ -150,7 +153,7 @@ def train(
         task,
         method,
         resolved,
-        seeds=range(seeds) if isinstance(seeds, int) else [int(seed) for seed in seeds],
+        seeds=seed_list(seeds),
         steps=steps,
         eval_every=eval_every,
         eval_episodes=eval_episodes,
@@ -161,6 +164,11 @@ def train(
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
+
+
+def seed_list(seeds: int | Sequence[int]) -> Sequence[int]:
+    """Return the seeds that the argument `seeds` of `train` and `resume` names: a number of them, or a list."""
+    return range(seeds) if isinstance(seeds, int) else [int(seed) for seed in seeds]
 
 
 def _resolve_objects(
@@ -180,6 +188,7 @@ def resume(
     env: Env | None = None,
     algo: Method | None = None,
     steps: int | None = None,
+    seeds: int | Sequence[int] | None = None,
     progress: bool = False,
     devices: int | None = None,
     minutes: float | TimeLimit | None = None,
@@ -187,22 +196,30 @@ def resume(
     """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
     On a CPU, the result is bit-identical to that of an uninterrupted run, because the same program runs. The same seed
-    in a program with another number of lanes agrees to rounding.
+    in a program with another number of lanes agrees to rounding, and on a CPU bit for bit where both have two or more.
 
     Args:
         folder: a run folder.
         env: the task, for a run that was trained on an object of a class that is not registered.
         algo: the method, likewise.
         steps: a new length of the run.
+        seeds: seeds that the finished run shall have: a number (0, 1, ...) or a list. Those that it lacks are trained from
+            step 0 to its end, and then its files hold all of them. `steps` counts after that. Where a time limit ends it
+            earlier, the result is that of the new seeds; the same call continues.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
         minutes: a limit of wall-clock time, as in `train`; it counts from this call on.
 
     Raises:
-        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's objects
-            must be registered or passed.
+        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, the run's objects
+            must be registered or passed, or `seeds` are to be added to a run that is not finished.
     """
     limit = TimeLimit.of(minutes)
+    finish_merge(Path(folder))
+    if seeds is not None:
+        partial = add_seeds(Path(folder), seed_list(seeds), env, algo, progress, devices, limit)
+        if partial is not None:
+            return _result(*partial)
     opened = RunFolder.open(Path(folder))
     opened.require_rows()  # rather than after the training
     check_logs(opened.logs)
@@ -218,6 +235,10 @@ def resume(
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
         train_state = run_program(plan, [run], progress, limit)
+    return _result(plan, run, train_state)
+
+
+def _result(plan: Plan, run: Run, train_state: TrainState) -> Result:
     steps, metrics = run.config.curves(run.rows)
     return Result(
         config=run.config,

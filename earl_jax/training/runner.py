@@ -183,7 +183,7 @@ def _train_to_end(
                 state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
                 metrics = gathered(metrics)
             _record(runs, step, metrics, bar)
-            _save_policies(runs, state, step)
+            save_policies_of(runs, state, step)
             stop.check_time()
         stopping = stop.requested and step < plan.steps
         if step:
@@ -232,8 +232,8 @@ def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar:
     bar.report(step, list(itertools.chain(*rows)))
 
 
-def _save_policies(runs: Sequence[Run], state: TrainState, step: int) -> None:
-    """Write the task actors and the maps of visits of each run that has a folder."""
+def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
+    """Write the task actors and the maps of visits of the lanes of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
     actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.actor))

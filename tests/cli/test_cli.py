@@ -18,8 +18,8 @@ TASKS = [
     "tabletop_organization",
 ]  # fmt: skip
 COMMANDS = [
-    "list", "train", "resume", "sweep", "reproduce", "evaluate", "plot", "table", "render", "report", "demos",
-    "import-demos", "quickstart",
+    "list", "train", "resume", "sweep", "search", "reproduce", "evaluate", "plot", "table", "best", "compare", "render", "report",
+    "demos", "import-demos", "quickstart",
 ]  # fmt: skip
 
 

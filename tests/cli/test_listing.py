@@ -110,7 +110,16 @@ def test_json_describes_one_name_or_all():
     assert fbrl == {**everything["methods"]["fbrl"], "learner": everything["learner"]}
     code, _, err = run("list", "ppo")
     assert code == 2
-    assert "no task or method 'ppo'; choose from cheetah_run" in err
+    assert "no task, method or preset 'ppo'; choose from cheetah_run" in err
+    assert json.loads(run("list", "quick", "--json")[1]) == everything["presets"]["quick"]
+
+
+def test_presets_are_listed_with_their_lengths_and_options():
+    out = run("list")[1]
+    assert "paper           5   published        10" in out
+    assert "layer_norm=true, timeout_bootstrap=true" in " ".join(out.split())
+    lines = run("list", "strong")[1].splitlines()
+    assert {"steps                 published", "layer_norm            true"} <= set(lines)
 
 
 def test_listing_loads_no_jax_and_no_numpy():

@@ -75,3 +75,15 @@ def test_a_missing_config_or_task_is_named(repeated, tmp_path):
     (tmp_path / "other.json").write_text("{}")
     assert "other.json is damaged" in repeated("--config", tmp_path / "other.json")[2]
     assert "train needs a task" in repeated()[2]
+
+
+def test_a_preset_gives_lengths_and_options_and_what_is_given_besides_wins(repeated):
+    config = repeated("tabletop_organization", "--preset", "quick", "--steps", "400", "--set", "batch_size=16")[1]
+    assert (config.seeds, config.steps, config.eval_every) == ((0, 1), 400, 400)
+    assert config.options["hidden_sizes"] == (64, 64)
+    assert (config.options["batch_size"], config.options["layer_norm"]) == (16, True)
+    paper = repeated("sawyer_door", "--preset", "paper", "--steps", "100000")[1]
+    assert (paper.seeds, paper.steps, paper.options) == (tuple(range(5)), 100_000, {})
+    assert repeated("sawyer_door", "--preset", "paper")[1].steps == 4_000_000
+    assert "unknown preset 'huge'; choose from paper, quick, strong" in repeated("sawyer_door", "--preset", "huge")[2]
+    assert "'cheetah_run' has none; give the steps" in repeated("cheetah_run", "--preset", "paper")[2]

@@ -1,9 +1,12 @@
 """Curves read from run folders, pooled and ordered."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from earl_jax.report.runs import by_method, label, read, read_all
+from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
 
@@ -75,5 +78,21 @@ def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
 def test_a_label_holds_only_the_options_that_differ():
     peers = [{"batch_size": 32, "reward_scale": 1.0}, {"batch_size": 32}]
     assert label("fbrl", peers[0], peers) == "fbrl (reward_scale=1.0)"
-    assert label("fbrl", peers[1], peers) == "fbrl (reward_scale=default)"
+    assert label("fbrl", peers[1], peers) == "fbrl"
     assert label("fbrl", peers[0], peers[:1]) == "fbrl"
+    others = [{"discount": 0.9}, {"epsilon": 0.3}, {}]
+    assert [label("vaprl", own, others) for own in others] == ["vaprl (discount=0.9)", "vaprl (epsilon=0.3)", "vaprl"]
+
+
+def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
+    for name, algo in (("x/a", "naive"), ("x/b/c", "fbrl"), ("x/young", "oracle")):
+        write_run(tmp_path / name, TABLETOP, algo, rising(1, 2))
+    (tmp_path / "x/young/metrics.csv").unlink()
+    with pytest.warns(RunWarning, match="left out: .*young has no evaluation yet"):
+        assert [curves.config.algo for curves in read_all([tmp_path])] == ["naive", "fbrl"]
+    shutil.rmtree(tmp_path / "x/a")
+    shutil.rmtree(tmp_path / "x/b")
+    with pytest.warns(RunWarning), pytest.raises(ValueError, match=r"no run below .*x can be read: .*young"):
+        read_all([tmp_path / "x"])
+    with pytest.raises(ValueError, match="nowhere is not a run folder"):
+        read_all([tmp_path / "nowhere"])

@@ -7,6 +7,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import BACK, STILL
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
+from tests.cli.process import run
 from tests.report.run_files import TABLETOP, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
@@ -40,7 +41,7 @@ def test_runs_in_the_continuing_setting_have_no_published_scores(tmp_path):
     write_three_evaluations(tmp_path / "a")
     write_three_evaluations(tmp_path / "b", setting=Continuing(goal_change=7))
     deployment, continuing = tables.tabulate([tmp_path / "a", tmp_path / "b"])
-    assert deployment["algo"] == "naive (goal_change=default, setting=default)"
+    assert deployment["algo"] == "naive"
     assert deployment["published_deployed"] == "0.32 (0.17)"
     assert continuing["algo"] == "naive (goal_change=7, setting=continuing)"
     assert continuing["published_deployed"] is None
@@ -60,7 +61,7 @@ def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_pat
 def test_markdown_names_the_options_in_which_runs_differ(tmp_path):
     paths = [write_three_evaluations(tmp_path / "a"), write_three_evaluations(tmp_path / "b", reward_scale=1.0)]
     text = tables.markdown(tables.tabulate(paths))
-    assert "| naive (reward_scale=default) |" in text
+    assert "| naive |" in text
     assert "| naive (reward_scale=1.0) |" in text
     assert "naive (reward_scale=1.0): reward_scale=1.0" in text
 
@@ -110,3 +111,17 @@ def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_p
     assert second.endswith("| - | - | - |")
     assert "wide" not in tables.markdown(tables.tabulate([old]))
     assert tables.tabulate([new], last=2)[0]["back_success"] == pytest.approx(2 / 3)
+
+
+def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
+    write_three_evaluations(tmp_path / "runs/a")
+    write_three_evaluations(tmp_path / "runs/b", reward_scale=1.0)
+    arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "one", "--last", "2")
+    code, out, _ = run(*arguments, "--out", tmp_path / "t.tex")
+    assert code == 0
+    assert "| env | algo | seeds | steps | continuing/recent, mean [95 %] |" in out
+    assert "| tabletop_organization | one | 2 | 30 | 0.015 [0.015, 0.015] |" in out
+    assert r"ten & 2 & 30 & 0.015 [0.015, 0.015] \\" in (tmp_path / "t.tex").read_text()
+    assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
+    code, _, err = run("table", tmp_path / "runs", "--labels", "one")
+    assert (code, "give one for each of: naive; naive (reward_scale=1.0)" in err) == (2, True)

@@ -75,7 +75,18 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
     ("text", "message"),
     [
         ("envs = [", "can't be read"),
-        ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from envs, algos"),
+        ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from preset, envs, algos"),
+        ("envs = 'e'\nalgos = 'a'\npreset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
+        ("envs = 'e'\nalgos = 'a'\noptions.x = { uniform = [0, 1] }", "x needs samples = N"),
+        ("envs = 'e'\nalgos = 'a'\nsamples = 3", "samples needs an option with a distribution"),
+        (
+            "envs = 'e'\nalgos = 'a'\nsamples = 0\noptions.x = { uniform = [0, 1] }",
+            "samples must be a whole number from 1",
+        ),
+        (
+            "envs = 'e'\nalgos = 'a'\nsamples = 2\noptions.x = { normal = [0, 1] }",
+            "one of uniform, log_uniform, integers",
+        ),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
         ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),
@@ -100,6 +111,27 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
 def test_invalid_grids_are_refused(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         read(tmp_path, text)
+
+
+def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
+    text = "preset = 'strong'\nenvs = ['tabletop_organization', 'sawyer_door']\nalgos = 'naive'\n[options]\nlayer_norm = false\n"
+    specs = read(tmp_path, text)
+    assert [(spec.steps, len(spec.seeds)) for spec in specs] == [(2_500_000, 5), (4_000_000, 5)]
+    assert specs[0].options == {"layer_norm": False, "timeout_bootstrap": True}
+    [quick] = read(tmp_path, "envs = 'e'\nalgos = 'a'\npreset = 'quick'\nseeds = [7]\neval_every = 40\n")
+    assert (quick.seeds, quick.steps, quick.eval_every) == ((7,), 170_000, 40)
+    assert quick.options["hidden_sizes"] == [64, 64]
+
+
+def test_every_combination_of_the_grid_has_the_same_samples(tmp_path):
+    text = BASE + "samples = 3\n[options]\nlayer_norm = [true, false]\ndiscount = { uniform = [0.9, 0.99] }\n"
+    specs = read(tmp_path, text)
+    assert len({spec.name for spec in specs}) == len(specs) == 2 * 2 * 2 * 3
+    drawn = [spec.options["discount"] for spec in specs if (spec.env, spec.algo) == ("sawyer_door", "naive")]
+    assert drawn[:3] == drawn[3:] == [spec.options["discount"] for spec in specs[:3]]
+    assert f"discount={drawn[0]},layer_norm=true" in specs[0].name
+    more = read(tmp_path, text.replace("samples = 3", "samples = 5"))
+    assert {spec.name for spec in specs} < {spec.name for spec in more}
 
 
 def test_missing_file_is_refused(tmp_path):

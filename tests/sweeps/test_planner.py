@@ -21,6 +21,15 @@ def test_a_group_contains_the_runs_that_fit_one_program(tmp_path, grid):
         assert len({("fbrl" in name, "layer_norm=true" in name) for name in group["runs"]}) == 1
 
 
+def test_samples_of_floats_share_a_program(tmp_path, grid):
+    drawn = "discount = { uniform = [0.9, 0.99] }\nlearning_rate = { log_uniform = [1e-4, 1e-2] }\n"
+    grid.write_text("samples = 4\nsampler = 'sobol'\n" + GRID + drawn)
+    plan = planner.plan(grid, tmp_path)
+    assert [group["lanes"] for group in plan["groups"]] == [2 * 4 * 2]
+    grid.write_text("samples = 4\n" + GRID.replace("batch_size = 16", "batch_size = { choice = [8, 16] }") + drawn)
+    assert len(planner.plan(grid, tmp_path)["groups"]) == 2
+
+
 def test_full_autonomy_shares_the_program_of_other_horizons(tmp_path, grid):
     grid.write_text(GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n")
     plan = planner.plan(grid, tmp_path)
@@ -94,5 +103,8 @@ def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     with pytest.raises(
         ValueError, match=r"seeds \[0, 1\] there, \[0, 1, 2\] in the grid; steps 120 there, 240 in the grid"
     ):
+        planner.plan(grid, tmp_path)
+    grid.write_text(GRID.replace("seeds = 2", "seeds = 3"))
+    with pytest.raises(ValueError, match=f"add them with: earl-jax resume {folder.path} --seeds 0 1 2"):
         planner.plan(grid, tmp_path)
     assert (folder.path / "config.json").read_bytes() == before

@@ -1,9 +1,8 @@
-"""Run folders for a page: found, read and pooled into lines; a folder that cannot be read is kept with the cause."""
+"""Run folders for a page: read and pooled into lines; a folder that cannot be read is kept with the cause."""
 
 import itertools
 import json
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,33 +60,6 @@ class Line(NamedTuple):
     def seeds(self) -> tuple[int, ...]:
         """The seed of each row of the curves."""
         return tuple(seed for run in self.runs for seed in run.config.seeds)
-
-
-def find_runs(folders: Sequence[Path]) -> list[Path]:
-    """Return the run folders in and below `folders`, each once; links to folders are not followed.
-
-    Raises:
-        ValueError: a folder does not exist, or holds no run.
-    """
-    if not folders:
-        raise InputError("name at least one run folder, or a folder of them")
-    paths: dict[Path, Path] = {}
-    for folder in folders:
-        if not folder.is_dir():
-            raise InputError(f"{folder} is not a folder")
-        below = list(_runs_below(folder))
-        if not below:
-            raise InputError(f"{folder} is not a run folder and holds none: no config.json in it or below")
-        for path in below:
-            paths.setdefault(path.resolve(), path)
-    return list(paths.values())
-
-
-def _runs_below(folder: Path) -> Iterator[Path]:
-    for path, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if name != "checkpoints")
-        if "config.json" in files or "metrics.csv" in files:
-            yield Path(path)
 
 
 def gather(paths: Sequence[Path]) -> tuple[list[Line], list[LeftOut]]:

@@ -5,6 +5,7 @@ import gzip
 import hashlib
 import json
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,46 +13,70 @@ from typing import Any
 from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
 from earl_jax.report.html.origin import report_command
-from earl_jax.report.html.runs import find_runs, gather
-from earl_jax.runs.files import write_atomically
+from earl_jax.report.html.runs import gather
+from earl_jax.report.runs import find_runs
+from earl_jax.runs.files import RunWarning, write_atomically
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def write_page(folders: Sequence[Path], out: Path) -> Path:
+def write_page(folders: Sequence[Path], out: Path, reload_seconds: float | None = None) -> Path:
     """Write the page of the runs in and below `folders` to `out`, an .html file, and return the path.
 
-    Runs that cannot be read are listed on the page with the cause.
+    Runs that cannot be read are listed on the page with the cause, and named by a `RunWarning`. With `reload_seconds`, a
+    browser loads the page again as often.
 
     Raises:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
     """
-    if out.suffix != ".html" or out.is_dir():
-        raise InputError(f"{out}: a report is written as an .html file")
-    environment, plotly = _environment(), _plotly()
+    environment, plotly = require_writable(out)
     lines, left_out = gather(find_runs(folders))
     if not lines:
         causes = "\n".join(f"  {folder.path}: {folder.cause}" for folder in left_out)
         raise InputError(f"none of the runs can be shown:\n{causes}")
+    for folder in left_out:
+        name = "" if str(folder.path) in folder.cause else f"{folder.path}: "
+        warnings.warn(f"left out: {name}{folder.cause}", RunWarning, stacklevel=2)
     content = page_content(lines)
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     page = environment.get_template("report.html").render(
         content,
         left_out=left_out,
+        reload_seconds=reload_seconds,
         report_command=report_command(folders, out),
-        style=_raw(style),
-        script=_raw(script),
+        style=raw(style),
+        script=raw(script),
         plotly=packed(plotly),
         numbers=packed(json.dumps(plot_numbers(content), allow_nan=False)),
         hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
     )
+    return write_ascii(page, out)
+
+
+def write_ascii(page: str, out: Path) -> Path:
+    """Write a page to `out` in ASCII, which reads the same in every encoding, and return the path."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    # Plain ASCII reads the same in whatever encoding the file is written or opened.
     write_atomically(out, page.encode("ascii", "xmlcharrefreplace").decode())
     return out
 
 
-def _environment() -> Any:
+def require_writable(out: Path) -> tuple[Any, str]:
+    """Return the environment of templates and plotly.js, with which a page can be written to `out`.
+
+    Raises:
+        ValueError: `out` is not an .html file, or a library is missing.
+    """
+    if out.suffix != ".html" or out.is_dir():
+        raise InputError(f"{out}: a report is written as an .html file")
+    return template_environment(), _plotly()
+
+
+def template_environment() -> Any:
+    """Return jinja2's environment of the templates, which escapes every text.
+
+    Raises:
+        ValueError: jinja2 is not installed.
+    """
     try:
         import jinja2
     except ImportError as error:
@@ -81,7 +106,8 @@ def _plotly() -> str:
     return get_plotlyjs()
 
 
-def _raw(text: str) -> Any:
+def raw(text: str) -> Any:
+    """Return `text` as HTML that a template does not escape."""
     from markupsafe import Markup
 
     return Markup(text)

@@ -5,8 +5,9 @@ import json
 import pytest
 
 from earl_jax.report.html.line_style import lightened, shaded
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
 from earl_jax.report.html.writing import write_page
+from earl_jax.report.runs import find_runs
 from tests.report.run_files import TABLETOP, rising, write_page_run
 
 
@@ -14,8 +15,9 @@ def test_folders_are_found_once_however_they_are_given(tmp_path):
     nested, deep = tmp_path / "a" / "b", tmp_path / "a" / "c" / "d"
     write_page_run(nested, "fbrl", rising(1, 1))
     write_page_run(deep, "naive", rising(1, 1))
-    (nested / "checkpoints").mkdir()
-    (nested / "checkpoints" / "config.json").write_text("{}")
+    for name in ("checkpoints", "new_seeds", "merged_seeds"):
+        (nested / name).mkdir()
+        (nested / name / "config.json").write_text("{}")
     assert find_runs([tmp_path, tmp_path / "a" / "c" / ".." / "b"]) == [nested, deep]
     assert find_runs([deep]) == [deep]
 

@@ -3,8 +3,9 @@
 import pytest
 
 from earl_jax.report.html.curves import panels
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
 from earl_jax.report.html.tables import paper_table, seed_table, speeds, strips
+from earl_jax.report.runs import find_runs
 from tests.report.run_files import constant, write_page_run
 
 

@@ -11,8 +11,9 @@ import pytest
 
 from earl_jax.cli.report import report
 from earl_jax.report.html.origin import origins
-from earl_jax.report.html.runs import find_runs, gather
+from earl_jax.report.html.runs import gather
 from earl_jax.report.html.writing import write_page
+from earl_jax.report.runs import find_runs
 from tests.conftest import tiny_train
 from tests.report.html.conftest import EVIL
 from tests.report.html.reader import Reader
@@ -63,7 +64,7 @@ def test_texts_of_runs_are_escaped(page, written):
 
 def test_damaged_runs_are_listed_with_their_causes_and_affect_no_other(page, folders):
     start = page.text.index("Left out")
-    assert "3 folders could not be read" in page.text
+    assert "3 runs could not be read" in page.text
     for name, cause in (("torn", "is damaged"), ("young", "has no evaluation yet"), ("alien", "metrics.csv")):
         assert re.search(rf"{re.escape(str(folders / name))}.*{cause}", page.text[start:])
     lines, left_out = gather(find_runs([folders]))

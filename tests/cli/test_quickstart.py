@@ -1,0 +1,53 @@
+"""The quickstart: what it promises, and the number that it prints. Its training is replaced by a written run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from earl_jax import training
+from earl_jax.cli import quickstart
+from earl_jax.presets import PRESETS
+from tests.cli.process import run
+from tests.report.run_files import TABLETOP, write_page_run
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The arguments of the training that the quickstart asks for."""
+    arguments = {}
+
+    def train(env, algo, out, **options):
+        arguments.update(options, env=env, algo=algo)
+        scores = np.arange(10, dtype=float)[None] * np.array([[0.1], [0.08]])
+        write_page_run(out, algo, scores, env=env)
+        return type("Result", (), {"metrics": {"deployed/success": scores}})
+
+    monkeypatch.setattr(training, "train", train)
+    return arguments
+
+
+def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(asked, tmp_path):
+    code, out, _ = run("quickstart", "--out", tmp_path)
+    assert code == 0
+    assert (asked["env"], asked["algo"]) == (TABLETOP, "fbrl")
+    lengths = PRESETS["quick"].lengths
+    assert {name: asked[name] for name in lengths} == lengths
+    last = np.arange(10)[-quickstart.LAST :].mean() * 0.09
+    assert f"mean of the last {quickstart.LAST} evaluations {last:.2f}, best 0.81" in out
+    low, high = quickstart.RANGE
+    assert f"Expect {low} to {high} at the end" in out
+
+
+def test_another_length_has_no_promise(asked, tmp_path):
+    code, out, _ = run("quickstart", "--out", tmp_path, "--steps", "2000")
+    assert code == 0
+    assert "Expect" not in out
+    assert (asked["steps"], asked["eval_every"]) == (2000, 2000)
+
+
+def test_the_pages_promise_what_the_command_does():
+    root = Path(__file__).parents[2]
+    low, high = quickstart.RANGE
+    for page in ("README.md", "docs/getting_started.md"):
+        assert f"Expect {low} to {high}" in " ".join((root / page).read_text().split()), page

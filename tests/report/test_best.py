@@ -1,0 +1,70 @@
+"""The ranking of the runs of a sweep, on scores written by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from earl_jax.metrics.comparison import holm, permutation
+from earl_jax.report.best import best, best_text
+from tests.report.run_files import DOOR, TABLETOP, constant, write_run
+
+GOOD, CLOSE, BAD = [0.8, 0.85, 0.9, 0.95, 1.0], [0.7, 0.8, 0.9, 0.95, 1.0], [0.0, 0.05, 0.1, 0.15, 0.2]
+
+
+def write_cells(path, **scores):
+    """Write a run for each reward scale, whose seeds have constant scores; a text ending in s is a shorter run."""
+    for number, (name, values) in enumerate(scores.items(), 1):
+        deployed = constant(*values)[:, : 1 if name.endswith("short") else 2]
+        write_run(path / name, TABLETOP, "naive", deployed, planned=20, reward_scale=float(number), batch_size=32)
+    return path
+
+
+def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
+    rows = best([write_cells(tmp_path, bad=BAD, good=GOOD, close=CLOSE)])
+    assert [(row["rank"], row["options"], row["verdict"]) for row in rows] == [
+        (1, "batch_size=32, reward_scale=2.0", "best"),
+        (2, "batch_size=32, reward_scale=3.0", "cannot tell"),
+        (3, "batch_size=32, reward_scale=1.0", "below"),
+    ]
+    tests = [permutation(np.array(GOOD), np.array(other)).p for other in (CLOSE, BAD)]
+    assert [row["p"] for row in rows[1:]] == tests
+    assert [row["p_holm"] for row in rows[1:]] == holm(tests).tolist()
+    assert rows[2]["least_p"] == pytest.approx(2 * 2 / math.comb(10, 5))
+    assert rows[0]["score"] == pytest.approx(0.9)
+    half = stats.t.ppf(0.975, 4) * np.std(GOOD, ddof=1) / np.sqrt(5)
+    assert [rows[0]["low"], rows[0]["high"]] == pytest.approx([0.9 - half, 0.9 + half])
+
+
+def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
+    rows = best([write_cells(tmp_path, good_short=GOOD, bad=BAD, close=CLOSE)])
+    assert [row["verdict"] for row in rows] == ["best", "below", "shorter"]
+    assert (rows[2]["steps"], rows[2]["score"]) == (10, pytest.approx(0.9))
+    assert rows[1]["p_holm"] == rows[1]["p"]  # one comparison
+
+
+def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
+    few = best([write_cells(tmp_path, good=GOOD[:2], bad=BAD[:2], close=CLOSE[:2])])
+    text = best_text(few)
+    assert "Of 2 others of the same length, 2 cannot be told from the best: rank 2, 3." in text
+    assert "the smallest adjusted p of so many permutation tests is 0.67" in text
+    assert "| 1 | naive (reward_scale=1.0) | 2 | 20 | 0.825 [0.507, 1.143] |" in text
+    welch = best_text(best([tmp_path], "welch"), "welch")
+    assert "None could be" not in welch
+    assert "by Welch's test" in welch
+    assert "| 3 |" not in best_text(few, top=2)
+    assert "1 more are not shown" in best_text(few, top=2)
+
+
+def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):
+    write_cells(tmp_path / "a", good=GOOD)
+    write_run(tmp_path / "door", DOOR, "fbrl", constant(0.5))
+    rows = best([tmp_path])
+    assert [(row["env"], row["rank"], row["verdict"]) for row in rows] == [(TABLETOP, 1, "best"), (DOOR, 1, "best")]
+    assert "no other run of the same length" in best_text(rows)
+
+
+def test_the_text_fits_a_terminal(tmp_path):
+    rows = best([write_cells(tmp_path, bad=BAD, good=GOOD)])
+    assert max(map(len, best_text(rows, width=70).splitlines())) <= 70
