@@ -12,7 +12,19 @@ if TYPE_CHECKING:
     from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
     from earl_jax.errors import InputError
     from earl_jax.protocol import Continuing, Deployment, Protocol
-    from earl_jax.training import Problem, Result, evaluate, lifetime, resume, select_seed, train
+    from earl_jax.training import (
+        Policy,
+        Problem,
+        Result,
+        evaluate,
+        lifetime,
+        list_pretrained,
+        pretrained,
+        pretrained_info,
+        resume,
+        select_seed,
+        train,
+    )
 
 _HOME = {
     "Continuing": "protocol",
@@ -22,6 +34,7 @@ _HOME = {
     "InputError": "errors",
     "Method": "algos",
     "MujocoEnv": "envs",
+    "Policy": "training",
     "Problem": "training",
     "Protocol": "protocol",
     "Result": "training",
@@ -30,9 +43,12 @@ _HOME = {
     "lifetime": "training",
     "list_algos": "algos",
     "list_envs": "envs",
+    "list_pretrained": "training",
     "make": "envs",
     "make_algo": "algos",
     "method_for": "algos",
+    "pretrained": "training",
+    "pretrained_info": "training",
     "register_algo": "algos",
     "register_env": "envs",
     "resume": "training",
@@ -49,6 +65,7 @@ __all__ = [
     "InputError",
     "Method",
     "MujocoEnv",
+    "Policy",
     "Problem",
     "Protocol",
     "Result",
@@ -57,9 +74,12 @@ __all__ = [
     "lifetime",
     "list_algos",
     "list_envs",
+    "list_pretrained",
     "make",
     "make_algo",
     "method_for",
+    "pretrained",
+    "pretrained_info",
     "register_algo",
     "register_env",
     "resume",
