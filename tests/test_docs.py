@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,16 @@ def test_the_gallery_lists_the_policies_that_ship_and_their_success():
 
 def test_the_videos_of_the_gallery_are_small_together():
     assert sum(path.stat().st_size for path in (DOCS / "pictures" / "gallery").iterdir()) < 3_000_000
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_install_lines_need_no_index(page):
+    """The package is on no index yet; docs/installation.md says what changes then."""
+    lines = re.findall(r"^.*pip install '?earl-jax.*$", page.read_text(), flags=re.MULTILINE)
+    assert [line for line in lines if " @ git+" not in line] == [] or page.name == "installation.md"
+
+
+def test_the_page_of_installation_has_every_extra():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    rows = [row[0] for row in table_rows((DOCS / "installation.md").read_text(), "extra")]
+    assert {name for cell in rows for name in re.findall(r"`(\w+)`", cell)} == set(extras)
