@@ -1,7 +1,9 @@
 """The command that makes videos and pictures: render."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from earl_jax.cli.arguments import Positional
 
@@ -12,7 +14,7 @@ def render(
     acting: Literal["policy", "expert", "demos", "random"] | None = None,
     seed: int = 0,
     steps: int | None = None,
-    size: tuple[int, int] | None = None,
+    size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="HEIGHT WIDTH")] = None,
     fps: float | None = None,
     camera: str | None = None,
     policy: str | None = None,
