@@ -10,11 +10,13 @@ MORE := $(VENV)/.more
 QUICK := plot,render,report,tensorboard,test
 ALL := $(QUICK),notebook,peers,wandb
 NEWEST := .venv-newest
+DOCS := .venv-docs
+DOCS_EXTRA := import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")
 UNBOUNDED := import re, tomllib; names = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
 	print(*[re.split("[<>=!~;]", name)[0] for name in names], "hypothesis", "pytest", "pytest-xdist", sep="\n")
 OUT ?= runs/quickstart-$(shell date +%Y%m%d-%H%M%S)
 
-.PHONY: quickstart test test-slow test-newest check demos lock clean
+.PHONY: quickstart test test-slow test-newest check demos docs notebooks lock clean
 
 $(STAMP): pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
@@ -59,9 +61,24 @@ test-newest: pyproject.toml
 # jax needs another version.
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 $(addprefix --extra ,$(subst $(comma), ,$(ALL))) \
+	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 $(addprefix --extra ,$(subst $(comma), ,$(ALL),docs)) \
 		--no-emit-index-url --no-header --no-annotate --upgrade -o requirements.lock
 	sed -i -E '/^(cuda|nvidia|triton)/d' requirements.lock
+
+# The site of the documentation, in the folder site; an error for any broken link. It imports nothing of the package, so it has an
+# environment of its own without jax. python -m http.server -d site shows it, search included.
+docs: $(DOCS)/.installed
+	$(DOCS)/bin/python -m mkdocs build --strict
+
+$(DOCS)/.installed: pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -c '$(DOCS_EXTRA)' > $(DOCS)/requirements.txt
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -r $(DOCS)/requirements.txt
+	touch $@
+
+# The notebooks of notebooks/*.py with their outputs, for the site: about 35 minutes on two quiet cores.
+notebooks: $(MORE)
+	$(BIN)/python -m docs.site.notebooks --execute
 
 demos: $(STAMP)
 	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz
@@ -69,4 +86,4 @@ demos: $(STAMP)
 	$(BIN)/earl-jax demos sawyer_peg --physics c --out assets/demos/sawyer_peg.npz
 
 clean:
-	rm -rf $(VENV) $(NEWEST) .cache
+	rm -rf $(VENV) $(NEWEST) $(DOCS) .cache site

@@ -13,7 +13,19 @@ if TYPE_CHECKING:
     from earl_jax.errors import InputError
     from earl_jax.presets import preset
     from earl_jax.protocol import Continuing, Deployment, Protocol
-    from earl_jax.training import Problem, Result, evaluate, lifetime, resume, select_seed, train
+    from earl_jax.training import (
+        Policy,
+        Problem,
+        Result,
+        evaluate,
+        lifetime,
+        list_pretrained,
+        pretrained,
+        pretrained_info,
+        resume,
+        select_seed,
+        train,
+    )
 
 _HOME = {
     "Continuing": "protocol",
@@ -23,6 +35,7 @@ _HOME = {
     "InputError": "errors",
     "Method": "algos",
     "MujocoEnv": "envs",
+    "Policy": "training",
     "Problem": "training",
     "Protocol": "protocol",
     "Result": "training",
@@ -31,9 +44,12 @@ _HOME = {
     "lifetime": "training",
     "list_algos": "algos",
     "list_envs": "envs",
+    "list_pretrained": "training",
     "make": "envs",
     "make_algo": "algos",
     "method_for": "algos",
+    "pretrained": "training",
+    "pretrained_info": "training",
     "register_algo": "algos",
     "register_env": "envs",
     "preset": "presets",
@@ -51,6 +67,7 @@ __all__ = [
     "InputError",
     "Method",
     "MujocoEnv",
+    "Policy",
     "Problem",
     "Protocol",
     "Result",
@@ -59,10 +76,13 @@ __all__ = [
     "lifetime",
     "list_algos",
     "list_envs",
+    "list_pretrained",
     "make",
     "make_algo",
     "method_for",
     "preset",
+    "pretrained",
+    "pretrained_info",
     "register_algo",
     "register_env",
     "resume",

@@ -2,9 +2,10 @@
 
 import csv
 import functools
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,6 +118,30 @@ def starts(name: str) -> dict[str, np.ndarray]:
     for array in arrays.values():
         array.setflags(write=False)
     return arrays
+
+
+def list_pretrained() -> dict[str, list[str]]:
+    """Return the methods of which trained policies ship, by task, both sorted."""
+    files = sorted((root() / "pretrained").glob("*/*.json"))
+    tasks = dict.fromkeys(path.parent.name for path in files)
+    return {task: [path.stem for path in files if path.parent.name == task] for task in tasks}
+
+
+@functools.cache
+def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the description of the trained policies of `method` on `task`, and their parameters, float16 [N, ...] by name.
+
+    Raises:
+        ValueError: none ship; the message lists the choices.
+    """
+    choices = list_pretrained()
+    if task not in choices:
+        raise InputError(f"no trained policies ship for {task!r}; choose from {', '.join(choices)}")
+    if method not in choices[task]:
+        raise InputError(f"no policies of {method!r} ship for {task}; choose from {', '.join(choices[task])}")
+    path = root() / "pretrained" / task / method
+    with np.load(path.with_suffix(".npz"), allow_pickle=False) as stored:
+        return json.loads(path.with_suffix(".json").read_text()), dict(stored)
 
 
 @functools.cache

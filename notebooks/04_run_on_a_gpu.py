@@ -19,9 +19,21 @@ One lane leaves most of a GPU idle; fifty lanes share one program and its kernel
 devices, computes the memory of a run, measures the speed by number of lanes, and trains fifty seeds. On
 an H200 that training takes six minutes. The page runs on a CPU too, with small numbers.
 
-To open this page, `pip install 'earl-jax[cuda,notebook]'`, without `cuda` on a CPU. VS Code runs this file
-directly. For Jupyter, convert it with `jupytext --to ipynb 04_run_on_a_gpu.py`.
+[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/04_run_on_a_gpu.ipynb)
+
+To open this page in a checkout, `pip install -e '.[cuda,notebook]'` (without `cuda` on a CPU) and
+`jupyter lab`. VS Code also runs `04_run_on_a_gpu.py`, the same page as a script.
 """
+
+# %% tags=["install"]
+import importlib.util
+import subprocess
+import sys
+
+# Or a wheel: "earl_jax-0.1.0-py3-none-any.whl[cuda,notebook]".
+PACKAGE = "earl-jax[cuda,notebook] @ git+https://github.com/OWNER/earl_jax"
+if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
+    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
 
 # %%
 import os

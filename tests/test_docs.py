@@ -2,15 +2,17 @@
 
 import dataclasses
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
+import earl_jax
 from earl_jax import algos, envs
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md"), *(ROOT / "notebooks").glob("*.py")])
+PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "notebooks").glob("*.py")])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -72,7 +74,7 @@ def test_the_page_of_environments_has_a_section_with_every_topic_for_each_task()
 
 CODE = {
     name: re.findall(r"```python\n(.*?)```", (DOCS / f"{name}.md").read_text(), flags=re.DOTALL)
-    for name in ("getting_started", "formalism", "irreversible")
+    for name in ("environment_api", "getting_started", "formalism", "irreversible", "python_api")
 }
 
 
@@ -84,3 +86,31 @@ def test_the_code_of_a_page_runs_and_writes_nothing(page, tmp_path, monkeypatch)
     for block in CODE[page]:
         exec(compile(block, page, "exec"), {})
     assert not list(tmp_path.iterdir())
+
+
+def test_the_gallery_lists_the_policies_that_ship_and_their_success():
+    page = (DOCS / "gallery.md").read_text()
+    listed = {row[0].strip("`"): re.findall(r"`(\w+)`", row[1]) for row in table_rows(page, "task") if len(row) == 2}
+    shipped = earl_jax.list_pretrained()
+    assert {task: listed.get(task) for task in shipped} == shipped
+    for task, method, success in re.findall(r"\(environments.md#(\w+)\) \| (\w+), (\d\.\d+)", page):
+        info = earl_jax.pretrained_info(task, method.lower())
+        assert f"{info['deployed/success'][0]:.2f}" == success
+        assert (DOCS / "pictures" / "gallery" / f"{task}_{method.lower()}.webp").stat().st_size < 300_000
+
+
+def test_the_videos_of_the_gallery_are_small_together():
+    assert sum(path.stat().st_size for path in (DOCS / "pictures" / "gallery").iterdir()) < 3_000_000
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_install_lines_need_no_index(page):
+    """The package is on no index yet; docs/installation.md says what changes then."""
+    lines = re.findall(r"^.*pip install '?earl-jax.*$", page.read_text(), flags=re.MULTILINE)
+    assert [line for line in lines if " @ git+" not in line] == [] or page.name == "installation.md"
+
+
+def test_the_page_of_installation_has_every_extra():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    rows = [row[0] for row in table_rows((DOCS / "installation.md").read_text(), "extra")]
+    assert {name for cell in rows for name in re.findall(r"`(\w+)`", cell)} == set(extras)

@@ -25,8 +25,11 @@ def test_a_notebook_has_instructions_and_a_cell_of_parameters(path):
     jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
     cells = jupytext.read(path).cells
     assert cells[0].cell_type == "markdown"
-    assert re.search(r"pip install 'earl-jax\[(cuda,)?notebook\]'", cells[0].source)
+    assert re.search(r"pip install -e '.\[(cuda,)?notebook\]'", cells[0].source)
     assert path.name in cells[0].source
+    assert f"/{path.stem}.ipynb)" in cells[0].source  # Colab's badge
+    assert cells[1].metadata["tags"] == ["install"]
+    assert re.search(r'"earl-jax\[(cuda,)?notebook\] @ git\+https://', cells[1].source)
     (parameters,) = [cell for cell in cells if "parameters" in cell.metadata.get("tags", [])]
     assert "EARL_JAX_NOTEBOOK" in parameters.source
     assert "tempfile.mkdtemp" in parameters.source

@@ -41,6 +41,7 @@ def test_wheel_contains_every_asset(wheel):
     for path in (ROOT / "assets").rglob("*"):
         if path.is_file():
             assert f"earl_jax/assets/{path.relative_to(ROOT / 'assets')}" in names
+    assert "earl_jax/py.typed" in names
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "assets/"))]
 
 

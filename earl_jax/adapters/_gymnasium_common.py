@@ -1,22 +1,15 @@
-"""What the single and the vector environment of gymnasium share: spaces, metadata, infos."""
+"""What the single and the vector environment of gymnasium share: metadata, infos, seeds."""
 
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 
 from earl_jax.adapters._session import Session, SessionState, StepResult
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
-
-
-def spaces(env: Env) -> tuple[Box, Box]:
-    """Return the observation and the action space of one lane; observations have no bounds."""
-    observation_space = Box(-np.inf, np.inf, (env.obs_size,), np.float32)
-    return observation_space, Box(-1.0, 1.0, (env.action_size,), np.float32)
 
 
 def metadata(env: Env, render_mode: str | None) -> dict[str, Any]:

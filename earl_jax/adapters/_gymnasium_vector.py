@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from earl_jax.adapters._camera import Camera
-from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset, spaces
+from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
 from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
@@ -41,7 +41,8 @@ class ResetFreeVectorEnv(EarlierNames, VectorEnv):
             raise InputError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
         self.session = Session.of(task, lanes=num_envs, **options)
-        self.single_observation_space, self.single_action_space = spaces(self.session.env)
+        env = self.session.env
+        self.single_observation_space, self.single_action_space = env.observation_space, env.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.autoreset_mode = _autoreset_mode(self.session, autoreset_mode)

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from earl_jax.adapters._camera import Camera
-from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset, spaces
+from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
 from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv
 from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
 from earl_jax.envs import Env, list_envs
@@ -71,7 +71,8 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
             ValueError: an unknown mode, setting, option or name; the message lists the choices.
         """
         self.session = Session.of(task, **options)
-        self.observation_space, self.action_space = spaces(self.session.env)
+        env = self.session.env
+        self.observation_space, self.action_space = env.observation_space, env.action_space
         self.metadata = metadata(self.session.env, render_mode)
         self.render_mode = render_mode
         self._camera = Camera(self.session.env, height, width)

@@ -34,8 +34,9 @@ Devices = Annotated[
 PerDevice = Annotated[
     int | Literal["auto"] | None,
     tyro.conf.arg(
+        metavar="INT|auto",
         help="Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "
-        "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU."
+        "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU.",
     ),
 ]
 Hosts = Annotated[

@@ -15,10 +15,11 @@ from earl_jax.errors import InputError
 from earl_jax.options import require
 from earl_jax.runs.config import SEED
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import Policy, load_policies, select_seed
+from earl_jax.training import Policy, load_policies, pretrained, pretrained_env, select_seed
 
 ACTINGS = ("policy", "expert", "demos", "random")
-"""The newest policy of a run, the task's scripted expert, the shipped demonstrations replayed, or random actions."""
+"""The newest policy of a run or a trained one that ships, the task's scripted expert, the shipped demonstrations replayed,
+or random actions."""
 SECONDS_AFTER_GOAL = 0.6
 """How long an episode goes on after its goal is reached."""
 
@@ -54,15 +55,19 @@ class Actor(NamedTuple):
     start: Callable[[int], EpisodeStart]
 
 
-def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Actor:
-    """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`."""
+def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, method: str | None = None) -> Actor:
+    """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`.
+
+    `method` names a trained policy of a task that ships with the package.
+    """
     require("seed", seed, SEED)
     if acting is not None and acting not in ACTINGS:
         raise InputError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
-    from_run = is_run(source)
-    if not from_run and str(source) not in list_envs():
+    if not is_run(source) and str(source) not in list_envs():
         raise InputError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
-    env, policy = _trained(Path(source), seed) if from_run else (make(str(source)), None)
+    if method is not None and acting not in (None, "policy"):
+        raise InputError(f"the policy {method!r} and acting {acting!r} exclude each other: leave out one")
+    env, policy = _env_and_policy(source, seed, method)
     actors = _actors(env if env.engine == "kinematic" else with_engine(env, "c"), policy, seed)
     chosen = acting or next(iter(actors))
     if chosen not in actors:
@@ -73,6 +78,17 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0) -> Ac
 def is_run(source: str | Path) -> bool:
     """Return whether `source` is a run folder."""
     return (Path(source) / "config.json").is_file()
+
+
+def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[Env, Policy | None]:
+    """Return the environment of `source` and its policy: of a run, or of a `method` that ships; None without either."""
+    if is_run(source):
+        if method is not None:
+            raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
+        return _trained(Path(source), seed)
+    if method is None:
+        return make(str(source)), None
+    return pretrained_env(str(source), method), pretrained(str(source), method)
 
 
 def _trained(folder: Path, lane: int) -> tuple[Env, Policy]:

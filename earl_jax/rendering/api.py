@@ -17,7 +17,7 @@ from earl_jax.rendering.video import DEFAULT_SECONDS, RATES, frames, write_film
 
 ALL = "all"
 """The source that stands for the paper's six tasks."""
-SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".png": (240, 320)}
+SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".webp": (240, 320), ".png": (240, 320)}
 """Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
 
 
@@ -31,12 +31,13 @@ def render(
     fps: float | None = None,
     camera: str | None = None,
     progress: bool = False,
+    policy: str | None = None,
 ) -> Path:
     """Draw episodes of `source`, each from s0 with a goal of its own, in real time, and return the path of the file.
 
     Args:
         source: a run folder, a task's name, or `all` for a moment of each of the paper's six tasks (.png).
-        out: .mp4, .gif, or .png for a sheet of six moments; by default `video.mp4` in a run folder, else `TASK.mp4`, or
+        out: .mp4, .gif, .webp, or .png for a sheet of six moments; by default `video.mp4` in a run folder, else `TASK.mp4`, or
             `all.png`.
         acting: one of `ACTINGS`; by default the policy of a run, else the first one that the task has.
         seed: seed of starts and goals; in a run folder also the lane whose policy acts.
@@ -45,19 +46,22 @@ def render(
         fps: largest number of frames a second; the exact number follows from the task's control step.
         camera: one of the task's cameras.
         progress: whether to show a progress bar.
+        policy: for a task, the method whose trained policy acts, one of `earl_jax.list_pretrained()[source]`.
 
     Raises:
-        ValueError: the source, suffix, acting or camera is unknown, the source has no such acting or camera, a number
-            is not positive, a video's height or width is odd, or a library is missing.
+        ValueError: the source, suffix, acting, policy or camera is unknown, the source has no such acting or camera, a
+            number is not positive, a video's height or width is odd, or a library is missing.
     """
     path = output_path(source, out)
     size = size or SIZES[path.suffix]
     _check_numbers(path, size, steps=steps, fps=fps)
     library("mediapy" if path.suffix == ".mp4" else "PIL")  # a missing library is reported before the simulation
     if str(source) == ALL:
+        if policy is not None:
+            raise InputError(f"a policy belongs to one task: name the task instead of {ALL}")
         actors = [actor_of(name, acting, seed) for name in PAPER_TASKS]
         return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
-    actor = actor_of(source, acting, seed)
+    actor = actor_of(source, acting, seed, policy)
     if path.suffix == ".png":
         with Scene(actor.env, supersampled(size), camera) as scene:
             return write_sheet(path, _tracked(moments(actor, scene, steps), MOMENTS, progress), columns=MOMENTS)

@@ -1,7 +1,8 @@
-"""Films: the states of an actor's episodes at an even pace, and .mp4 and .gif files."""
+"""Films: the states of an actor's episodes at an even pace, and .mp4, .gif and .webp files."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,12 +10,14 @@ from earl_jax.envs import State
 from earl_jax.rendering.actors import Actor, episodes
 from earl_jax.rendering.output import atomic_file, library
 
-RATES = {".mp4": 25.0, ".gif": 12.5}
+RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 """Largest frames a second by suffix, unless the caller sets another."""
 DEFAULT_SECONDS = 10.0
 """Length of a film, unless the caller sets the number of steps."""
 CRF = 26
 """Compression of a video, as a constant rate factor; artefacts are invisible at 18."""
+WEBP_QUALITY = 60
+"""Quality of an animated .webp, of 100."""
 
 
 def frames(actor: Actor, steps: int, stride: int) -> Iterator[State]:
@@ -28,9 +31,9 @@ def frames(actor: Actor, steps: int, stride: int) -> Iterator[State]:
 
 
 def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple[int, int]) -> Path:
-    """Write `images` of height and width `size` at `fps` to a .mp4 or .gif and return its path."""
-    if path.suffix == ".gif":
-        return _write_gif(path, images, fps)
+    """Write `images` of height and width `size` at `fps` to a .mp4, .gif or .webp and return its path."""
+    if path.suffix != ".mp4":
+        return _write_animation(path, images, fps)
     mediapy = library("mediapy")
     mediapy.set_ffmpeg(library("imageio_ffmpeg").get_ffmpeg_exe())
     with atomic_file(path) as part, mediapy.VideoWriter(part, size, fps=fps, crf=CRF) as video:
@@ -39,8 +42,13 @@ def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple
     return path
 
 
-def _write_gif(path: Path, images: Iterable[np.ndarray], fps: float) -> Path:
-    first, *rest = [library("PIL.Image").fromarray(image).quantize(128, dither=0) for image in images]
+def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Path:
+    pillow = library("PIL.Image")
+    pictures = map(pillow.fromarray, images)
+    options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 6}
+    if path.suffix == ".gif":
+        pictures, options = (picture.quantize(128, dither=0) for picture in pictures), {"optimize": True}
+    first, *rest = pictures
     with atomic_file(path) as part:
-        first.save(part, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, optimize=True)
+        first.save(part, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, **options)
     return path

@@ -5,6 +5,7 @@ from earl_jax.training.evaluation import evaluate
 from earl_jax.training.lifetime import lifetime
 from earl_jax.training.loading import load_lanes, load_policies, load_visits
 from earl_jax.training.policy import Policy
+from earl_jax.training.pretrained_policies import list_pretrained, pretrained, pretrained_env, pretrained_info
 from earl_jax.training.state import Problem
 
 __all__ = [
@@ -13,9 +14,13 @@ __all__ = [
     "Result",
     "evaluate",
     "lifetime",
+    "list_pretrained",
     "load_lanes",
     "load_policies",
     "load_visits",
+    "pretrained",
+    "pretrained_env",
+    "pretrained_info",
     "resume",
     "select_seed",
     "split_options",

@@ -287,3 +287,21 @@ def test_earlier_names_still_work():
     assert env.life is env.state
     with pytest.raises(AttributeError, match="ResetFreeEnv has no attribute 'lifes'"):
         _ = env.lifes
+
+
+def test_gymnasiums_videos_of_episodes_and_of_a_lifetime(tmp_path):
+    pytest.importorskip("moviepy", reason="RecordVideo needs moviepy: pip install moviepy")
+    small = {"render_mode": "rgb_array", "width": 96, "height": 64}
+    episodes = gymnasium.make(env_id(TABLETOP), mode="eval", eval_horizon=4, **small)
+    lifetime = gymnasium.make(env_id(TABLETOP), **small)
+    for name, env, trigger in (
+        ("episodes", episodes, {"episode_trigger": lambda number: True}),
+        ("lifetime", lifetime, {"step_trigger": lambda number: number % 6 == 0, "video_length": 3}),
+    ):
+        recorded = gymnasium.wrappers.RecordVideo(env, str(tmp_path / name), **trigger)
+        recorded.reset(seed=0)
+        for _ in range(8):
+            if recorded.step(STAY)[3]:
+                recorded.reset()
+        recorded.close()
+        assert len(list((tmp_path / name).glob("*.mp4"))) >= 2

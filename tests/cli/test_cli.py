@@ -53,6 +53,7 @@ def test_help_describes_every_command_and_option(capsys):
         text = capsys.readouterr().out
         assert f"usage: {' '.join(['earl-jax', *arguments])}" in text
         assert all(command in text for command in COMMANDS if not arguments)
+        assert not [metavar for metavar in ("None}", "{None", "|{") if metavar in text]
 
 
 def test_run_folder_contains_config_and_metrics(finished):

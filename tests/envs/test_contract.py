@@ -2,13 +2,14 @@
 
 import dataclasses
 import functools
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import list_envs, make, register_env
+from earl_jax.envs import HelpBudget, list_envs, make, register_env
 from tests.conftest import assert_all_finite, assert_equal_trees, take_lane
 
 DEFAULT_REWARD = pytest.mark.parametrize(("name", "reward_type"), [(n, make(n).reward_type) for n in list_envs()])
@@ -131,3 +132,28 @@ def test_unknown_names_and_options_are_errors_that_list_the_choices():
         make("tabletop_organization", reward_type="shaped")
     with pytest.raises(ValueError, match="exists already"):
         register_env("tabletop_organization", type(make("tabletop_organization")))
+
+
+@pytest.mark.parametrize("name", list_envs())
+def test_a_task_has_the_names_of_brax_and_gymnasium(name):
+    env = make(name)
+    assert (env.observation_size, env.dt, env.episode_length) == (env.obs_size, env.step_seconds, env.eval_horizon)
+    assert env.observation_space.shape == (env.obs_size,)
+    assert np.isinf(env.observation_space.high).all()
+    assert env.action_space.shape == (env.action_size,)
+    assert (env.action_space.low == -1).all()
+    assert (env.action_space.high == 1).all()
+    assert env.observation_space.dtype == env.action_space.dtype == np.float32
+
+
+def test_the_names_belong_to_the_task_with_a_budget_too(env):
+    helped = HelpBudget(task=env, budget=5.0)
+    assert helped.observation_space.shape == (helped.observation_size,) == (env.obs_size + 1,)
+    assert helped.action_space.shape == (env.action_size + 1,)
+
+
+def test_spaces_without_gymnasium_are_a_clear_error(env, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium.spaces", None)
+    with pytest.raises(ValueError, match="pip install gymnasium"):
+        _ = env.action_space
+    assert env.observation_size == 12

@@ -38,10 +38,12 @@ def test_an_episode_continues_shortly_after_its_goal(expert_episode):
     assert float(expert_episode.at(3).data.time) == 3
 
 
-def test_a_gif_has_one_frame_for_each_step(graphics, tmp_path):
-    path = render(TASK, tmp_path / "new" / "x.gif", steps=5, size=SMALL)
-    assert [entry.name for entry in path.parent.iterdir()] == ["x.gif"]
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_an_animation_has_one_frame_for_each_step(graphics, tmp_path, suffix):
+    path = render(TASK, tmp_path / "new" / f"x{suffix}", steps=5, size=SMALL)
+    assert [entry.name for entry in path.parent.iterdir()] == [f"x{suffix}"]
     with images.open(path) as film:
+        film.load()
         assert (film.n_frames, film.size, film.info["duration"]) == (6, SMALL[::-1], 100)
         assert film.info["loop"] == 0  # forever
         first = np.asarray(film.convert("RGB"))
@@ -72,11 +74,15 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
     ("options", "message"),
     [
         ({"source": "nowhere"}, "neither a run folder nor a task; the tasks are cheetah_run"),
-        ({"out": "x.webm"}, r"suffix '.webm'; for tabletop_organization choose from .mp4, .gif, .png"),
+        ({"out": "x.webm"}, r"suffix '.webm'; for tabletop_organization choose from .mp4, .gif, .webp, .png"),
         ({"source": "all", "out": "x.mp4"}, "for all choose from .png"),
         ({"acting": "policy"}, "no acting 'policy'; choose from expert, demos, random"),
         ({"acting": "me"}, "unknown acting 'me'; choose from policy"),
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
+        ({"policy": "me"}, "no policies of 'me' ship for tabletop_organization; choose from fbrl"),
+        ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
+        ({"policy": "fbrl", "source": "all", "out": "x.png"}, "a policy belongs to one task"),
+        ({"policy": "fbrl", "source": "cheetah_run"}, "no trained policies ship for 'cheetah_run'"),
         ({"steps": 0}, "steps must be above 0"),
         ({"fps": -1.0}, "fps must be above 0"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
@@ -103,6 +109,12 @@ def test_a_failed_film_leaves_no_file(graphics, tmp_path, monkeypatch):
 def test_the_pace_follows_the_control_step_of_the_task():
     assert make("sawyer_door").step_seconds == 0.0125
     assert make(TASK).step_seconds == 0.1
+
+
+def test_a_trained_policy_that_ships_reaches_goals_within_its_episodes():
+    actor = actor_of(TASK, method="vaprl")
+    assert actor.acting == "policy"
+    assert next(episodes(actor)).reached
 
 
 def test_the_actings_are_those_of_the_command():

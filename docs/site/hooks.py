@@ -1,0 +1,112 @@
+"""What MkDocs does not do by itself: pages from outside docs/, links to them, notebooks, and formulas as MathML.
+
+The pages of docs/ are written to be read in the repository, where links go to files. On the site a link to a file that is no
+page goes to the repository, whose address is `repo_url` of mkdocs.yml, or is plain text without one.
+"""
+
+import html
+import json
+import logging
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from docs.site import notebooks
+
+ROOT = Path(__file__).resolve().parents[2]
+LINK = re.compile(r"(!?\[(?:[^\]\[]|\[[^\]]*\]\([^)]*\))*\])\(([^)\s]+)\)")
+FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+UNKNOWN_COMMANDS = {r"\arg": r"\operatorname{arg}", r"\big\|": r"\|"}
+"""Commands that the converter of formulas does not know, and what it knows in their place."""
+PICTURES = (".png", ".webp", ".gif", ".svg")
+log = logging.getLogger("mkdocs.hooks.earl_jax")
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the notebooks, the changelog, and what pages link to outside docs/: pictures and pages."""
+    from mkdocs.structure.files import File
+
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        text, pictures = notebooks.page(json.loads(path.read_text()), path.stem)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=text))
+        for name, data in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=data))
+    files.append(File.generated(config, "notebooks/index.md", content=notebooks.index(ROOT / "notebooks")))
+    for source in ["CHANGELOG.md", *outside_files(ROOT / "docs")]:
+        files.append(File.generated(config, site_path(source), abs_src_path=str(ROOT / source)))
+    return files
+
+
+def outside_files(folder: Path) -> list[str]:
+    """Return the pages and pictures outside docs/ that the pages of `folder` link to, as paths in the repository."""
+    targets = set()
+    for page in folder.glob("*.md"):
+        for _, target in LINK.findall(page.read_text()):
+            source = posixpath.normpath(posixpath.join("docs", target.partition("#")[0]))
+            if source.startswith("benchmarks/") and source.endswith((".md", *PICTURES)):
+                targets.add(source)
+    return sorted(targets)
+
+
+def site_path(source: str) -> str | None:
+    """Return the path on the site of the file `source` of the repository, or None if it is not on the site."""
+    if source == "CHANGELOG.md":
+        return "changelog.md"
+    if source.startswith("docs/"):
+        return source.removeprefix("docs/")
+    if source.rstrip("/") == "notebooks":
+        return "notebooks/index.md"
+    if source.startswith("notebooks/"):
+        return str(Path(source).with_suffix(".md"))
+    return source if source in outside_files(ROOT / "docs") else None
+
+
+def repository_path(page: str) -> str:
+    """Return the path in the repository of the page `page` of the site."""
+    if page == "changelog.md":
+        return "CHANGELOG.md"
+    return page if page.startswith(("notebooks/", "benchmarks/")) else f"docs/{page}"
+
+
+def linked(label: str, target: str, page: str, repository: str) -> str:
+    """Return the link of `page` to `target` as it is on the site; the `repository` is an address or empty."""
+    if target.startswith(("http", "#", "mailto:")):
+        return f"{label}({target})"
+    path, hash_, anchor = target.partition("#")
+    source = posixpath.normpath(posixpath.join(posixpath.dirname(repository_path(page)), path))
+    if source.startswith("notebooks/") and source.endswith(PICTURES):
+        return f"{label}({target})"
+    found = site_path(source)
+    if found is not None:
+        return f"{label}({posixpath.relpath(found, posixpath.dirname(page) or '.')}{hash_}{anchor})"
+    return f"{label}({repository}/blob/main/{source}{hash_}{anchor})" if repository else label.strip("![]")
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:
+    """Rewrite the links outside of code, and name the repository where a page says OWNER."""
+    repository = (config.repo_url or "").rstrip("/")
+    name = page.file.src_uri
+    parts = FENCE.split(markdown)
+    for index in range(0, len(parts), 2):
+        parts[index] = LINK.sub(lambda match: linked(match[1], match[2], name, repository), parts[index])
+    text = "".join(parts)
+    return text.replace("github.com/OWNER/earl_jax", repository.removeprefix("https://")) if repository else text
+
+
+def on_page_content(content: str, *, page: Any, config: Any, files: Any) -> str:
+    """Replace formulas by MathML, which needs no script."""
+    import latex2mathml.converter
+
+    def mathml(match: re.Match[str]) -> str:
+        display = "block" if match[1] == "div" else "inline"
+        source = html.unescape(match[2])
+        for command, known in UNKNOWN_COMMANDS.items():
+            source = source.replace(command, known)
+        formula = latex2mathml.converter.convert(source, display=display)
+        if ">\\" in formula:  # a command that the converter does not know; a warning ends a strict build
+            log.warning("%s: the formula %s is not understood", page.file.src_uri, match[2])
+        return f'<div class="formula">{formula}</div>' if match[1] == "div" else formula
+
+    return FORMULA.sub(mathml, content)

@@ -1,0 +1,118 @@
+"""Notebooks: made of the scripts in notebooks/ with or without outputs, and turned into pages of the site.
+
+python -m docs.site.notebooks            # writes the .ipynb of every .py; outputs of unchanged notebooks stay
+python -m docs.site.notebooks --execute  # runs them too, for about 35 minutes on two quiet CPU cores
+python -m docs.site.notebooks --repository OWNER/NAME  # names the repository in badges and install cells
+"""
+
+import argparse
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
+REPOSITORY = re.compile(r"(github(?:\.com)?/)[\w.-]+/[\w.-]+?(?=/blob/main/notebooks|\"|$)", re.MULTILINE)
+TEXT_LINES = 60
+"""Lines of printed output that a page shows."""
+
+
+def page(notebook: dict[str, Any], name: str) -> tuple[str, dict[str, bytes]]:
+    """Return a notebook as Markdown, and its pictures by file name."""
+    parts, pictures = [], {}
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"]).strip()
+        if not source:
+            continue
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            parts.append(_output(output, name, pictures))
+    return "\n\n".join(part for part in parts if part) + "\n", pictures
+
+
+def _output(output: dict[str, Any], name: str, pictures: dict[str, bytes]) -> str:
+    """Return an output as Markdown; a picture is added to `pictures`."""
+    data = output.get("data", {})
+    if "image/png" in data:
+        file = f"{name}_{len(pictures) + 1}.png"
+        pictures[file] = base64.b64decode("".join(data["image/png"]))
+        return f"![output of the cell above]({file})"
+    if "text/markdown" in data:
+        return "".join(data["text/markdown"])
+    if output.get("name") == "stderr":
+        return ""
+    lines = "".join(output.get("text", data.get("text/plain", ""))).rstrip().splitlines()
+    shown = [*lines[:TEXT_LINES], "..."] if len(lines) > TEXT_LINES else lines
+    return "```text\n" + "\n".join(shown) + "\n```" if shown else ""
+
+
+def index(folder: Path) -> str:
+    """Return the page that lists the notebooks of `folder`."""
+    lines = ["# Notebooks", "", "Each is a script in `notebooks/` and a notebook with a button for Colab.", ""]
+    for path in sorted(folder.glob("*.ipynb")):
+        title = "".join(json.loads(path.read_text())["cells"][0]["source"]).splitlines()[0].strip("# ")
+        lines.append(f"- [{title}]({path.stem}.ipynb)")
+    return "\n".join(lines) + "\n"
+
+
+def convert(path: Path) -> dict[str, Any]:
+    """Return the script at `path` as a notebook without outputs, with cell ids that follow from their places."""
+    import jupytext
+    import nbformat
+
+    notebook = jupytext.read(path)
+    for number, cell in enumerate(notebook.cells):
+        cell["id"] = f"cell-{number}"
+    notebook.metadata.pop("jupytext", None)
+    return json.loads(nbformat.writes(notebook))
+
+
+def same_source(notebook: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Return whether two notebooks have the same cells, outputs aside."""
+    cells = [[(cell["cell_type"], "".join(cell["source"])) for cell in book["cells"]] for book in (notebook, other)]
+    return cells[0] == cells[1]
+
+
+def execute(notebook: dict[str, Any]) -> dict[str, Any]:
+    """Return the notebook with the outputs of a run from top to bottom in a folder of its own."""
+    import tempfile
+
+    import nbclient
+    import nbformat
+
+    book = nbformat.reads(json.dumps(notebook), 4)
+    with tempfile.TemporaryDirectory() as folder:
+        nbclient.NotebookClient(book, timeout=None, resources={"metadata": {"path": folder}}).execute()
+    for cell in book.cells:
+        cell.metadata.pop("execution", None)  # times
+    return json.loads(nbformat.writes(book))
+
+
+def main() -> None:
+    """Write the notebooks."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--execute", action="store_true")
+    parser.add_argument("--repository")
+    parser.add_argument("names", nargs="*", help="notebooks, by default all")
+    arguments = parser.parse_args()
+    for path in sorted(FOLDER.glob("*.py")):
+        if arguments.repository:
+            path.write_text(REPOSITORY.sub(rf"\g<1>{arguments.repository}", path.read_text()))
+        if arguments.names and path.stem not in arguments.names:
+            continue
+        notebook, target = convert(path), path.with_suffix(".ipynb")
+        kept = json.loads(target.read_text()) if target.exists() else None
+        if arguments.execute:
+            notebook = execute(notebook)
+        elif kept and same_source(notebook, kept):
+            continue
+        target.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
+        print(target)
+
+
+if __name__ == "__main__":
+    main()
