@@ -163,13 +163,12 @@ def _rows(case: Case, groups: list[tuple[list[Program], Slot]], seconds: float, 
 
 
 def table_rows(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return rows of a single method as lines of the table in earl_jax/sweeps/packing_rates.py."""
+    """Return the rows of several programs as lines of the table in earl_jax/sweeps/packing_rates.py."""
     tasks: dict[str, dict[tuple[int, int], float]] = {}
     for row in rows:
-        if len(set(row["algos"].split("+"))) == 1:
-            rate = round(row["steps_per_s_total"] / row["programs"], 1)
-            tasks.setdefault(row["env"], {}).setdefault((row["programs"], row["cores_each"]), rate)
-    return [f'    "{env}": {rates},' for env, rates in tasks.items()]
+        if row["programs"] > 1:
+            tasks.setdefault(row["env"], {}).setdefault((row["programs"], row["cores_each"]), row["wall_gain"])
+    return [f'    "{env}": {gains},' for env, gains in tasks.items()]
 
 
 def _parser() -> argparse.ArgumentParser:

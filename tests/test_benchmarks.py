@@ -172,12 +172,10 @@ def test_programs_at_once_are_compared_with_each_of_them_alone():
     assert [row["steps_per_s_total"] for row in rows] == [1000.0, 500.0, 1200.0]
     assert rows[-1]["gain"] == pytest.approx(0.8 + 0.8)
     assert rows[-1]["wall_gain"] == pytest.approx((1 / 1000 + 1 / 500) * 400)
-    assert per_device.table_rows(rows) == ['    "sawyer_door": {(1, 8): 1000.0},']
+    assert per_device.table_rows(rows) == ['    "sawyer_door": {(2, 4): 1.2},']
 
 
-def test_a_program_that_ends_is_an_error_and_the_rows_of_one_method_make_the_table_of_auto(tmp_path):
-    row = {"env": "sawyer_peg", "algos": "naive+naive", "programs": 2, "cores_each": 4, "steps_per_s_total": 1900.0}
-    assert per_device.table_rows([row]) == ['    "sawyer_peg": {(2, 4): 950.0},']
+def test_a_program_that_ends_is_an_error():
     assert per_device.Case.parse("sawyer_peg:naive:4,2").programs() == [("naive",), ("naive",) * 2, ("naive",) * 4]
     program = per_device.Program.__new__(per_device.Program)
     program.algo = "naive"

@@ -4,16 +4,18 @@ Source: Sharma et al. 2022, section 7, which asks for it by task and shows no fi
 epsilon of an intervention, and a budget h_max for help that the agent requests (appendix A.2).
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
 from earl_jax.metrics.scores import deployed_area
-from earl_jax.metrics.statistics import Estimate, difference, mean_of, stderr
-from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
+from earl_jax.metrics.statistics import stderr
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.style import colours, method_order, new_figure, save, task_order, task_title
 from earl_jax.report.tables import WINDOW, markdown_table, write
@@ -22,18 +24,21 @@ KINDS = {"epsilon": "o-", "budget": "s--"}
 """The two ways in which interventions are given, and their lines."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
-UNCLEAR = "no clear difference"
+WORDS = {"above": "help", "below": "hurt"}
+"""What more interventions do, by the verdict on the correlation."""
 DESCRIPTION = (
     "Deployed score and interventions of whole lifetimes, mean over seeds (standard error). Epsilon is the probability of "
     "an intervention after any step, budget the largest total cost of help; both beside the interventions of every H_T "
     "steps. Final: the mean of a seed's last 10 evaluations. D(A): the area under its deployed curve per step, which is "
     "higher if it learns sooner. Interventions: all resets, requested and enforced help included. Ended: share of "
-    "seeds whose budget was spent, so that their lifetime ended and they no longer learn."
+    "seeds whose budget was spent, so that their lifetime ended and they no longer learn. All values of one task, method "
+    "and kind are those at the same step, the last one that all of its runs have."
 )
 RULES = (
-    "Finding: the final score with the most minus that with the fewest interventions [95 % bootstrap interval]. More "
-    f"interventions `help` if the interval lies above 0, `hurt` if it lies below 0, else `{UNCLEAR}`. The paper's conclusion "
-    "names this trade-off and has no numbers for it."
+    "Finding: Spearman's rank correlation of the final score with the interventions spent, over all seeds of all values, and its "
+    f"p. More interventions `help` or `hurt` if p, adjusted by Holm over this table, is below {LEVEL}, else the seeds `cannot "
+    "tell`; there is no correlation where all scores are equal. A test of the two ends alone could find nothing in five seeds, "
+    "whose smallest p is 0.008. The paper's conclusion names this trade-off and has no numbers for it."
 )
 
 
@@ -75,8 +80,11 @@ def write_tradeoff(folders: Sequence[Path], out: Path) -> list[Path]:
 
 
 def _points(runs: Sequence[Curves]) -> list[Point]:
-    """Return a point per run, by task, method, kind and value."""
-    points = [_point(curves) for curves in runs]
+    """Return a point per run, by task, method, kind and value; those of one line at the last step that all have."""
+    lines: dict[tuple[str, str, str], list[Curves]] = {}
+    for curves in runs:
+        lines.setdefault((curves.config.env, curves.config.algo, _kind(curves)), []).append(curves)
+    points = [_point(curves, min(int(run.steps[-1]) for run in line)) for line in lines.values() for curves in line]
     names = [point.name for point in points]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -90,20 +98,25 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
     )
 
 
-def _point(curves: Curves) -> Point:
-    setting, scores = curves.config.build_setting(), curves.metrics[curves.deployed_metric]
-    budgeted = setting.budget is not None
-    spent = [curves.metrics[name][:, -1] for name in SPENT if name in curves.metrics]
+def _kind(curves: Curves) -> str:
+    return "epsilon" if curves.config.build_setting().budget is None else "budget"
+
+
+def _point(curves: Curves, step: int) -> Point:
+    """Return the point of one run at `step`."""
+    setting, until = curves.config.build_setting(), curves.steps <= step
+    metrics = {name: values[:, until] for name, values in curves.metrics.items()}
+    scores = metrics[curves.deployed_metric]
     return Point(
         env=curves.config.env,
         algo=curves.config.algo,
-        kind="budget" if budgeted else "epsilon",
-        value=float(setting.budget if setting.budget is not None else setting.intervention_chance),
+        kind=_kind(curves),
+        value=float(setting.intervention_chance if setting.budget is None else setting.budget),
         final=scores[:, -WINDOW:].mean(axis=1),
-        mean_deployed=deployed_area(curves.steps, scores),
-        spent=np.sum(spent, axis=0),
-        ended=curves.metrics["help/over"][:, -1] if budgeted else np.zeros(len(scores)),
-        steps=int(curves.steps[-1]),
+        mean_deployed=deployed_area(curves.steps[until], scores),
+        spent=np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
+        ended=np.zeros(len(scores)) if setting.budget is None else metrics["help/over"][:, -1],
+        steps=int(curves.steps[until][-1]),
     )
 
 
@@ -130,28 +143,53 @@ def _lines(points: Iterable[Point]) -> dict[tuple[str, str, str], list[Point]]:
     return {name: sorted(line, key=lambda point: point.spent.mean()) for name, line in lines.items()}
 
 
-def finding(line: Sequence[Point]) -> tuple[Estimate, str]:
-    """Return the final score with the most minus that with the fewest interventions of one line, and the word for it."""
-    estimate = difference(line[-1].final, line[0].final)
-    return estimate, word_by_sign(estimate, "help", "hurt", UNCLEAR)
+class Finding(NamedTuple):
+    """The rank correlation of final scores with the interventions spent, and its two-sided p; nan where scores are equal."""
+
+    correlation: float
+    p: float
+
+
+def finding(line: Sequence[Point]) -> Finding:
+    """Return the correlation over all seeds of one line."""
+    final, spent = (np.concatenate([getattr(point, name) for point in line]) for name in ("final", "spent"))
+    if np.ptp(final) == 0 or np.ptp(spent) == 0:
+        return Finding(math.nan, math.nan)
+    result = stats.spearmanr(spent, final)
+    return Finding(float(result.statistic), float(result.pvalue))
 
 
 def _markdown(points: Sequence[Point]) -> str:
     header = ["env", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
     table = markdown_table(header, [_line(point) for point in points])
-    findings = []
-    for name, line in _lines(points).items():
-        if len(line) > 1:
-            estimate, word = finding(line)
-            counts = " and ".join(f"{end.spent.mean():,.0f}" for end in (line[0], line[-1]))
-            findings.append([*name, counts, estimate_text(estimate, 3), word])
     parts = ["# Learning by interventions: the trade-off of the paper's conclusion", DESCRIPTION, table]
-    if findings:
-        header = ["env", "method", "varied", "fewest and most", "most minus fewest", "more interventions"]
-        parts += [markdown_table(header, findings), RULES]
-    if any(len(point.final) < FEW for point in points):
-        parts.append(FEW_SEEDS)
+    lines = {name: line for name, line in _lines(points).items() if len(line) > 1}
+    if lines:
+        header = ["env", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
+        parts += [markdown_table([*header, "more interventions"], _findings(lines)), RULES]
     return "\n\n".join(parts) + "\n"
+
+
+def _findings(lines: dict[tuple[str, str, str], list[Point]]) -> list[list[str]]:
+    """Return a row of text for the finding of each of `lines`, with its ends."""
+    results = [finding(line) for line in lines.values()]
+    rows = []
+    adjusted = holm([result.p for result in results])
+    for (name, line), result, p in zip(lines.items(), results, adjusted, strict=True):
+        counts, scores = (
+            " to ".join(format(getattr(end, value).mean(), style) for end in (line[0], line[-1]))
+            for value, style in (("spent", ",.0f"), ("final", ".3f"))
+        )
+        numbers = [_number(result.correlation), *(_number(value, least=0.001) for value in (result.p, p))]
+        word = verdict(result.correlation, p)
+        rows.append([*name, counts, scores, *numbers, WORDS.get(word, word)])
+    return rows
+
+
+def _number(value: float, least: float = -math.inf) -> str:
+    if math.isnan(value):
+        return "-"
+    return f"<{least:g}" if value < least else f"{value:.3f}"
 
 
 def _line(point: Point) -> list[str]:
@@ -183,9 +221,9 @@ def _draw(points: Sequence[Point]) -> Any:
 def _draw_line(axis: Any, line: Sequence[Point], name: str, colour: str, style: str, label: str) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
     spent = [point.spent.mean() for point in line]
-    estimates = [mean_of(getattr(point, name)) for point in line]
-    means = [estimate.value for estimate in estimates]
-    reach = np.maximum([[part.value - part.low, part.high - part.value] for part in estimates], 0).T
+    estimates = [mean_interval(getattr(point, name)) for point in line]
+    means = [float(estimate.value) for estimate in estimates]
+    reach = np.array([[part.value - part.low, part.high - part.value] for part in estimates], float).T
     options = {"color": colour, "label": label, "capsize": 3, "markersize": 5}
     axis.errorbar(spent, means, np.nan_to_num(reach), fmt=style, **options)
     for x, y, point in zip(spent, means, line, strict=True):

@@ -20,12 +20,13 @@ def lifetimes(path, algo, scores, interventions, chance=0.0, budget=None, asked=
 def files(tmp_path_factory):
     """The files of two values of epsilon and two budgets of naive RL, and of one of FBRL."""
     root = tmp_path_factory.mktemp("tradeoff")
-    none, all_late, low = [[0.0, 0.0]] * 2, [[0.0, 1.0], [0.0, 0.8]], [[0.1, 0.1], [0.3, 0.3]]
+    none, low = [[0.0, 0.0, 1.0]] * 5, [[0.1, 0.1], [0.3, 0.3]]
+    late = [[0.0, 1.0], [0.0, 0.8], [0.0, 0.6], [0.0, 0.8], [0.0, 1.0]]
     folders = [
-        lifetimes(root / "a", "naive", all_late, 300, chance=0.01),
+        lifetimes(root / "a", "naive", late, 300, chance=0.01),
         lifetimes(root / "b", "naive", none, 5),
         lifetimes(root / "c", "naive", low, 5, budget=10.0, asked=6, enforced=4, over=[[0, 1], [0, 0]]),
-        lifetimes(root / "d", "naive", none, 5, budget=100.0, asked=1),
+        lifetimes(root / "d", "naive", [[0.0, 0.0]] * 2, 5, budget=100.0, asked=1),
         lifetimes(root / "e", "fbrl", low, 5, chance=0.01),
     ]
     return write_tradeoff(folders, root / "out")
@@ -33,17 +34,23 @@ def files(tmp_path_factory):
 
 def test_each_seed_has_its_scores_and_all_interventions(files):
     rows = {(row["algo"], row["kind"], row["value"], row["lane"]): row for row in read_csv(files[0])}
-    assert len(rows) == 10
+    assert len(rows) == 16
     late = rows["naive", "epsilon", "0.01", "1"]
     assert [float(late[name]) for name in ("interventions", "final", "deployed_area")] == pytest.approx([300, 0.4, 0.4])
     helped = rows["naive", "budget", "10.0", "0"]
     assert [float(helped[name]) for name in ("interventions", "final", "ended")] == pytest.approx([15, 0.1, 1])
 
 
+def test_runs_of_a_line_are_compared_at_the_last_step_that_all_have(files):
+    rows = [row for row in read_csv(files[0]) if (row["algo"], row["kind"]) == ("naive", "epsilon")]
+    assert len({row["steps"] for row in rows}) == 1
+    assert {row["final"] for row in rows if row["value"] == "0.0"} == {"0.0"}  # its third evaluation comes later
+
+
 def test_the_text_says_whether_more_interventions_help(files):
     text = files[1].read_text()
-    assert "| tabletop_organization | naive | epsilon | 5 and 300 | 0.450 [0.400, 0.500] | help |" in text
-    assert "| tabletop_organization | naive | budget | 6 and 15 | 0.200 [0.100, 0.300] | help |" in text
+    assert "| naive | epsilon | 5 to 300 | 0.000 to 0.420 | 0.935 | <0.001 | <0.001 | help |" in text
+    assert "| naive | budget | 6 to 15 | 0.000 to 0.200 | 0.943 | 0.057 | 0.057 | cannot tell |" in text
     assert "| naive | budget | 10 | 2 | 20 | 15.0 (0.0) | 0.200 (0.071) | 0.200 (0.071) | 0.50 |" in text
     assert "fbrl | epsilon | 5" not in text
 

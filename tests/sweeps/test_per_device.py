@@ -5,12 +5,16 @@ import json
 import os
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 
 from earl_jax.cli.main import main
 from earl_jax.sweeps import __main__ as process
-from earl_jax.sweeps import launcher, packing_rates, per_device, worker
+from earl_jax.sweeps import launcher, packing_rates, worker
+from tests.report.run_files import read_csv
+
+RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
 
 WORKER = """
 import json, os, signal, sys, time
@@ -200,17 +204,17 @@ def test_options_that_exclude_each_other_are_refused_before_anything_starts(work
     assert not list(folder.iterdir())
 
 
-def test_auto_takes_the_most_steps_in_total_for_the_cores(monkeypatch):
-    rates = {"quick": {(1, 16): 100.0, (2, 8): 90.0, (4, 4): 60.0}, "full": {(1, 16): 100.0, (2, 8): 50.0}}
-    monkeypatch.setattr(packing_rates, "RATES", rates)
+def test_auto_takes_the_largest_gain_for_the_cores(monkeypatch):
+    gains = {"quick": {(2, 8): 1.8, (4, 4): 2.4}, "full": {(2, 8): 1.0}}
+    monkeypatch.setattr(packing_rates, "GAINS", gains)
     programs = packing_rates.measured_programs
     assert [programs(["quick"], cores) for cores in (32, 16, 15, 8)] == [4, 4, 1, 1]
-    assert programs(["full"], 16) == 1, "two programs bring no more steps in total"
+    assert programs(["full"], 16) == 1, "two programs gain nothing"
     assert programs(["quick", "full"], 16) == programs(["quick", "unmeasured"], 16) == programs([], 16) == 1
 
 
 def test_auto_takes_the_measured_number_of_the_tasks_of_a_sweep(gpus, workers, tmp_path, monkeypatch):
-    monkeypatch.setattr(packing_rates, "RATES", {"sawyer_door": {(1, 8): 10.0, (2, 2): 9.0}})
+    monkeypatch.setattr(packing_rates, "GAINS", {"sawyer_door": {(2, 2): 1.8}})
     _, grid = workers("")
     lines = []
     launcher.sweep(grid, tmp_path / "out", per_device="auto", emit=lines.append)
@@ -218,10 +222,14 @@ def test_auto_takes_the_measured_number_of_the_tasks_of_a_sweep(gpus, workers, t
     assert gpus.log == ["start devices=", "quit"]
 
 
-def test_the_table_of_auto_measures_a_program_alone_and_several_of_a_task():
-    for task, rates in packing_rates.RATES.items():
-        assert {1} < {count for count, _ in rates}, task
-        assert all(1 <= count <= per_device.MOST and cores >= 1 < rate for (count, cores), rate in rates.items()), task
+def test_the_table_of_auto_is_the_committed_measurement():
+    measured = {}
+    for path in RESULTS.glob("*.csv"):
+        for row in read_csv(path):
+            if row["programs"] != "1":
+                key = int(row["programs"]), int(row["cores_each"])
+                measured.setdefault(row["env"], {})[key] = float(row["wall_gain"])
+    assert measured == packing_rates.GAINS
 
 
 def test_a_worker_keeps_to_its_cores_and_its_progress(monkeypatch):
