@@ -42,7 +42,11 @@ def test_list_prints_tasks_and_methods():
     assert code == 0
     printed = json.loads(out)
     assert printed["envs"] == TASKS
-    assert printed["algos"] == list(printed["methods"]) == ["bc", "fbrl", "naive", "oracle", "r3l", "risc", "vaprl"]
+    assert (
+        printed["algos"]
+        == list(printed["methods"])
+        == ["bc", "fbrl", "medal", "naive", "oracle", "r3l", "risc", "rlpd", "vaprl"]
+    )
 
 
 def test_help_describes_every_command_and_option(capsys):

@@ -89,7 +89,7 @@ def assert_loads_the_plain_policies(folder):
 
 def test_policies_npz_holds_policies_of_the_task_without_help(run):
     state = types.SimpleNamespace(lanes=types.SimpleNamespace(agent=agents(HELPED), visits=None))
-    runner._save_policies([run], state, 40)
+    runner.save_policies_of([run], state, 40)
     with np.load(run.folder.policies) as saved:
         assert (int(saved["obs_size"]), int(saved["action_size"])) == (12, 3)
         assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 12, 16)
