@@ -171,6 +171,11 @@ def _require(condition: bool, rule: str) -> None:
         raise InputError(f"this run cannot be added: {rule}")
 
 
+def write_page() -> None:
+    """Write the page from the runs and the published scores."""
+    PAGE.write_text(page_text(PAGE.read_text()))
+
+
 def main() -> None:
     """Write the page, with a new run if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -178,7 +183,7 @@ def main() -> None:
     run = parser.parse_args().add
     if run:
         print(add(run))
-    PAGE.write_text(page_text(PAGE.read_text()))
+    write_page()
 
 
 if __name__ == "__main__":

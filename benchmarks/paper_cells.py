@@ -151,9 +151,8 @@ def main() -> None:
     (ROOT / "cells.md").write_text(f"{cells_text(rows)}\n\n{RULE}\n")
     (ROOT / "pairs.md").write_text(f"{table_text(tested)}\n")
     for env in dict.fromkeys(row["env"] for row in rows if row["seeds"]):
-        plot_runs(
-            [ROOT / env / row["algo"] for row in rows if row["env"] == env and row["seeds"]], ROOT / env / "curves.png"
-        )
+        runs = [ROOT / env / row["algo"] for row in rows if row["env"] == env and row["seeds"]]
+        plot_runs(runs, ROOT / env / "curves.png", smooth=10)
     for page, table in (
         (PAGES / "docs" / "results.md", cells_summary(rows)),
         (PAGES / "README.md", tested_summary(rows)),

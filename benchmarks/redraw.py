@@ -1,21 +1,25 @@
-"""Redraw the tables, curves and figures from the data in benchmarks/results/reproduce.
+"""Redraw all tables, curves and figures from the committed data, and the tables of README, docs/results.md and the leaderboard.
 
     python -m benchmarks.redraw [--out DIR]
 
-Tables, curves and figure 2 are made of the folders in runs, figure 4 of figure4.csv and figure4_visits.csv, figure 5 of
-figure5_seeds.csv.
+Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 4 of figure4.csv and
+figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells and the
+leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells` and `python -m benchmarks.leaderboard` write
+them.
 """
 
 import argparse
 import csv
 from pathlib import Path
 
+from benchmarks import leaderboard, paper_cells
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import draw_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.reproduce import RESULTS
 from earl_jax.paper.tables import write_table
+from earl_jax.paper.tradeoff import write_tradeoff
 from earl_jax.paper.visit_maps import read_maps
 
 KEPT = Path(__file__).parent / "results" / "reproduce"
@@ -28,13 +32,24 @@ def redraw(out: Path) -> list[Path]:
     tasks = [path for path in runs if path not in suite]
     written = [*write_table(1, tasks, out / "table1"), *write_table(2, tasks, out / "table2")]
     written += [*write_curves(tasks, out / "curves"), *write_figure2(suite, out / "figure2")]
+    written += write_tradeoff(
+        sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv")), out / "tradeoff"
+    )
     written += draw_figure4(read_maps(KEPT / "figure4"), out / "figure4")
     with (KEPT / "figure5" / "figure5_seeds.csv").open() as handle:
         return [*written, *write_figure5(list(csv.DictReader(handle)), out / "figure5")]
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Write everything, or with --out, what `redraw` makes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=KEPT)
-    for path in redraw(parser.parse_args().out):
-        print(path)
+    parser.add_argument("--out", type=Path, help="other folder than benchmarks/results/reproduce")
+    out = parser.parse_args().out
+    print(*redraw(out or KEPT), sep="\n")
+    if out is None:
+        paper_cells.main()
+        leaderboard.write_page()
+
+
+if __name__ == "__main__":
+    main()

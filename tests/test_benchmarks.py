@@ -144,7 +144,7 @@ def test_the_result_of_another_command_is_not_overwritten(tmp_path, monkeypatch)
 def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
     """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figures 4 and 5."""
     tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
-    assert len(tables) == 6
+    assert len(tables) == 7
     for path in tables:
         assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path
 

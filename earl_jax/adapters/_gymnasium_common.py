@@ -5,7 +5,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from earl_jax.adapters._session import Session, SessionState, StepResult
+from earl_jax.adapters._session import Session
+from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 

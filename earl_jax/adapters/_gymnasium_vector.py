@@ -10,7 +10,8 @@ from gymnasium.vector.utils import batch_space
 
 from earl_jax.adapters._camera import Camera
 from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
-from earl_jax.adapters._session import EarlierNames, Session, SessionState, StepResult, checked_array, jitted
+from earl_jax.adapters._session import EarlierNames, Session, checked_array, jitted
+from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 

@@ -6,13 +6,13 @@ The rules are those of `earl_jax.protocol`, as in the training loop.
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
+from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env, State, current_options, make, start_of
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
@@ -35,40 +35,6 @@ ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
 RENAMED_ATTRIBUTES = {"life": "state", "lives": "states", "world": "session"}
 """Earlier names of attributes of the adapters' environments."""
-
-
-class SessionState(struct.PyTreeNode):
-    """The state of one lane.
-
-    `key` of all future draws; `env_state`; int32 `steps` of the lifetime or the episode; int32 `attempt_age`: steps
-    since the goal was drawn; int32 `interventions`; bool `goal_is_set`: the caller set the goal; bool `reached`: a step
-    of the lifetime or the episode reached its goal.
-    """
-
-    key: jax.Array
-    env_state: State
-    steps: jax.Array
-    attempt_age: jax.Array
-    interventions: jax.Array
-    goal_is_set: jax.Array
-    reached: jax.Array
-
-
-class StepResult(NamedTuple):
-    """The result of a step or a reset: `obs [s + g]`, and scalars.
-
-    `success`: the step reached the goal that it was made under. `reached`: so did a step of this episode. `terminated`:
-    the lifetime ended. `truncated`: the episode is over. `fault`: the simulation broke, and the reward is 0.
-    """
-
-    obs: Any
-    reward: Any
-    success: Any
-    reached: Any
-    terminated: Any
-    truncated: Any
-    fault: Any
-    interventions: Any
 
 
 @dataclasses.dataclass(frozen=True)

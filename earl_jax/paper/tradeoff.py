@@ -155,7 +155,7 @@ def finding(line: Sequence[Point]) -> Finding:
     final, spent = (np.concatenate([getattr(point, name) for point in line]) for name in ("final", "spent"))
     if np.ptp(final) == 0 or np.ptp(spent) == 0:
         return Finding(math.nan, math.nan)
-    result = stats.spearmanr(spent, final)
+    result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
     return Finding(float(result.statistic), float(result.pvalue))
 
 

@@ -1,4 +1,4 @@
-"""Training by name or by object, and its result."""
+"""Training by name or by object."""
 
 import contextlib
 import dataclasses
@@ -6,96 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, current_options, make, with_engine
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
-from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
+from earl_jax.runs.config import RESERVED, RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.growth import finish_merge
-from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.hosts import first_host
 from earl_jax.runs.logging import Log, check_logs, require_libraries
 from earl_jax.time_limit import TimeLimit
 from earl_jax.training.more_seeds import add_seeds
 from earl_jax.training.plan import Plan
-from earl_jax.training.policy import Policy
+from earl_jax.training.result import Result
 from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import TrainState
-
-RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": "config"}
-"""Former names of the fields of a `Result`."""
-
-
-@dataclasses.dataclass
-class Result:
-    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`.
-
-    `engine` names the physics engine that stepped the task, or is `kinematic`. After a time limit they end early
-    (`finished` is False). Before the first evaluation, `metrics` is empty.
-    """
-
-    config: RunConfig
-    env: Env
-    method: Method
-    seeds: tuple[int, ...]
-    steps: np.ndarray
-    metrics: dict[str, np.ndarray]
-    train_state: TrainState
-    engine: str
-
-    def __getattr__(self, name: str) -> Any:
-        if name in RENAMED_RESULTS:
-            return getattr(self, RENAMED_RESULTS[name])
-        raise AttributeError(f"Result has no attribute {name!r}")
-
-    @property
-    def step(self) -> int:
-        """The steps that each seed was trained."""
-        return int(gathered(self.train_state.step))
-
-    @property
-    def finished(self) -> bool:
-        """Whether training reached its last step, rather than a time limit."""
-        return self.step >= self.config.steps
-
-    @property
-    def scores(self) -> Scores:
-        """The paper's scores of the lifetimes: J_D, D(A), C(A).
-
-        Raises:
-            ValueError: training ended before the first evaluation.
-        """
-        if not len(self.steps):
-            raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
-        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
-
-    def policy(self, seed: int = 0) -> Policy:
-        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o] of the task without help."""
-        return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
-
-
-def select_seed(state: Any, i: int) -> Any:
-    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
-
-    Raises:
-        IndexError: there is no such lane.
-    """
-    lanes = state.lanes if isinstance(state, TrainState) else state
-    count = jax.tree.leaves(lanes)[0].shape[0]
-    if not -count <= i < count:
-        raise IndexError(f"no lane {i}: there are {count}")
-    return _lane(lanes, i)
-
-
-@jax.jit
-def _lane(lanes: Any, i: jax.Array) -> Any:
-    """Return lane `i`, by one program for all leaves."""
-    return jax.tree.map(lambda leaf: leaf[i], lanes)
 
 
 def train(
