@@ -45,8 +45,8 @@ import numpy as np
 from IPython.display import Image, Markdown
 
 import earl_jax
-from earl_jax.cli.quickstart import PRESET
 from earl_jax.metrics.comparison import Sample, detectable_difference, mean_interval, permutation, welch
+from earl_jax.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
 from earl_jax.report.style import colours, step_axis
@@ -59,7 +59,7 @@ TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page 
 METHODS = ["fbrl", "naive"]
 SEEDS = 5
 STEPS, EVERY = (200, 100) if TINY else (200_000, 10_000)
-OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
+OPTIONS = {**PRESETS["quick"].options, "random_steps": min(1000, EVERY)}
 RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]

@@ -49,8 +49,8 @@ import numpy as np
 import earl_jax
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.method import RETURN, TASK, Method
-from earl_jax.cli.quickstart import PRESET
 from earl_jax.metrics.statistics import difference
+from earl_jax.presets import PRESETS
 from earl_jax.report.style import step_axis
 
 # %matplotlib inline
@@ -59,7 +59,7 @@ from earl_jax.report.style import step_axis
 TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 SEEDS = 2 if TINY else 3  # of each of two settings
 STEPS, EVERY = (200, 100) if TINY else (150_000, 10_000)
-OPTIONS = {**PRESET, "random_steps": min(1000, EVERY)}
+OPTIONS = {**PRESETS["quick"].options, "random_steps": min(1000, EVERY)}
 RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
 # %% [markdown]
