@@ -73,6 +73,6 @@ class RISC(FBRL):
         """Return p [], the discounted probability with which `agent` reaches the goal in `obs [o]`."""
         repeated = jnp.broadcast_to(obs, (self.value_samples, len(obs)))
         action = sac_lib.act(self.sac, agent.actor, repeated, key, action_size)
-        pair = jax.tree.map(lambda leaf: leaf[self.sac.ensemble :], agent.critics)
+        pair = sac_lib.critics_without_entropy(self.sac, agent)
         values = sac_lib.q_values(self.sac, pair, repeated, action).min(axis=0) / self.sac.reward_scale
         return jnp.clip(values, 0.0, 1.0).mean()

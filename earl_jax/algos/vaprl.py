@@ -84,7 +84,7 @@ class VaPRL(Method):
         own: TransitionBatch | None,
     ) -> Curriculum:
         agent = jax.tree.map(lambda leaf: leaf[0], agent)
-        value_pair = jax.tree.map(lambda leaf: leaf[self.sac.ensemble :], agent.critics)
+        value_pair = sac_lib.critics_without_entropy(self.sac, agent)
         tasks, count = goals.table[: goals.tasks], len(goals.candidates)
         obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
 

@@ -79,7 +79,7 @@ def plot_runs(
     Args:
         folders: run folders, or folders of them such as a sweep's; each task has panels of its own.
         out: the picture to write; `caption` describes it.
-        names: names of the lines, in the order of `line_names`.
+        names: names of the lines, in the order of `report.runs.labels`.
         metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
         size: for a screen, or for one `column` or a whole `page` of a paper.
         smooth: evaluations in the trailing mean that is drawn; 1 draws every evaluation.
@@ -117,14 +117,9 @@ def plot_runs(
         return save(figure, out)
 
 
-def line_names(runs: Sequence[Curves]) -> list[str]:
-    """Return the name of each of `runs` in a plot: its method, with the options in which its runs on a task differ."""
-    return labels(runs)
-
-
 def _drawn(runs: Sequence[Curves], names: Sequence[str]) -> list[Drawn]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
-    given = line_names(runs)
+    given = labels(runs)
     distinct = list(dict.fromkeys(given))
     renamed = dict(zip(distinct, checked_labels(names, distinct), strict=True))
     return [Drawn(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]

@@ -71,6 +71,11 @@ def critic_count(sac: SAC, critics: int) -> int:
     return sac.ensemble + critics - SOFT_CRITICS
 
 
+def critics_without_entropy(sac: SAC, agent: Agent) -> Any:
+    """Return the stacked critics of a single controller that are trained without the entropy term, for `q_values`."""
+    return jax.tree.map(lambda leaf: leaf[sac.ensemble :], agent.critics)
+
+
 def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int = SOFT_CRITICS) -> Agent:
     """Return a fresh `Agent` for observations [o] and actions [a] with the critics of `critic_count`."""
     actor_key, critic_key = jax.random.split(key)
