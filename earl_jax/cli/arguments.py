@@ -19,14 +19,15 @@ JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Engine = Annotated[
     str | None,
     tyro.conf.arg(
-        aliases=["--physics"],
+        name="physics",  # the older word; the parser names aliases first
+        aliases=["--engine"],
         help="Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
     ),
 ]
 Set = Annotated[
     tuple[str, ...], tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")
 ]
-Seeds = Annotated[str, tyro.conf.arg(metavar="SEEDS")]
+Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 Devices = Annotated[
     int | None,
     tyro.conf.arg(help="Number of devices that share the lanes. By default one, or all devices of several hosts."),

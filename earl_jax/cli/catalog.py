@@ -1,14 +1,13 @@
 """The descriptions of all tasks and methods, taken from the source of their classes: sizes, horizons, options."""
 
 import re
-import zipfile
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any
 
 from earl_jax import algos, envs
 from earl_jax.cli.class_source import ClassSource, Field, class_at
 from earl_jax.cli.module_source import module_of
+from earl_jax.cli.shipped import demonstrations, policies_of_method, policies_of_task
 from earl_jax.errors import InputError
 from earl_jax.presets import LENGTHS, PRESETS
 
@@ -17,7 +16,6 @@ SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
 SHARED = "sac"
 """The field of a method that holds the learner's options."""
-DIRECTIONS = ("forward", "backward")
 
 
 def catalog() -> dict[str, Any]:
@@ -48,7 +46,7 @@ def describe_preset(name: str) -> dict[str, Any]:
 
 
 def describe_task(name: str) -> dict[str, Any]:
-    """Return the description of the task `name`: what it is, sizes, reward types, horizons, demonstrations, options."""
+    """Return the description of the task `name`: what it is, sizes, rewards, horizons, demonstrations, policies."""
     source, values = _locate("task", name, *_located(envs.locate_env, name))
     if source is None:
         return values
@@ -64,7 +62,8 @@ def describe_task(name: str) -> dict[str, Any]:
         "reward_types": choices.get("reward_type", []),
         **horizons,
         "goal_change": source.constant("goal_change"),
-        "demonstrations": _demonstrations(name),
+        "demonstrations": demonstrations(name),
+        "policies": policies_of_task(name),
         "engines": _engines() if source.is_a("MujocoEnv") else [],
         "details": _paragraphs(source.docstring),
         "options": options,
@@ -86,6 +85,7 @@ def describe_method(name: str) -> dict[str, Any]:
         "year": int(years[0]) if years else None,
         "needs_demonstrations": source.constant("needs_demos", False),
         "uses_demonstrations": source.constant("demo_directions", []),
+        "policies": policies_of_method(name),
         "details": _paragraphs(source.docstring),
         "options": {
             option: _option(source, option, field, {}) for option, field in source.fields().items() if option != SHARED
@@ -157,17 +157,6 @@ def _sizes(source: ClassSource) -> dict[str, int | None]:
 def _engines() -> list[str]:
     module = module_of("earl_jax.physics.engine_choice")
     return module.constant("ENGINES") if module else []
-
-
-def _demonstrations(name: str) -> list[str]:
-    """Return the directions of the demonstrations that ship for the task `name`."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "assets", package.parent / "assets"):
-        path = folder / "demos" / f"{name}.npz"
-        if path.is_file():
-            with zipfile.ZipFile(path) as file:
-                return [direction for direction in DIRECTIONS if f"{direction}_states.npy" in file.namelist()]
-    return []
 
 
 def _sentences(text: str) -> list[str]:

@@ -99,7 +99,9 @@ def _below(described: dict[str, Any]) -> Iterable[str]:
     named = [f"{name}={_cell(option['default'])}" for name, option in described["options"].items() if _is_own(name)]
     package = [f"From {described['package']}."] if described["package"] != "earl_jax" else []
     options = [f"Options: {', '.join(named)}."] if named else []
-    return [*_wrap(" ".join([described["summary"], *package]), "    "), *_wrap(" ".join(options), "    ")]
+    policies = [f"Trained policies: {', '.join(described['policies'])}."] if described["policies"] else []
+    texts = (" ".join([described["summary"], *package]), *options, *policies)
+    return [line for text in texts for line in _wrap(text, "    ")]
 
 
 def _is_own(option: str) -> bool:
@@ -109,7 +111,7 @@ def _is_own(option: str) -> bool:
 
 def _details(described: dict[str, Any]) -> str:
     """Return all of the description of one task or method."""
-    hidden = ("name", "kind", "options", "learner", "details", "summary", "values")
+    hidden = ("name", "kind", "options", "learner", "details", "summary", "values", "policies")
     facts = {key.replace("_", " "): str(v) if key == "year" else v for key, v in described.items() if key not in hidden}
     if described["kind"] == "preset":
         facts["steps"] = described["steps"] or PUBLISHED
@@ -122,9 +124,24 @@ def _details(described: dict[str, Any]) -> str:
     for paragraph in described.get("details", []):
         lines += ["", *_wrap(paragraph)] if paragraph != described["summary"] else []
     lines += [f"{name:<22}{_cell(value)}" for name, value in described.get("values", {}).items()]
+    lines += _policies_text(described)
     lines += _options_text("options", described.get("options", {}))
     lines += _options_text("options of the learner, which every method has", described.get("learner", {}))
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _policies_text(described: dict[str, Any]) -> list[str]:
+    """Return a line for each trained policy that ships, with the scores of its seeds."""
+    policies = described.get("policies")
+    if not policies:
+        return []
+    title = "TASK, {name!r}" if described["kind"] == "method" else "{name!r}, METHOD"
+    lines = ["", f"trained policies that ship (earl_jax.pretrained({title.format(**described)})):"]
+    for name, policy in policies.items():
+        seeds, *scores = (_cell(policy[key])[1:-1] for key in ("seeds", "deployed/success", "deployed/return"))
+        lines += _wrap(f"{name}: of a run of {_number(policy['step'])} steps, in {policy['episodes']} episodes:", "  ")
+        lines += _wrap(f"seeds {seeds}; success {scores[0]}; return {scores[1]}", "      ")
+    return lines
 
 
 def _options_text(title: str, options: dict[str, Any]) -> list[str]:

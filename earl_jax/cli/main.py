@@ -11,6 +11,7 @@ import tyro
 from earl_jax import __version__
 from earl_jax.cli import (
     demonstrations,
+    help_text,
     inspect_runs,
     listing,
     paper,
@@ -72,17 +73,21 @@ def main(arguments: list[str] | None = None) -> None:
     xla_flags.set_flags(given)
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {name: parsing.with_plain_defaults(command) for name, command in COMMANDS.items()},
+            {name: help_text.readable(command) for name, command in COMMANDS.items()},
             prog="earl-jax",
             args=parsing.join_seeds(given),
             description=DESCRIPTION,
             config=(tyro.conf.DisallowNone,),
             registry=parsing.REGISTRY,
         )
+        sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
         print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         raise SystemExit(code) from None
+    except BrokenPipeError:  # the reader of the output has gone, as in `earl-jax list | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
     except Exception as error:
         if not is_input_error(error) or TRACEBACK in arguments:
             raise

@@ -1,12 +1,8 @@
-"""How the command line reads numbers and prints defaults: whole numbers as 1e6, lists of seeds, help without None."""
+"""How the command line reads numbers: whole numbers as 1e6, lists of seeds."""
 
-import functools
-import inspect
 import re
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
 
-import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from earl_jax.errors import InputError, brief
@@ -16,7 +12,6 @@ SEED_TOKEN = re.compile(r"[\d_:,]+")
 """A count, a range or a list of seeds; no task is called so."""
 LONGEST_EXPONENT = 18
 """The largest exponent of a number such as 1e6."""
-NO_DEFAULTS = (None, (), inspect.Parameter.empty)
 REGISTRY = ConstructorRegistry()
 
 
@@ -91,24 +86,3 @@ def join_seeds(arguments: list[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
-
-
-def with_plain_defaults(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `command` with a help that prints no default where it is None or empty; the help says it in words."""
-    signature = inspect.signature(command)
-    hint = tyro.conf.arg(help_behavior_hint="")
-    parameters = [
-        parameter.replace(annotation=Annotated[parameter.annotation, hint])
-        if parameter.default in NO_DEFAULTS
-        else parameter
-        for parameter in signature.parameters.values()
-    ]
-
-    @functools.wraps(command)
-    def run(*args: Any, **options: Any) -> Any:
-        return command(*args, **options)
-
-    del run.__wrapped__  # the parser would read the command's own annotations there
-    run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return run

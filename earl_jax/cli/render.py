@@ -28,7 +28,7 @@ def render(
         acting: Source of the actions. By default the newest policy of a run, or the best that the task has.
         seed: Random seed of the starts and goals. For a run folder also the lane of the policy.
         steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
-        size: Height and width of a frame, or of one moment of a sheet. By default as FILE's format has.
+        size: Height and width of a frame, or of one moment of a sheet. By default as the format has.
         fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.
         camera: Camera of the task. By default the task's own. An unknown name lists the valid ones.
         policy: Method whose trained policy acts in a task, of those that ship. An unknown name lists them. By default none.

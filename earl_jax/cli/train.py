@@ -28,7 +28,7 @@ from earl_jax.presets import preset as named_preset
 def train(
     env: Positional[str | None] = None,
     algo: str = ALGO,
-    seeds: Seeds | None = None,
+    seeds: Seeds = None,
     steps: int | None = None,
     out: Path = Path("runs/latest"),
     config: Path | None = None,
@@ -137,7 +137,7 @@ def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple
 def resume(
     folder: Positional[Path],
     steps: int | None = None,
-    seeds: Seeds | None = None,
+    seeds: Seeds = None,
     devices: Devices = None,
     hosts: Hosts = None,
     minutes: Minutes = None,

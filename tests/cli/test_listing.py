@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+import earl_jax
 from earl_jax import algos, envs
 from earl_jax.cli import catalog
 from earl_jax.cli.class_source import class_at
@@ -114,6 +116,23 @@ def test_json_describes_one_name_or_all():
     assert json.loads(run("list", "quick", "--json")[1]) == everything["presets"]["quick"]
 
 
+def test_trained_policies_that_ship_are_listed(everything):
+    shipped = earl_jax.list_pretrained()
+    assert shipped == {name: list(task["policies"]) for name, task in everything["tasks"].items() if task["policies"]}
+    info, policy = (
+        earl_jax.pretrained_info("sawyer_door", "fbrl"),
+        everything["methods"]["fbrl"]["policies"]["sawyer_door"],
+    )
+    assert policy == everything["tasks"]["sawyer_door"]["policies"]["fbrl"]
+    assert {**{key: info[key] for key in policy if key != "options"}, "options": {"precision": "bf16"}} == policy
+    lines = run("list", "sawyer_door")[1].splitlines()
+    where = lines.index("trained policies that ship (earl_jax.pretrained('sawyer_door', METHOD)):")
+    assert lines[where + 1].startswith("  fbrl: of a run of 3,300,000 steps")
+    assert lines[where + 2].startswith("      seeds 3, 4; success 1.0, 1.0; return 211.86")
+    assert "    Trained policies: sawyer_door, tabletop_organization." in run("list")[1].splitlines()
+    assert "trained policies" not in run("list", "fish_swim")[1]
+
+
 def test_presets_are_listed_with_their_lengths_and_options():
     out = run("list")[1]
     assert "paper           5   published        10" in out
@@ -126,6 +145,15 @@ def test_listing_loads_no_jax_and_no_numpy():
     code = "import sys; from earl_jax.cli import main; main(['list']); print([m for m in ('jax', 'numpy') if m in sys.modules])"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_reader_that_leaves_early_ends_the_command_quietly():
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "earl_jax.cli", "list"]
+    process = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (process.returncode, process.stderr) == (1, "")
 
 
 def test_tasks_and_methods_of_installed_packages_are_read_and_not_run(tmp_path, monkeypatch):

@@ -1,9 +1,8 @@
-"""Tests of how the command line reads numbers and seeds, and of the help's defaults."""
+"""Tests of how the command line reads numbers and seeds."""
 
 import pytest
 
 from earl_jax import __version__
-from earl_jax.cli.main import COMMANDS
 from earl_jax.cli.parsing import join_seeds, parse_seeds, parse_whole
 from earl_jax.errors import InputError
 from tests.cli.process import run
@@ -63,14 +62,6 @@ def test_numbers_with_an_exponent_reach_the_command(tmp_path):
 
 def test_version():
     assert run("--version") == (0, f"earl-jax {__version__}\n", "")
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_says_defaults_in_words(command):
-    code, out, _ = run(command, "--help")
-    assert code == 0
-    assert "None" not in out
-    assert "(default: )" not in out
 
 
 def test_train_takes_a_list_of_seeds(monkeypatch, tmp_path):

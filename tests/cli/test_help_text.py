@@ -1,0 +1,54 @@
+"""Tests of the help: what values are called, defaults in words, paragraphs without breaks."""
+
+import re
+
+import pytest
+
+from earl_jax.cli.main import COMMANDS
+from tests.cli.process import run
+
+
+@pytest.fixture(params=COMMANDS)
+def page(request, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    code, out, _ = run(request.param, "--help")
+    assert code == 0
+    return out
+
+
+def test_help_says_defaults_in_words(page):
+    assert "None" not in page
+    assert "(default: )" not in page
+
+
+def test_help_names_values_without_nested_brackets(page):
+    assert "[[" not in page
+    assert not re.search(r"\bSTR\b|\.\.\.\]\]", page)
+
+
+@pytest.mark.parametrize(
+    ("command", "usage", "options"),
+    [
+        (
+            "train",
+            "[TASK]",
+            ["--algo METHOD", "--seeds SEEDS", "--set NAME=VALUE ...", "--log {tensorboard,wandb} ..."],
+        ),
+        ("resume", "RUN", ["--seeds SEEDS", "--steps INT"]),
+        ("plot", "FOLDER ...", ["--labels NAME ...", "--metric COLUMN", "--out PATH", "--size {screen,column,page}"]),
+        ("table", "FOLDER ...", ["--labels NAME ..."]),
+        ("sweep", "FILE", ["--slurm NAME=VALUE ...", "--per-device INT|auto", "--minutes MINUTES"]),
+        ("list", "[NAME]", []),
+        ("demos", "TASK", ["--engine ENGINE, --physics ENGINE"]),
+    ],
+)
+def test_values_have_the_names_of_what_they_are(command, usage, options, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    first, *rest = run(command, "--help")[1].splitlines()
+    assert usage in first
+    assert [option for option in options if not any(line.lstrip("│ ").startswith(option) for line in rest)] == []
+
+
+def test_a_paragraph_of_help_has_no_break(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    assert "or a list such as 3 5 8. By default 5, or those of --config" in run("train", "--help")[1]
