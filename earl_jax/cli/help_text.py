@@ -70,7 +70,7 @@ def _metavar(parameter: inspect.Parameter) -> str | None:
     parts = {*get_args(kind), kind}
     if not (parts & {str, Path, ...}):
         return None
-    is_positional = tyro.conf.Positional[int].__metadata__[0] in metadata
+    is_positional = get_args(tyro.conf.Positional[int])[1] in metadata
     name = VALUES.get(parameter.name) or (parameter.name.upper() if is_positional else _type_name(parts))
     several = f"{name} ..." if ... in parts else name
     return f"[{several}]" if is_positional and parameter.default is None else several
