@@ -19,10 +19,11 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
-from earl_jax.cli.parsing import parse_seeds
+from earl_jax.cli.parsing import SEEDS
 from earl_jax.errors import InputError
 from earl_jax.presets import ALGO, LENGTHS
 from earl_jax.presets import preset as named_preset
+from earl_jax.seeds import parse_seeds
 
 
 def train(
@@ -81,7 +82,7 @@ def train(
     }
     task, values = _objects_by_name(env, given) if config is None else _objects_of_run(config, env, given)
     if seeds is not None:
-        values["seeds"] = parse_seeds(seeds)
+        values["seeds"] = parse_seeds(seeds, SEEDS)
     result = api.train(
         task,
         values.pop("algo"),
@@ -157,7 +158,7 @@ def resume(
     from earl_jax.training import api
 
     join_hosts(hosts)
-    wanted = None if seeds is None else parse_seeds(seeds)
+    wanted = None if seeds is None else parse_seeds(seeds, SEEDS)
     result = api.resume(folder, steps=steps, seeds=wanted, progress=True, devices=devices, minutes=limit)
     is_part = result.seeds != RunFolder.open(folder).config.seeds
     _emit_result(result, folder, json, result.seeds if is_part else ())

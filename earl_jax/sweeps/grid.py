@@ -13,6 +13,7 @@ from typing import Any
 
 from earl_jax.errors import InputError
 from earl_jax.presets import LENGTHS, preset
+from earl_jax.seeds import seed_list
 from earl_jax.sweeps.samples import SAMPLERS, is_distribution, samples
 
 COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}
@@ -171,12 +172,14 @@ def _count(key: str, value: Any) -> int:
 
 
 def _seeds(value: Any) -> tuple[int, ...]:
-    if isinstance(value, list) and all(map(_is_integer, value)):
-        return tuple(value)
-    count = _count("seeds", value)
-    if count > MOST_SEEDS:
+    if not isinstance(value, str) and not (isinstance(value, list) and all(map(_is_integer, value))):
+        value = _count("seeds", value)
+    seeds = seed_list(value)
+    if not seeds:
+        raise InputError(f"seeds must be at least one, not {value!r}")
+    if len(seeds[MOST_SEEDS : MOST_SEEDS + 1]):  # a range can have more values than len() can count
         raise InputError(f"seeds must be at most {MOST_SEEDS}; split them over several runs")
-    return tuple(range(count))
+    return tuple(seeds)
 
 
 def _options(block: dict[str, Any]) -> dict[str, Any]:

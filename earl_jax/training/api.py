@@ -16,6 +16,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.growth import finish_merge
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.logging import Log, check_logs, require_libraries
+from earl_jax.seeds import seed_list
 from earl_jax.time_limit import TimeLimit
 from earl_jax.training.more_seeds import add_seeds
 from earl_jax.training.plan import Plan
@@ -30,7 +31,7 @@ def train(
     *,
     setting: str | Setting = Deployment.name,
     engine: str | None = None,
-    seeds: int | Sequence[int] = 5,
+    seeds: int | str | Sequence[int] = 5,
     steps: int = 100_000,
     eval_every: int = 10_000,
     eval_episodes: int = 10,
@@ -50,8 +51,8 @@ def train(
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
         setting: `deployment`, `continuing`, or a `Setting` object with its own interventions and budget.
         engine: the physics engine of a MuJoCo task: `auto`, `mjx`, `c` or `warp`; by default that of `env`.
-        seeds: the number of seeds (0, 1, ...), or a list of them. The randomness of a seed depends on no other seed;
-            with another number of seeds in the program, its results agree to rounding.
+        seeds: the number of seeds (0, 1, ...), a range such as "5:10", or a list of them. The randomness of a seed
+            depends on no other seed; with another number of seeds in the program, its results agree to rounding.
         steps: training steps of each seed.
         eval_every: steps between evaluations; the last one is at `steps`.
         eval_episodes: greedy episodes of each deployed evaluation.
@@ -92,11 +93,6 @@ def train(
     return _execute(plan, run, progress, limit)
 
 
-def seed_list(seeds: int | Sequence[int]) -> Sequence[int]:
-    """Return the seeds that the argument `seeds` of `train` and `resume` names: a number of them, or a list."""
-    return range(seeds) if isinstance(seeds, int) else [int(seed) for seed in seeds]
-
-
 def _resolve_objects(
     env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any]
 ) -> tuple[Env, Method, Setting]:
@@ -114,7 +110,7 @@ def resume(
     env: Env | None = None,
     algo: Method | None = None,
     steps: int | None = None,
-    seeds: int | Sequence[int] | None = None,
+    seeds: int | str | Sequence[int] | None = None,
     progress: bool = False,
     devices: int | None = None,
     minutes: float | TimeLimit | None = None,
@@ -129,7 +125,7 @@ def resume(
         env: the task, for a run that was trained on an object of a class that is not registered.
         algo: the method, likewise.
         steps: a new length of the run.
-        seeds: seeds that the finished run shall have: a number (0, 1, ...) or a list. Those that it lacks are trained from
+        seeds: seeds that the finished run shall have: as in `train`. Those that it lacks are trained from
             step 0 to its end, and then its files hold all of them. `steps` counts after that. Where a time limit ends it
             earlier, the result is that of the new seeds; the same call continues.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.

@@ -71,6 +71,12 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
     assert [(spec.name, spec.steps) for spec in only] == [("e/a/default", 40)]
 
 
+@pytest.mark.parametrize(("seeds", "expected"), [("'5:8'", (5, 6, 7)), ("'2'", (0, 1)), ("'1:3,8'", (1, 2, 8))])
+def test_seeds_can_be_a_range_as_in_the_shell(tmp_path, seeds, expected):
+    [spec] = read(tmp_path, f"envs = 'e'\nalgos = 'a'\nseeds = {seeds}\n")
+    assert spec.seeds == expected
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -92,6 +98,9 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
         ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),
         ("envs = 'e'\nalgos = 'a'\nseeds = 0", "seeds must be a whole number of at least 1"),
         ("envs = 'e'\nalgos = 'a'\nseeds = true", "seeds must be a whole number"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = '10:5'", r"seeds takes a count \(5\), a range \(5:10, without 10\)"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = '0'", "seeds must be at least one, not '0'"),
+        ("envs = 'e'\nalgos = 'a'\nseeds = '0:99999999999'", "seeds must be at most 65536"),
         ("envs = 'e'\nalgos = 'a'\nruns = 3", r"\[\[runs\]\]"),
         ("envs = 'e'\nalgos = 'a'\noptions = 3", r"\[options\]"),
         ("envs = 'e'\nalgos = 'a'\n[options]\nx = []", "option x"),
