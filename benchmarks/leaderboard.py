@@ -1,47 +1,35 @@
 """The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.leaderboard`.
 
-Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. `--add RUN` checks a run
-folder, copies its config.json and metrics.csv into results/leaderboard, and writes the page again.
+Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. The rows are also written to
+assets/published/leaderboard.csv, from which `earl-jax report` shows them beside a user's runs. `--add RUN` checks a run
+folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows again.
 """
 
 import argparse
+import csv
+import io
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from benchmarks.paper_cells import PAGES, commit_of, with_table
-from benchmarks.published_rows import Row, published_rows, score_text
+from benchmarks.published_rows import published_rows
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.crossings import CROSSING_WINDOW
-from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE
-from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.comparison import pair_row, recent_scores, with_verdicts
-from earl_jax.report.runs import Curves, MethodRuns, by_method, pooling_key, read
-from earl_jax.report.tables import interval_text, markdown_table, row_of, step_interval
+from earl_jax.report.comparison import pair_row, with_verdicts
+from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, score_text, values_of
+from earl_jax.report.runs import MethodRuns, by_method, pooling_key, read
+from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 
 RESULTS = Path(__file__).parent / "results"
 FOLDERS = ("paper", "cloning", "leaderboard")
 PAGE = PAGES / "docs" / "leaderboard.md"
+ROWS = PAGES / "assets" / "published" / "leaderboard.csv"
 SCORES = "<!-- scores -->", "<!-- end of scores -->"
 TESTS = "<!-- tests -->", "<!-- end of tests -->"
-HEADER = (
-    "method",
-    "from",
-    "seeds",
-    "steps",
-    "deployed [95 %]",
-    "wide [95 %]",
-    "C(A) [95 %]",
-    "alive",
-    "to 0.5",
-    "to 0.9",
-    "commit",
-)
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 FILES = ("config.json", "metrics.csv")
 
@@ -62,48 +50,25 @@ def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
     return [(group, commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
 
 
-def our_row(group: MethodRuns, commit: str) -> Row:
-    """Return the row of one run: scores over the last 100,000 steps, each with Student's 95 % interval over seeds."""
-    curves, step = group.curves, int(group.curves.steps[-1])
-    deployed, wide = (_score(curves, step, metric) for metric in (curves.deployed_metric, WIDE))
-    crossings = row_of(curves, 1, "")
-    alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
-    return Row(
-        env=group.env,
-        method=group.label,
-        source="earl_jax",
-        seeds=curves.seeds,
-        steps=step,
-        deployed=deployed,
-        wide=wide,
-        continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
-        alive="-" if alive is None else f"{alive:.0%}",
-        crossings=tuple(_crossing(crossings, level) for level in (0.5, 0.9)),
-        commit=commit,
-        order=-float(recent_scores(curves, step).mean()),
-    )
+def rows_of(runs: list[tuple[MethodRuns, str]]) -> list[Row]:
+    """Return the rows of our runs and the published ones, by task and deployed mean."""
+    by_task = ranked([run_row(group, commit) for group, commit in runs] + published_rows())
+    return [row for env in PAPER_TASKS for row in by_task.get(env, [])]
 
 
-def _score(curves: Curves, step: int, metric: str) -> str:
-    if metric not in curves.metrics:
-        return "-"
-    return score_text(curves.config.env, *mean_interval(recent_scores(curves, step, metric)))
+def rows_text(rows: list[Row]) -> str:
+    """Return the rows as the file that ships with the package."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(map(values_of, rows))
+    return text.getvalue()
 
 
-def _crossing(row: dict[str, Any], level: float) -> str:
-    names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
-    return step_interval(Estimate(*(float("nan") if row[name] is None else row[name] for name in names)))
-
-
-def scores_text(runs: list[tuple[MethodRuns, str]]) -> str:
-    """Return a table for each task, by deployed mean, with the published rows among ours."""
-    rows = [our_row(group, commit) for group, commit in runs] + published_rows()
-    parts = []
-    for env in PAPER_TASKS:
-        of_task = sorted((row for row in rows if row.env == env), key=lambda row: row.order)
-        if of_task:
-            parts.append(f"### {env}\n\n{markdown_table(HEADER, [row.texts for row in of_task])}")
-    return "\n\n".join(parts)
+def scores_text(rows: list[Row]) -> str:
+    """Return a table for each task."""
+    tables = {env: markdown_table(HEADER, [row.texts for row in of_task]) for env, of_task in ranked(rows).items()}
+    return "\n\n".join(f"### {env}\n\n{table}" for env, table in tables.items())
 
 
 def tests_text(runs: list[tuple[MethodRuns, str]]) -> str:
@@ -136,7 +101,7 @@ def _test_line(row: dict[str, Any]) -> list[str]:
 def page_text(page: str, root: Path = RESULTS) -> str:
     """Return the text of `page` with the tables of the runs under `root`."""
     runs = entries(root)
-    return with_table(with_table(page, scores_text(runs), *SCORES), tests_text(runs), *TESTS)
+    return with_table(with_table(page, scores_text(rows_of(runs)), *SCORES), tests_text(runs), *TESTS)
 
 
 def add(run: Path, root: Path = RESULTS) -> Path:
@@ -172,8 +137,9 @@ def _require(condition: bool, rule: str) -> None:
 
 
 def write_page() -> None:
-    """Write the page from the runs and the published scores."""
+    """Write the page and the rows that ship, from the runs and the published scores."""
     PAGE.write_text(page_text(PAGE.read_text()))
+    ROWS.write_text(rows_text(rows_of(entries())))
 
 
 def main() -> None:

@@ -1,46 +1,17 @@
 """The published rows of the leaderboard: the paper's table 1, and what newer papers released (assets/published/newer.csv)."""
 
 import math
-from typing import NamedTuple
 
 from scipy import stats
 
 from earl_jax import assets
-from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.tasks import METHODS, methods_on
+from earl_jax.report.leaderboard import Row, score_text
 from earl_jax.report.published import SEEDS, published_crossings, published_score, published_steps
 from earl_jax.report.tables import millions
 
 PAPER = "EARL, 2022"
-
-
-class Row(NamedTuple):
-    """A row of the leaderboard as texts; `order` sorts the rows of a task."""
-
-    env: str
-    method: str
-    source: str
-    seeds: int
-    steps: int
-    deployed: str
-    wide: str
-    continuing: str
-    alive: str
-    crossings: tuple[str, ...]
-    commit: str
-    order: float
-
-    @property
-    def texts(self) -> list[str]:
-        """The cells of the page."""
-        texts = [self.method, self.source, str(self.seeds), millions(self.steps), self.deployed, self.wide]
-        return [*texts, self.continuing, self.alive, *self.crossings, self.commit]
-
-
-def score_text(env: str, value: float, low: float, high: float) -> str:
-    """Return a deployed score of the task `env` with its interval, without it if that is nan."""
-    digits = 3 if make(env).sparse else 1
-    return f"{value:.{digits}f}" + ("" if math.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]")
 
 
 def published_rows() -> list[Row]:
@@ -69,7 +40,7 @@ def _paper_row(env: str, algo: str) -> Row:
         alive="-",
         crossings=tuple(millions(crossings.get(level)) for level in (0.5, 0.9)),
         commit="-",
-        order=-score.value,
+        score=score.value,
     )
 
 
@@ -91,5 +62,5 @@ def _newer_row(row: dict[str, str]) -> Row:
         alive="-",
         crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in (0.5, 0.9)),
         commit="-",
-        order=-mean,
+        score=mean,
     )

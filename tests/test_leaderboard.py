@@ -9,6 +9,7 @@ import pytest
 from benchmarks import leaderboard
 from benchmarks.paper_cells import with_table
 from earl_jax.metrics.deployed import WIDE
+from earl_jax.report.leaderboard import shipped_rows
 from tests.report.run_files import write_page_run
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
@@ -43,10 +44,16 @@ def test_the_page_is_that_of_the_runs():
     assert leaderboard.page_text(with_table(page, "| another |", *leaderboard.SCORES)) == page
 
 
+def test_the_rows_that_ship_are_those_of_the_runs():
+    rows = leaderboard.rows_of(leaderboard.entries())
+    assert leaderboard.ROWS.read_text() == leaderboard.rows_text(rows), "run python -m benchmarks.leaderboard"
+    assert [row.texts for row in shipped_rows()] == [row.texts for row in rows]
+
+
 def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
     target = leaderboard.add(run, tmp_path / "results")
     assert sorted(path.name for path in target.iterdir()) == ["config.json", "metrics.csv"]
-    text = leaderboard.scores_text(leaderboard.entries(tmp_path / "results"))
+    text = leaderboard.scores_text(leaderboard.rows_of(leaderboard.entries(tmp_path / "results")))
     [row] = [line for line in text.splitlines() if "earl_jax" in line]
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[:4] == ["naive", "earl_jax", "5", "0.10M"]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from earl_jax.report.html.curves import POINTS, panels
+from earl_jax.report.html.leaderboard import leaderboard
 from earl_jax.report.html.media import VideoEmbedder, maps
 from earl_jax.report.html.origin import changed_options, date_range, origins, run_card, values_of
 from earl_jax.report.html.runs import Line, Run
@@ -33,6 +34,7 @@ def page_content(lines: Sequence[Line]) -> dict[str, Any]:
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
         "speeds": speeds(lines),
         "rule": INTERVAL_RULE,
+        "leaderboard": leaderboard(lines),
         "cards": [run_card(line, run) for line in lines for run in line.runs],
         "origins": origins(runs),
         "window": WINDOW,

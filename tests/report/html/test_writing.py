@@ -30,9 +30,9 @@ def page(written):
 def test_a_page_has_all_its_parts(page):
     assert {"table", "figure", "svg", "button", "details", "img"} <= set(page.tags)
     parts = (
-        "Table 1", "Table 2", "Speed of learning", "Final score of each seed", "Final values of every seed", "Videos",
-        "Visited positions", "Runs", "Versions", "Left out", "All settings", "config.json", "Tabletop organization",
-        "Sawyer door", "Requested help",
+        "Table 1", "Table 2", "Speed of learning", "Leaderboard", "Final score of each seed",
+        "Final values of every seed", "Videos", "Visited positions", "Runs", "Versions", "Left out", "All settings",
+        "config.json", "Tabletop organization", "Sawyer door", "Requested help",
     )  # fmt: skip
     for part in parts:
         assert part in page.text, part

@@ -1,0 +1,131 @@
+"""The rows of the leaderboard: those that ship (assets/published/leaderboard.csv), and the row of any run beside them.
+
+The file has the published scores and the runs of this repository; `python -m benchmarks.leaderboard` writes it and
+docs/leaderboard.md from the same rows.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from earl_jax import assets
+from earl_jax.envs import make
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.comparison import recent_scores
+from earl_jax.report.published import LEVELS
+from earl_jax.report.runs import Curves, MethodRuns
+from earl_jax.report.tables import interval_text, millions, row_of, step_interval
+
+TABLE = "leaderboard"
+OURS = "earl_jax"
+HEADER = (
+    "method",
+    "from",
+    "seeds",
+    "steps",
+    "deployed [95 %]",
+    "wide [95 %]",
+    "C(A) [95 %]",
+    "alive",
+    *(f"to {level}" for level in LEVELS),
+    "commit",
+)
+COMMIT_DIGITS = 9
+
+
+class Row(NamedTuple):
+    """A row of the leaderboard as texts; the rows of a task are sorted by `score`, the mean deployed score, highest first."""
+
+    env: str
+    method: str
+    source: str
+    seeds: int
+    steps: int
+    deployed: str
+    wide: str
+    continuing: str
+    alive: str
+    crossings: tuple[str, ...]
+    commit: str
+    score: float
+
+    @property
+    def texts(self) -> list[str]:
+        """The cells of the table, in the order of `HEADER`."""
+        texts = [self.method, self.source, str(self.seeds), millions(self.steps), self.deployed, self.wide]
+        return [*texts, self.continuing, self.alive, *self.crossings, self.commit]
+
+
+CROSSINGS = tuple(f"to_{level}" for level in LEVELS)
+COLUMNS = tuple(column for name in Row._fields for column in (CROSSINGS if name == "crossings" else (name,)))
+"""The columns of the file."""
+
+
+def values_of(row: Row) -> dict[str, Any]:
+    """Return a row as the values of `COLUMNS`; scores are rounded to six digits after the point."""
+    values = row._asdict()
+    crossings = dict(zip(CROSSINGS, values.pop("crossings"), strict=True))
+    return {**values, **crossings, "score": round(row.score, 6)}
+
+
+def shipped_rows() -> list[Row]:
+    """Return the rows that ship, of all tasks."""
+    return [_row(values) for values in assets.published(TABLE)]
+
+
+def _row(values: dict[str, str]) -> Row:
+    """Return the row of a line of the file."""
+    texts = {name: values[name] for name in Row._fields if name != "crossings"}
+    numbers = {"seeds": int(values["seeds"]), "steps": int(values["steps"]), "score": float(values["score"])}
+    crossings = tuple(values[name] for name in CROSSINGS)
+    return Row(**{**texts, **numbers, "crossings": crossings})  # pyright: ignore[reportArgumentType]
+
+
+def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Return `rows` by task, in the order in which tasks occur, those of a task by their score."""
+    by_task: dict[str, list[Row]] = {}
+    for row in rows:
+        by_task.setdefault(row.env, []).append(row)
+    return {env: sorted(members, key=lambda row: -row.score) for env, members in by_task.items()}
+
+
+def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
+    """Return the row of a run: scores over the last 100,000 steps, each with Student's 95 % interval over seeds."""
+    curves, step = group.curves, int(group.curves.steps[-1])
+    deployed, wide = (_score(curves, step, metric) for metric in (curves.deployed_metric, WIDE))
+    crossings = row_of(curves, 1, "")
+    alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
+    return Row(
+        env=group.env,
+        method=group.label,
+        source=source,
+        seeds=curves.seeds,
+        steps=step,
+        deployed=deployed,
+        wide=wide,
+        continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
+        alive="-" if alive is None else f"{alive:.0%}",
+        crossings=tuple(_crossing(crossings, level) for level in LEVELS),
+        commit=commit[:COMMIT_DIGITS] or "-",
+        score=float(recent_scores(curves, step).mean()),
+    )
+
+
+def score_text(env: str, value: float, low: float, high: float) -> str:
+    """Return a deployed score of the task `env` with its interval, without it if that is nan."""
+    digits = 3 if make(env).sparse else 1
+    return f"{value:.{digits}f}" + ("" if math.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]")
+
+
+def _score(curves: Curves, step: int, metric: str) -> str:
+    if metric not in curves.metrics:
+        return "-"
+    return score_text(curves.config.env, *mean_interval(recent_scores(curves, step, metric)))
+
+
+def _crossing(row: dict[str, Any], level: float) -> str:
+    names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
+    return step_interval(Estimate(*(float("nan") if row[name] is None else row[name] for name in names)))

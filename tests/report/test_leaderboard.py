@@ -1,0 +1,43 @@
+"""The rows of the leaderboard that ship, and the row of a run."""
+
+import numpy as np
+import pytest
+
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.report.leaderboard import HEADER, ranked, run_row, shipped_rows
+from earl_jax.report.runs import read_methods
+from tests.report.run_files import DOOR, TABLETOP, write_run
+
+
+def test_the_rows_that_ship_have_the_published_scores_and_ours():
+    rows = shipped_rows()
+    assert all(len(row.texts) == len(HEADER) for row in rows)
+    published = next(row for row in rows if (row.env, row.method, row.source) == (DOOR, "vaprl", "EARL, 2022"))
+    assert published.texts[2:5] == ["5", "4.00M", "0.940 [0.780, 1.100]"]
+    assert published.score == 0.94
+    ours = [row for row in rows if row.source == "earl_jax"]
+    assert len(ours) >= 20
+    assert all(len(row.commit) == 9 for row in ours)
+
+
+def test_the_rows_of_a_task_are_sorted_by_their_score():
+    by_task = ranked(reversed(shipped_rows()))
+    assert {TABLETOP, DOOR} <= set(by_task)
+    for rows in by_task.values():
+        assert [row.score for row in rows] == sorted((row.score for row in rows), reverse=True)
+
+
+def test_the_row_of_a_run_has_the_scores_of_its_last_100000_steps(tmp_path):
+    scores = np.tile(np.linspace(0.0, 0.9, 10), (2, 1)) + np.array([[0.0], [0.1]])
+    metrics = {"continuing/reward": 0.25, "continuing/recent": 0.25, "interventions": 1, WIDE: [[0.2], [0.4]]}
+    steps = range(100_000, 1_100_000, 100_000)
+    write_run(tmp_path, TABLETOP, "naive", scores, steps=steps, metrics=metrics)
+    row = run_row(read_methods([tmp_path])[0], "0123456789abcdef", "mine")
+    assert row.texts[:4] == ["naive", "mine", "2", "1.00M"]
+    assert row.score == pytest.approx(0.95)
+    assert row.deployed.startswith("0.950 [")
+    assert row.wide.startswith("0.300 [")
+    assert row.continuing.startswith("0.250")
+    assert row.crossings[0].startswith("0.60M")
+    assert row.commit == "012345678"
+    assert run_row(read_methods([tmp_path])[0], "").commit == "-"
