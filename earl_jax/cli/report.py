@@ -10,6 +10,7 @@ def report(
     out: Path = Path("report.html"),
     watch: bool = False,
     every: float = 30.0,
+    videos: bool = False,
 ) -> None:
     """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 
@@ -18,16 +19,20 @@ def report(
         out: Page to write, .html. An existing page is replaced.
         watch: Write the page again whenever a run changes, for a sweep in progress, until Ctrl-C. In a browser it reloads.
         every: Seconds between two looks at the runs with --watch.
+        videos: Render six seconds of a policy of each run with policies.npz, its median seed, for the page. It takes some
+            seconds a run, and needs the extra render.
     """
     import jax
 
     jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
+    from earl_jax.report.html.policy_videos import PolicyVideos
     from earl_jax.report.html.watching import watch_page
     from earl_jax.report.html.writing import write_page
 
+    policies = PolicyVideos(print_line) if videos else None
     if watch:
-        watch_page(folders, out, every, print_line)
+        watch_page(folders, out, every, print_line, policies=policies)
         return
     with replacing(out):
-        page = write_page(folders, out)
+        page = write_page(folders, out, policies=policies)
     print(f"{page}: {page.stat().st_size / 1e6:.1f} MB")

@@ -8,6 +8,7 @@ from earl_jax.report.html.curves import POINTS, panels
 from earl_jax.report.html.leaderboard import leaderboard
 from earl_jax.report.html.media import VideoEmbedder, maps
 from earl_jax.report.html.origin import changed_options, date_range, origins, run_card, values_of
+from earl_jax.report.html.policy_videos import PolicyVideos
 from earl_jax.report.html.runs import Line, Run
 from earl_jax.report.html.tables import STRIP_WIDTH, paper_table, seed_table, speeds, strips
 from earl_jax.report.html.text import date_text, steps_text
@@ -19,9 +20,9 @@ CROWD = 6
 """Above this number of lines, a task's bands are hidden at first, and notes count lines instead of naming them."""
 
 
-def page_content(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the variables of the template for `lines`."""
-    embedder = VideoEmbedder()
+def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) -> dict[str, Any]:
+    """Return the variables of the template for `lines`, with videos of their `policies`."""
+    embedder = VideoEmbedder(policies)
     runs = [run for line in lines for run in line.runs]
     titles = [task_title(env) for env in task_order(line.group.env for line in lines)]
     sections = enumerate(_by_section(lines).items())

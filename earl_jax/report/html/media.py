@@ -10,6 +10,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
+from earl_jax.report.html.policy_videos import PolicyVideos
 from earl_jax.report.html.runs import Line, Run
 from earl_jax.runs.contents import CHECKPOINTS, POLICIES
 from earl_jax.runs.files import DamagedWarning
@@ -106,10 +107,10 @@ def _drawn(line_maps: Sequence[VisitMap]) -> list[dict[str, Any]]:
 
 
 class VideoEmbedder:
-    """Turns the videos of run folders into data URIs, up to the size that a page takes."""
+    """Turns the videos of run folders, and with `policies` those of their policies, into data URIs, as many as a page takes."""
 
-    def __init__(self):
-        self.size = 0
+    def __init__(self, policies: PolicyVideos | None = None):
+        self.size, self.policies = 0, policies
 
     def videos(self, line: Line) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the videos in the run folders of `line`, and a sentence for each that is left out."""
@@ -121,6 +122,13 @@ class VideoEmbedder:
                     videos.append({"name": file.name, "line": line, **self._embedded(file)})
                 except (OSError, ValueError) as error:
                     sentences.append(f"{file} is left out: {error}.")
+        for run, film in self.policies.films(line) if self.policies else []:
+            try:
+                if film.file is None:
+                    raise InputError(film.cause)
+                videos.append({"name": film.caption, "line": line, **self._embedded(film.file)})
+            except (OSError, ValueError) as error:
+                sentences.append(f"No video of the policy of {run.path}: {error}.")
         return videos, sentences
 
     def _embedded(self, file: Path) -> dict[str, str]:

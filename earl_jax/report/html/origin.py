@@ -127,6 +127,6 @@ def _modified(path: Path) -> datetime.datetime:
     return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
 
 
-def report_command(folders: Sequence[Path], out: Path) -> str:
+def report_command(folders: Sequence[Path], out: Path, videos: bool) -> str:
     """Return the command that makes the page again."""
-    return shlex.join(["earl-jax", "report", *map(str, folders), "--out", str(out)])
+    return shlex.join(["earl-jax", "report", *map(str, folders), "--out", str(out), *["--videos"] * videos])

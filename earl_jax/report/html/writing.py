@@ -13,6 +13,7 @@ from typing import Any
 from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
 from earl_jax.report.html.origin import report_command
+from earl_jax.report.html.policy_videos import PolicyVideos
 from earl_jax.report.html.runs import gather
 from earl_jax.report.runs import find_runs
 from earl_jax.runs.files import RunWarning, write_atomically
@@ -20,11 +21,13 @@ from earl_jax.runs.files import RunWarning, write_atomically
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def write_page(folders: Sequence[Path], out: Path, reload_seconds: float | None = None) -> Path:
+def write_page(
+    folders: Sequence[Path], out: Path, reload_seconds: float | None = None, policies: PolicyVideos | None = None
+) -> Path:
     """Write the page of the runs in and below `folders` to `out`, an .html file, and return the path.
 
     Runs that cannot be read are listed on the page with the cause, and named by a `RunWarning`. With `reload_seconds`, a
-    browser loads the page again as often.
+    browser loads the page again as often. With `policies`, a video of a policy of each run is on the page.
 
     Raises:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
@@ -37,13 +40,13 @@ def write_page(folders: Sequence[Path], out: Path, reload_seconds: float | None 
     for folder in left_out:
         name = "" if str(folder.path) in folder.cause else f"{folder.path}: "
         warnings.warn(f"left out: {name}{folder.cause}", RunWarning, stacklevel=2)
-    content = page_content(lines)
+    content = page_content(lines, policies)
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     page = environment.get_template("report.html").render(
         content,
         left_out=left_out,
         reload_seconds=reload_seconds,
-        report_command=report_command(folders, out),
+        report_command=report_command(folders, out, policies is not None),
         style=raw(style),
         script=raw(script),
         plotly=packed(plotly),

@@ -16,7 +16,7 @@ def pages(monkeypatch):
     written = []
     real = writing.gather
 
-    def write_page(folders, out, reload_seconds=None):
+    def write_page(folders, out, reload_seconds=None, policies=None):
         lines, _ = real(writing.find_runs(folders))
         if not lines:
             raise watching.InputError("none of the runs can be shown:\n  young: no evaluation yet")
