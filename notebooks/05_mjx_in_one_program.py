@@ -88,8 +88,8 @@ print("callbacks:", program.count("callback"), " foreign calls:", program.count(
 ## Beside the C engine
 
 The same lanes take the same random actions on both engines. They agree to rounding at first; contacts and
-time amplify the difference. The times are those of this machine: of a whole scan of control steps, without
-compilation, and of the first call, with it.
+time amplify the difference. The times are those of this machine (stored with the page: two CPU cores shared
+with other work): of a whole scan of control steps, without compilation, and of the first call, with it.
 """
 
 
