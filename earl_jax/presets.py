@@ -32,7 +32,7 @@ PRESETS = {
     ),
     "quick": Preset(
         "Minutes on a CPU: the small learner of the quickstart, which was tuned for FBRL on tabletop_organization.",
-        {"seeds": 2, "steps": 170_000, "eval_episodes": 50},
+        {"seeds": 2, "steps": 170_000, "eval_every": 2500, "eval_episodes": 50},
         {
             "hidden_sizes": (64, 64),
             "batch_size": 64,
