@@ -132,7 +132,7 @@ for precision in PRECISIONS:
     print(precision, {lanes: f"{rate:,.0f}" for lanes, rate in zip(LANES, rates, strict=True)})
 axis.set(xscale="log", yscale="log", xlabel="lanes", ylabel="steps a second, all lanes")
 axis.set_xticks(LANES, labels=[str(lanes) for lanes in LANES])
-axis.minorticks_off()
+axis.xaxis.set_minor_locator(plt.NullLocator())
 axis.grid(alpha=0.3)
 axis.legend(frameon=False)
 plt.show()
