@@ -19,7 +19,7 @@ One lane leaves most of a GPU idle; fifty lanes share one program and its kernel
 devices, computes the memory of a run, measures the speed by number of lanes, and trains fifty seeds. On
 an H200 that training takes six minutes. The page runs on a CPU too, with small networks and too few steps
 to learn: the outputs stored with it are those of two CPU cores shared with other work, where all success
-rates are near 0 and only the ratios of speeds mean something.
+rates are near 0 and the speeds mean little.
 
 [![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/04_run_on_a_gpu.ipynb)
 
