@@ -70,7 +70,8 @@ class Registry:
         if points:
             return points[0], owners[0]
         if not known:
-            raise InputError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())}")
+            own = f"your own needs register_{self.kind} in this process or an entry point, see docs/extending.md"
+            raise InputError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())} ({own})")
         target = self._table[name]
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 

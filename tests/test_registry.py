@@ -69,6 +69,13 @@ def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(instal
         registry.get("meadow")
 
 
+def test_an_unknown_name_says_how_to_make_a_class_of_ones_own_known(install):
+    with pytest.raises(
+        ValueError, match=r"^unknown env 'mine'; choose from meadow, sawyer_door \(your own needs register_env"
+    ):
+        install({"meadow": "theirs:Meadow"}).get("mine")
+
+
 def test_a_name_claimed_twice_is_an_error_that_names_both_owners(install):
     registry = install({"sawyer_door": "theirs:Meadow", "meadow": "theirs:Meadow"}, MEADOW)
     assert registry.names() == ["meadow", "sawyer_door"]
