@@ -3,7 +3,7 @@
     python -m benchmarks.collect FOLDER... --commit COMMIT [--to DIR]
 
 FOLDER is the folder of a sweep, or of a run. A run becomes DIR/TASK/METHOD/VARIANT, where VARIANT names the options that
-differ from the paper's settings in bf16, and its seeds if they do not start at 0; a run without such options is the cell
+differ from the task's and the paper's in bf16, and its seeds if they do not start at 0; a run without such options is the cell
 itself. Of two runs with one name, the one with more steps stays, and of equal ones that with more seeds.
 """
 
@@ -56,9 +56,8 @@ def run_name(config: RunConfig) -> str:
     """Return TASK/METHOD, or TASK/METHOD/VARIANT for a run with options or seeds of its own."""
     setting = {key: value for key, value in config.setting.items() if key != "name"}
     options = {"precision": "tf32", **config.env_options, **setting, **config.options}
-    if options["precision"] == PRECISION:
-        del options["precision"]
-    parts = [_part(option, value) for option, value in sorted(options.items())]
+    usual = {"precision": PRECISION, "reward_scale": config.build_env().reward_scale}
+    parts = [_part(option, value) for option, value in sorted(options.items()) if usual.get(option) != value]
     if min(config.seeds) > 0:
         parts.append(f"seeds_{min(config.seeds)}_to_{max(config.seeds)}")
     return "/".join([config.env, config.algo, *(["-".join(parts)] if parts else [])])

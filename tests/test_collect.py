@@ -84,6 +84,7 @@ def test_large_policies_and_runs_without_an_evaluation_are_left_out(sweep, tmp_p
          "vaprl/nearest_fallback-unmet_goals"),
         (DOOR, "vaprl", {"precision": "bf16", "env_options": RECORDED}, "vaprl/demo_file_recorded"),
         (DOOR, "oracle", {"precision": "bf16", "seeds": [5, 6, 7]}, "oracle/seeds_5_to_7"),
+        ("minitaur_pen", "naive", {"precision": "bf16", "reward_scale": 0.1}, "naive"),
         (DOOR, "naive", {"precision": "bf16", "reward_scale": 1.0, "hidden_sizes": (64, 32)},
          "naive/hidden_sizes_64x32-reward_scale_1"),
     ],
