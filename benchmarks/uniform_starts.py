@@ -2,10 +2,10 @@
 
     python -m benchmarks.uniform_starts [--evaluate]
 
-With --evaluate, the policies of every run of the published length run 100 episodes from each kind of start, and
-results/starts/paper_seeds.csv is written: the task's own start, and gripper and mug anywhere within 2.5 (as the release
-draws them) or within 2.8 (the whole table, `earl-jax evaluate --starts uniform`). Without it, only the table between
-comments in docs/results.md is written, from that file.
+With --evaluate, the policies of every run of the published length that results/starts/paper_seeds.csv lacks run 100 episodes
+from each kind of start, and their success is added to it. Starts are the task's own, gripper and mug anywhere within 2.5 (as
+the release draws them), or within 2.8 (the whole table, `earl-jax evaluate --starts uniform`). Without it, only the table
+between comments in docs/results.md is written, from that file.
 """
 
 import argparse
@@ -41,15 +41,20 @@ HEADER = ("run", "seeds", "from s0 [95 %]", "within 2.5 [95 %]", "drop, % [95 %]
 Row = dict[str, Any]
 
 
-def evaluate(root: Path = ROOT / TABLETOP, steps: int | None = None, episodes: int = EPISODES) -> list[Row]:
-    """Return a row for each seed of each run below `root` that has policies of step `steps`, by default the published."""
-    length = training_steps(TABLETOP) if steps is None else steps
-    folders = [file.parent for file in sorted(root.rglob("policies.npz"))]
+def evaluate(root: Path = ROOT / TABLETOP, episodes: int = EPISODES, known: Sequence[Row] = ()) -> list[Row]:
+    """Return a row for each seed of each run of the published length below `root`, for `known` runs as it is there."""
+    length = training_steps(TABLETOP)
+    folders = sorted(file.parent for file in root.rglob("policies.npz"))
     finished = [folder for folder in folders if int(read(folder).steps[-1]) == length]
-    return [row for folder in finished for row in _run_rows(folder, folder.relative_to(root).as_posix(), episodes)]
+    rows = []
+    for folder in finished:
+        common = {"run": folder.relative_to(root).as_posix(), "commit": (commit_of(folder) or "")[:9]}
+        same = [row for row in known if common.items() <= row.items()]
+        rows += same or [{**common, **row} for row in _run_rows(folder, episodes)]
+    return rows
 
 
-def _run_rows(folder: Path, name: str, episodes: int) -> list[Row]:
+def _run_rows(folder: Path, episodes: int) -> list[Row]:
     run = RunFolder.open(folder)
     env, policies = load_policies(run)
     columns: dict[str, np.ndarray] = {}
@@ -60,17 +65,21 @@ def _run_rows(folder: Path, name: str, episodes: int) -> list[Row]:
             return deployed(env, policy, jax.random.key(0), env.eval_horizon, episodes, start)["deployed/success"]
 
         columns[kind] = np.asarray(jax.jit(jax.vmap(success))(policies), float).round(4)
-    common = {"run": name, "commit": (commit_of(folder) or "")[:9]}
     return [
-        {**common, "seed": seed, **{kind: float(values[lane]) for kind, values in columns.items()}}
+        {"seed": seed, **{kind: float(values[lane]) for kind, values in columns.items()}}
         for lane, seed in enumerate(run.config.seeds)
     ]
 
 
+def read_rows(file: Path = SEEDS) -> list[Row]:
+    """Return the rows of `evaluate` in `file`, as text."""
+    with file.open() as handle:
+        return list(csv.DictReader(handle))
+
+
 def read_seeds(file: Path = SEEDS) -> dict[str, dict[str, np.ndarray]]:
     """Return the success [seeds] by run and kind of start in `file`."""
-    with file.open() as handle:
-        rows = list(csv.DictReader(handle))
+    rows = read_rows(file)
     return {
         run: {kind: np.array([float(row[kind]) for row in rows if row["run"] == run]) for kind in KINDS}
         for run in dict.fromkeys(row["run"] for row in rows)
@@ -84,7 +93,7 @@ def table(runs: dict[str, dict[str, np.ndarray]]) -> str:
 
 def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
     own, (released, whole) = success["initial"], (success[kind] for kind in ("within_2.5", "within_2.8"))
-    published = assets.published_row("figure5", algo=run).get("drop_percent", "-")
+    published = assets.published_row("figure5", algo=run.partition("/")[0]).get("drop_percent", "-")
     texts = [interval_text(*mean_interval(scores)) for scores in (own, released, whole)]
     drops = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in relative_drop(own, other)))
              for other in (released, whole)]  # fmt: skip
@@ -100,9 +109,9 @@ def write_table() -> None:
 def main() -> None:
     """Evaluate if asked, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--evaluate", action="store_true", help="evaluate the policies again")
+    parser.add_argument("--evaluate", action="store_true", help="evaluate the runs that are not in the file")
     if parser.parse_args().evaluate:
-        write(evaluate(), SEEDS)
+        write(evaluate(known=read_rows()), SEEDS)
     write_table()
     print(table(read_seeds()))
 

@@ -97,6 +97,8 @@ def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(
     assert [(row["run"], row["seed"]) for row in rows] == [("r3l", seed) for seed in range(5)]
     for kind in uniform_starts.KINDS:
         assert np.mean([row[kind] for row in rows]) > 0.7
+    known = [{**row, "initial": "0.5"} for row in rows]
+    assert uniform_starts.evaluate(tmp_path, known=known) == known
 
 
 def test_uniform_starts_fill_their_square(env):
