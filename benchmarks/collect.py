@@ -4,7 +4,8 @@
 
 FOLDER is the folder of a sweep, or of a run. A run becomes DIR/TASK/METHOD/VARIANT, where VARIANT names the options that
 differ from the task's and the paper's in bf16, and its seeds if they do not start at 0; a run without such options is the cell
-itself. Of two runs with one name, the one with more steps stays, and of equal ones that with more seeds.
+itself. Of two runs with one name, the one with more steps stays, and of equal ones that with more seeds. policies.npz comes
+along for cells, and for variants of the published length.
 """
 
 import argparse
@@ -14,7 +15,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
+from earl_jax.paper.tasks import training_steps
 from earl_jax.report.runs import Curves, find_runs, read
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG, METRICS, POLICIES
@@ -98,12 +101,18 @@ def _take(path: Path, curves: Curves, config: str, target: Path) -> str:
     write_atomically(target / CONFIG, config)
     shutil.copyfile(path / METRICS, target / METRICS)
     (target / POLICIES).unlink(missing_ok=True)
-    if not (path / POLICIES).is_file():
+    if not (path / POLICIES).is_file() or not _keeps_policies(curves):
         return "taken"
     if (path / POLICIES).stat().st_size > LARGEST_POLICIES:
         return f"taken without {POLICIES}, which is larger than {LARGEST_POLICIES >> 20} MiB"
     shutil.copyfile(path / POLICIES, target / POLICIES)
     return "taken"
+
+
+def _keeps_policies(curves: Curves) -> bool:
+    """Return whether the policies of a run are kept: those of a cell, and those of a variant of the published length."""
+    is_cell = run_name(curves.config).count("/") == 1
+    return is_cell or (curves.config.env in PAPER_TASKS and int(curves.steps[-1]) == training_steps(curves.config.env))
 
 
 def main() -> None:

@@ -75,6 +75,17 @@ def test_large_policies_and_runs_without_an_evaluation_are_left_out(sweep, tmp_p
     assert not list((tmp_path / "paper").rglob("policies.npz"))
 
 
+def test_policies_of_a_variant_come_along_at_the_published_length_only(tmp_path):
+    lengths = {1: 2_500_000, 2: 2_490_000}
+    for controllers, steps in lengths.items():
+        options = {"precision": "bf16", "controllers": controllers, "reward_scale": 2.0}
+        folder = write_run(tmp_path / "runs" / str(steps), TABLETOP, "fbrl", rising(2, 1), steps=[steps], **options)
+        (folder / "policies.npz").write_bytes(b"policies")
+    collect.collect([tmp_path / "runs"], COMMIT, tmp_path / "paper")
+    [kept] = (tmp_path / "paper").rglob("policies.npz")
+    assert kept.parent.name == "controllers_1-reward_scale_2"
+
+
 @pytest.mark.parametrize(
     ("env", "algo", "run", "name"),
     [
