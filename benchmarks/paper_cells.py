@@ -1,33 +1,25 @@
 """The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper_cells`.
 
 A cell is a task and a method, trained at the paper's settings. Its score is the mean over the evaluations of the last 100,000
-steps. Runs of the published length are tested against the published score, and PAIRS, runs that differ in one option, against
-each other at equal steps; both as `earl-jax compare` does. Writes cells.csv, cells.md, pairs.csv, pairs.md, a figure of each
-task that was run, curves.png in its folder, and the tables between comments in docs/results.md and README.md.
+steps. Runs of the published length are tested against the published score, as `earl-jax compare` does. Writes cells.csv,
+cells.md, a figure of each task that was run, curves.png in its folder, and the tables between comments in docs/results.md and
+README.md.
 """
 
-import itertools
 import json
 from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.tasks import METHODS, methods_on, training_steps
-from earl_jax.report.comparison import RULE, pair_row, published_rows, table_text, with_verdicts
+from earl_jax.report.comparison import RULE, published_rows, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import published_score
-from earl_jax.report.runs import MethodRuns, read, read_methods
+from earl_jax.report.runs import read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
 
 ROOT = Path(__file__).parent / "results" / "paper"
 TABLETOP, PEG, DHAND = "tabletop_organization", "sawyer_peg", "dhand_lightbulb"
-PAIRS = [
-    (f"{TABLETOP}/fbrl", f"{TABLETOP}/fbrl/tf32"),
-    (f"{TABLETOP}/naive", f"{TABLETOP}/naive/episode_200"),
-    (f"{TABLETOP}/naive", f"{TABLETOP}/naive/episode_400"),
-    (f"{TABLETOP}/naive", f"{TABLETOP}/naive/random_10000"),
-    (f"{PEG}/oracle", f"{PEG}/oracle/reward_scale_1"),
-]
 OURS = "not compared: the task is our reconstruction"
 NOT_RUN = "not run"
 START, END = "<!-- cells -->", "<!-- end of cells -->"
@@ -131,25 +123,11 @@ def with_table(page: str, table: str, start: str = START, end: str = END) -> str
     return f"{before}{start}\n\n{table}\n\n{end}{after}"
 
 
-def pairs(root: Path = ROOT) -> list[dict[str, Any]]:
-    """Return the comparisons of `PAIRS`."""
-    runs = {name: _named(root, name) for name in dict.fromkeys(itertools.chain(*PAIRS))}
-    return with_verdicts([pair_row(runs[first], runs[second]) for first, second in PAIRS])
-
-
-def _named(root: Path, name: str) -> MethodRuns:
-    env, label = name.split("/", 1)
-    curves = read(root / name)
-    return MethodRuns(env, curves.config.algo, label, curves)
-
-
 def main() -> None:
     """Write the tables and figures."""
-    rows, tested = cells(), pairs()
+    rows = cells()
     write(rows, ROOT / "cells.csv")
-    write(tested, ROOT / "pairs.csv")
     (ROOT / "cells.md").write_text(f"{cells_text(rows)}\n\n{RULE}\n")
-    (ROOT / "pairs.md").write_text(f"{table_text(tested)}\n")
     for env in dict.fromkeys(row["env"] for row in rows if row["seeds"]):
         runs = [ROOT / env / row["algo"] for row in rows if row["env"] == env and row["seeds"]]
         plot_runs(runs, ROOT / env / "curves.png", smooth=10)
@@ -158,7 +136,7 @@ def main() -> None:
         (PAGES / "README.md", tested_summary(rows)),
     ):
         page.write_text(with_table(page.read_text(), table))
-    print((ROOT / "cells.md").read_text(), (ROOT / "pairs.md").read_text(), sep="\n")
+    print((ROOT / "cells.md").read_text())
 
 
 if __name__ == "__main__":

@@ -3,16 +3,16 @@
     python -m benchmarks.redraw [--out DIR]
 
 Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 4 of figure4.csv and
-figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells and the
-leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells` and `python -m benchmarks.leaderboard` write
-them.
+figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells,
+the tests of differences and the leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`,
+`benchmarks.differences` and `benchmarks.leaderboard` write them, and success from uniform starts from results/starts.
 """
 
 import argparse
 import csv
 from pathlib import Path
 
-from benchmarks import leaderboard, paper_cells
+from benchmarks import differences, leaderboard, paper_cells, uniform_starts
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import draw_figure4
@@ -48,6 +48,8 @@ def main() -> None:
     print(*redraw(out or KEPT), sep="\n")
     if out is None:
         paper_cells.main()
+        differences.main()
+        uniform_starts.write_table()
         leaderboard.write_page()
 
 

@@ -23,8 +23,8 @@ TASK = "tabletop_organization"
 EPISODES = 200
 
 
-def _within(env: Env, limit: float) -> Callable[[jax.Array], State]:
-    """Return starts with gripper and mug uniform in ±`limit`."""
+def within(env: Env, limit: float) -> Callable[[jax.Array], State]:
+    """Return the starts of `env` with gripper and mug uniform in ±`limit`, and any task goal."""
 
     def start(key):
         position_key, goal_key = jax.random.split(key)
@@ -46,8 +46,8 @@ def starts(env: Env) -> dict[str, Callable[[jax.Array], State]]:
     return {
         "initial": env.reset,
         "uniform in 2.8": env.reset_uniform,
-        "uniform in 2.5": _within(env, 2.5),
-        "uniform in 2.0": _within(env, 2.0),
+        "uniform in 2.5": within(env, 2.5),
+        "uniform in 2.0": within(env, 2.0),
         "released wide": lambda key: _at(env, key, wide.reset(key).data.qpos),
     }
 

@@ -45,6 +45,12 @@ class VaPRL(Method):
 
     refresh_every: int = struct.field(pytree_node=False, default=200, metadata=within(COUNT))
     """Steps between refreshes of the value table."""
+    nearest_fallback: bool = struct.field(pytree_node=False, default=False)
+    """Whether the subgoal is the demonstrated state nearest the initial ones where no value reaches `epsilon`, instead
+    of the one with the highest value. The released search begins there too: its weight of the values starts at 0."""
+    unmet_goals: bool = struct.field(pytree_node=False, default=False)
+    """Whether a transition is relabelled only with a goal that the state before its step does not meet. The release's
+    relabelled copies of an episode end at the first state that meets their goal."""
 
     name: ClassVar[str] = "vaprl"
     phases: ClassVar[int] = 2
@@ -68,11 +74,15 @@ class VaPRL(Method):
         return GoalIndices(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
 
     def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
-        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon, else the best one."""
+        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon.
+
+        If there is none, it is the one with the highest value, or with `nearest_fallback` the nearest of all.
+        """
         start = goals.table[goals.tasks : goals.tasks + goals.initials].mean(axis=0)
         distance = jnp.linalg.norm(goals.candidates - start, axis=-1)
         solvable = values >= self.epsilon
-        return jnp.where(solvable.any(), jnp.argmin(jnp.where(solvable, distance, jnp.inf)), jnp.argmax(values))
+        fallback = jnp.argmin(distance) if self.nearest_fallback else jnp.argmax(values)
+        return jnp.where(solvable.any(), jnp.argmin(jnp.where(solvable, distance, jnp.inf)), fallback)
 
     def refresh(
         self,
@@ -105,7 +115,7 @@ class VaPRL(Method):
         """Return `batch` with another goal for `relabel_share` of its transitions.
 
         A demonstrated transition gets a later state of its demonstration, another one any goal of the table. A
-        transition without a successor keeps its goal.
+        transition without a successor keeps its goal, and with `unmet_goals` one whose state already meets the new goal.
         """
         share_key, goal_key = jax.random.split(key)
         draw = jax.random.uniform(goal_key, batch.reward.shape)
@@ -114,7 +124,10 @@ class VaPRL(Method):
         any_goal = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
         goal = jnp.where(batch.row < len(goals.ends), goals.tasks + goals.initials + later, any_goal)
         chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~batch.flags.no_successor
-        obs = jnp.concatenate([batch.next_state, jnp.asarray(goals.table)[goal]], axis=-1)
+        goal_states = jnp.asarray(goals.table)[goal]
+        if self.unmet_goals:
+            chosen &= ~env.success(jnp.concatenate([batch.state, goal_states], axis=-1))
+        obs = jnp.concatenate([batch.next_state, goal_states], axis=-1)
         flags = batch.flags._replace(
             goal=jnp.where(chosen, goal, batch.flags.goal),
             reached=jnp.where(chosen, env.success(obs) & env.sparse, batch.flags.reached),

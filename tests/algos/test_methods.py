@@ -158,6 +158,15 @@ def test_vaprl_chooses_the_valued_state_nearest_the_start_or_else_the_best_value
     assert distance[int(method.choose(everything, goals))] == distance.min()
 
 
+def test_vaprl_with_the_nearest_fallback_begins_at_the_state_nearest_the_start(env):
+    method, goals = make_algo("vaprl", epsilon=0.1, nearest_fallback=True), goal_table(env)
+    distance = np.linalg.norm(goals.candidates - env.initial_states[0], axis=1)
+    values = jnp.zeros(len(distance)).at[500].set(0.05)
+    assert distance[500] > distance.min()
+    assert distance[int(method.choose(values, goals))] == distance.min()
+    assert int(method.choose(10 * values, goals)) == 500
+
+
 def test_vaprl_draws_its_next_task_when_it_returns(env):
     method, goals = make_algo("vaprl"), goal_table(env)
     method_state = method.init_state(KEYS[0], env, goals)
@@ -207,6 +216,19 @@ def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env):
     assert expected.any()
     no_successor = batch._replace(flags=batch.flags._replace(no_successor=jnp.ones(4000, bool)))
     assert (relabel(no_successor).flags.goal == 0).all()
+
+
+def test_vaprl_with_unmet_goals_keeps_the_goal_of_a_state_that_meets_the_new_one(env):
+    goals = goal_table(env)
+    states = np.tile(env.goal_states[1], (4000, 1))
+    batch = make_batch(states, states, np.full(4000, len(goals.candidates) + 5), 0)
+    drawn, kept = (
+        make_algo("vaprl", relabel_share=1.0, unmet_goals=unmet).relabel(jax.random.key(1), env, goals, batch, TASK)
+        for unmet in (False, True)
+    )
+    met = np.asarray(drawn.flags.reached)
+    assert 0 < met.sum() < 4000
+    np.testing.assert_array_equal(kept.flags.goal, np.where(met, 0, drawn.flags.goal))
 
 
 def test_vaprl_relabels_demonstrations_with_their_own_later_states(env):

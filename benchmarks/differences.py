@@ -1,0 +1,194 @@
+"""The ten differences that could separate our runs from the published ones, and how each is settled by the runs at hand.
+
+    python -m benchmarks.differences
+
+Each difference has tests of two sets of runs in results/paper: `earl-jax compare`'s permutation test at the last step that
+both have, p adjusted by Holm over all tests here. A test without its runs is not made, and the table says `not run`.
+Writes results/paper/{pairs.csv,pairs.md} and the table between comments in docs/results.md.
+"""
+
+import dataclasses
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.paper_cells import PAGES, PEG, ROOT, TABLETOP, cells, with_table
+from benchmarks.uniform_starts import RELEASED, SEEDS, read_seeds
+from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import Sample, mean_interval, permutation
+from earl_jax.paper.tasks import training_steps
+from earl_jax.report.comparison import comparison_columns, pair_row, table_text, with_verdicts
+from earl_jax.report.runs import MethodRuns, read_all
+from earl_jax.report.tables import interval_text, markdown_table, millions, write
+
+DOOR, CHEETAH = "sawyer_door", "cheetah_run"
+MARKS = "<!-- differences -->", "<!-- end of differences -->"
+NOT_RUN = "not run"
+HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
+          "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
+
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled."""
+
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Difference:
+    """A difference `what` with its number in the review, the `pairs` that test it, and a `cell` that was to be run.
+
+    Two differences that the same pair tests have a number of both.
+    """
+
+    number: str
+    what: str
+    pairs: tuple[Pair, ...] = ()
+    cell: tuple[str, str] | None = None
+
+
+BIASED = f"{CHEETAH}/naive/train_horizon_1000"
+BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
+SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
+ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
+DIFFERENCES = (
+    Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
+    Difference("2", "figure 2 with the release's script: 3M steps, reward scale 0.1, 10,000 random steps"),
+    Difference("3", "the biased update at H_T = 1,000: the effective discount 0.98901, or rare large targets", (
+        Pair((SHORTER,), (BIASED,)), Pair((SHORTER,), (BOOTSTRAPPED,)),
+    )),
+    Difference("4", "the peg's oracle without layer norm: reward scale, layer norm", (
+        Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE, (f"{PEG}/oracle/layer_norm",)),
+    )),
+    Difference("5, 6", "VaPRL relabels with goals that are met already; its subgoal where no value reaches epsilon", (
+        Pair((f"{DOOR}/vaprl",), (f"{DOOR}/vaprl/nearest_fallback-unmet_goals",)),
+    )),
+    Difference("7", "VaPRL on the door with the final model", cell=(DOOR, "vaprl")),
+    Difference("8", "naive RL's goal for 1,000 steps; the release: 400, after 10,000 random steps", tuple(
+        Pair((f"{TABLETOP}/naive",), (f"{TABLETOP}/naive/{name}",)) for name in ("episode_200", "episode_400", "random_10000")
+    )),
+    Difference("9", "FBRL in bf16, or in tf32", (Pair((f"{TABLETOP}/fbrl",), (f"{TABLETOP}/fbrl/tf32",)),)),
+    Difference("10", "our demonstrations, or the authors' recordings", tuple(
+        Pair((f"{env}/{algo}",), (f"{env}/{algo}/demo_file_recorded",)) for env in (TABLETOP, DOOR) for algo in ("vaprl", "fbrl")
+    )),
+)  # fmt: skip
+
+
+def comparisons(root: Path = ROOT, seeds: Path = SEEDS) -> list[Row]:
+    """Return the rows of all tests whose runs are there, each with the `number` of its difference, p adjusted by Holm."""
+    rows = [{"number": "1", **row} for row in starts_rows(read_seeds(seeds))]
+    for entry in DIFFERENCES:
+        rows += [{"number": entry.number, **row} for pair in entry.pairs if (row := _pair_row(root, pair))]
+    return with_verdicts(rows)
+
+
+def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
+    """Return the tests of FBRL with two controllers and with one: success from uniform starts, and the loss to it."""
+    if not {"fbrl", "fbrl/controllers_1"} <= runs.keys():
+        return []
+    two, one = runs["fbrl"], runs["fbrl/controllers_1"]
+    losses = [success["initial"] - success[RELEASED] for success in (two, one)]
+    return [
+        _scores_row("success from starts within 2.5", two[RELEASED], one[RELEASED]),
+        _scores_row("success from s0 minus that", *losses),
+    ]
+
+
+def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
+    own, other = mean_interval(scores), Sample.of(others)
+    return {
+        "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
+        "seeds": len(scores), "other_seeds": other.seeds, "mean": own.value, "mean_low": own.low, "mean_high": own.high,
+        "other_mean": other.mean, **comparison_columns(scores, other, permutation(scores, others)),
+    }  # fmt: skip
+
+
+def _pair_row(root: Path, pair: Pair) -> Row | None:
+    """Return the test of a pair, or None if a side has no run; further folders of a side may be missing."""
+    sides = [
+        [root / name for name in names if (root / name / "metrics.csv").is_file()]
+        for names in (pair.first, pair.second)
+    ]
+    if not all(sides):
+        return None
+    first, second = (_pooled(root, folders) for folders in sides)
+    return pair_row(first, second)
+
+
+def _pooled(root: Path, folders: list[Path]) -> MethodRuns:
+    groups = read_all(folders)
+    if len(groups) > 1:
+        raise InputError(f"{', '.join(map(str, folders))} differ in their options, so their seeds cannot be pooled")
+    env, label = folders[0].relative_to(root).as_posix().split("/", 1)
+    return MethodRuns(env, groups[0].config.algo, label, groups[0])
+
+
+def table(rows: list[Row], own_cells: list[Row]) -> str:
+    """Return the table of the ten differences from the rows of `comparisons` and those of the paper's cells."""
+    lines = []
+    for entry in DIFFERENCES:
+        tested = [_line(row) for row in rows if row["number"] == entry.number]
+        tested += [_cell_line(row) for row in own_cells if (row["env"], row["algo"]) == entry.cell and row["seeds"]]
+        lines += [[entry.number, entry.what, *line] for line in tested or [["-"] * 8 + [NOT_RUN]]]
+    for previous, line in reversed(list(itertools.pairwise(lines))):
+        line[:2] = ["", "the same"] if previous[0] == line[0] else line[:2]
+    return markdown_table(HEADER, lines)
+
+
+def _line(row: Row) -> list[str]:
+    adjusted = row["p_holm"]
+    if math.isnan(adjusted):
+        settled = "no test: no spread"
+    elif row["verdict"] == "cannot tell":
+        settled = f"cannot tell; {_number(row, row['detectable'])} would be found"
+    else:
+        settled = f"the first is {row['verdict']}"
+    return [
+        f"{row['env']} {row['first']}, {row['seeds']} seeds", f"{row['second']}, {row['other_seeds']} seeds",
+        millions(row["steps"]), _interval(row, "mean", "mean_low", "mean_high"), _number(row, row["other_mean"]),
+        _interval(row, "difference", "low", "high"), _number(row, row["p"], 2), _number(row, adjusted, 2), settled,
+    ]  # fmt: skip
+
+
+def _cell_line(row: Row) -> list[str]:
+    mean = interval_text(row["mean"], row["low"], row["high"])
+    names = f"{row['env']} {row['algo']}, {row['seeds']} seeds", f"published, {millions(row['of'])} steps, 5 seeds"
+    return [*names, millions(row["steps"]), mean, row["published"], *"---", f"run; {row['verdict']}"]
+
+
+def _number(row: Row, value: float, digits: int = 3) -> str:
+    """Return a number: p with significant `digits`, a success with three decimals, a return with none."""
+    if digits == 2:
+        return "<0.001" if value < 0.001 else f"{value:.2g}"
+    return f"{value:.0f}" if row["env"] == CHEETAH else f"{value:.3f}"
+
+
+def _interval(row: Row, *names: str) -> str:
+    value, low, high = (_number(row, row[name]) for name in names)
+    return f"{value} [{low}, {high}]"
+
+
+def write_tables() -> None:
+    """Write the tests and the table in docs/results.md."""
+    rows = comparisons()
+    write(rows, ROOT / "pairs.csv")
+    (ROOT / "pairs.md").write_text(f"{table_text(rows)}\n")
+    page = PAGES / "docs" / "results.md"
+    page.write_text(with_table(page.read_text(), table(rows, cells()), *MARKS))
+
+
+def main() -> None:
+    """Write everything and print the tests."""
+    write_tables()
+    print((ROOT / "pairs.md").read_text())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""The table of the ten differences follows from the runs, and says what was not run."""
+
+import jax
+import numpy as np
+import pytest
+
+from benchmarks import differences, uniform_starts
+from benchmarks.paper_cells import PAGES, cells, with_table
+from benchmarks.starts import within
+from earl_jax.metrics.comparison import holm, permutation
+from tests.report.run_files import DOOR, constant, write_run
+
+NEAREST = {"nearest_fallback": True, "unmet_goals": True}
+VARIANT = f"{DOOR}/vaprl/nearest_fallback-unmet_goals"
+RNG = np.random.default_rng(0)
+TWO = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.1, 0.3, 5)}
+ONE = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.7, 0.9, 5)}
+
+
+@pytest.fixture
+def no_starts(tmp_path):
+    """A file of successes from uniform starts without any."""
+    file = tmp_path / "seeds.csv"
+    file.write_text("run,seed," + ",".join(uniform_starts.KINDS) + "\n")
+    return file
+
+
+def lines(rows, own_cells=()):
+    """Return the cells of the table's lines, of which the first is `#`."""
+    text = differences.table(rows, list(own_cells)).splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in text]
+
+
+def test_the_tables_in_the_docs_are_those_of_the_runs():
+    page = (PAGES / "docs" / "results.md").read_text()
+    table = differences.table(differences.comparisons(), cells())
+    assert with_table(page, table, *differences.MARKS) == page, "run python -m benchmarks.differences"
+    starts = uniform_starts.table(uniform_starts.read_seeds())
+    assert with_table(page, starts, *uniform_starts.MARKS) == page, "run python -m benchmarks.uniform_starts"
+    kept = (differences.ROOT / "pairs.md").read_text()
+    assert kept == f"{differences.table_text(differences.comparisons())}\n"
+
+
+def test_without_runs_every_difference_is_not_run(tmp_path, no_starts):
+    rows = differences.comparisons(tmp_path, no_starts)
+    assert rows == []
+    table = lines(rows)
+    assert {line[-1] for line in table} == {"not run"}
+    assert "".join(f"{line[0]}, " for line in table) == "1, 2, 3, 4, 5, 6, 7, 8, 9, 10, "
+
+
+def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
+    scores, others = np.linspace(0.0, 0.2, 6), np.linspace(0.6, 1.0, 6)
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*scores))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*others), **NEAREST)
+    [row] = differences.comparisons(tmp_path, no_starts)
+    expected = permutation(scores, others)
+    assert (row["number"], row["difference"], row["p"]) == ("5, 6", pytest.approx(-0.7), expected.p)
+    [line] = [line for line in lines([row]) if line[-1] != "not run"]
+    assert line[0] == "5, 6"
+    assert line[-1] == "the first is below"
+    assert line[-2] == "0.0022"
+
+
+def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts):
+    first, more = (f"{differences.PEG}/oracle", f"{differences.PEG}/oracle/seeds_5_to_14")
+    write_run(tmp_path / first, differences.PEG, "oracle", RNG.random((5, 6)))
+    write_run(tmp_path / more, differences.PEG, "oracle", RNG.random((10, 3)), seeds=range(5, 15))
+    write_run(tmp_path / first / "layer_norm", differences.PEG, "oracle", RNG.random((4, 4)), layer_norm=True)
+    write_run(tmp_path / first / "reward_scale_1", differences.PEG, "oracle", RNG.random((4, 5)), reward_scale=1.0)
+    scale, norm = differences.comparisons(tmp_path, no_starts)
+    assert (scale["seeds"], scale["steps"]) == (5, 50)
+    assert (norm["seeds"], norm["other_seeds"], norm["steps"]) == (15, 4, 30)
+    assert [scale["p_holm"], norm["p_holm"]] == pytest.approx(holm([scale["p"], norm["p"]]))
+
+
+def test_one_controller_is_tested_from_uniform_starts():
+    success, loss = differences.starts_rows({"fbrl": TWO, "fbrl/controllers_1": ONE})
+    assert success["difference"] == pytest.approx(-0.6)
+    assert loss["difference"] == pytest.approx(0.6)
+    assert success["p"] == loss["p"] == pytest.approx(2 / 252)
+    assert differences.starts_rows({"fbrl": TWO}) == []
+
+
+def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(tmp_path, monkeypatch):
+    """R3L's five policies succeed from nearly all starts, those of a run that was cut are left out."""
+    monkeypatch.setattr(uniform_starts, "KINDS", {"initial": None, "within_2.5": 2.5})
+    kept = differences.ROOT / differences.TABLETOP / "r3l"
+    for name in ("config.json", "metrics.csv", "policies.npz"):
+        for copy, lines in (("r3l", None), ("cut", 101)):
+            (tmp_path / copy).mkdir(exist_ok=True)
+            data = (kept / name).read_bytes()
+            (tmp_path / copy / name).write_bytes(
+                b"".join(data.splitlines(True)[:lines]) if name == "metrics.csv" else data
+            )
+    rows = uniform_starts.evaluate(tmp_path, episodes=4)
+    assert [(row["run"], row["seed"]) for row in rows] == [("r3l", seed) for seed in range(5)]
+    for kind in uniform_starts.KINDS:
+        assert np.mean([row[kind] for row in rows]) > 0.7
+    known = [{**row, "initial": "0.5"} for row in rows]
+    assert uniform_starts.evaluate(tmp_path, known=known) == known
+
+
+def test_uniform_starts_fill_their_square(env):
+    obs = np.asarray(jax.vmap(within(env, 2.5))(jax.random.split(jax.random.key(0), 500)).obs[:, :4])
+    assert np.abs(obs).max() <= 2.5
+    assert (np.abs(obs).max(axis=0) > 2.4).all()
