@@ -51,6 +51,10 @@ class Method(struct.PyTreeNode):
     ones."""
     refresh_every: ClassVar[int] = 0
     """Steps between calls of `refresh`; 0 for never."""
+    explore_hold: ClassVar[int] = 10
+    """Steps for which a random action of `explores` is held."""
+    later_steps: ClassVar[int] = 0
+    """Mean number of steps to the states `later` that `relabel` receives; 0 for none."""
     own_rows: ClassVar[int] = 0
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
 
@@ -113,6 +117,16 @@ class Method(struct.PyTreeNode):
         `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
         """
         del key, env, agent, obs, phase, phase_step, method_state
+        return False
+
+    def explores(
+        self, key: jax.Array, env: Env, phase: jax.Array, phase_step: jax.Array, method_state: Any
+    ) -> jax.Array | bool:
+        """Return whether this step's action is uniformly random instead of the policy's; never by default.
+
+        `key` and the random action stay the same for `explore_hold` steps, so that the exploration gets somewhere.
+        """
+        del key, env, phase, phase_step, method_state
         return False
 
     def next_goal(

@@ -54,6 +54,10 @@ class MixedMethod(Method):
         return self.members[0].demo_directions
 
     @property
+    def later_steps(self) -> int:
+        return self.members[0].later_steps
+
+    @property
     def resets(self) -> jax.Array:
         return self._select(lambda member: member.resets)
 
@@ -95,6 +99,13 @@ class MixedMethod(Method):
     ) -> jax.Array:
         return self._select(lambda member: member.switches(key, env, agent, obs, phase, phase_step, method_state))
 
+    def explores(
+        self, key: jax.Array, env: Env, phase: jax.Array, phase_step: jax.Array, method_state: Any
+    ) -> jax.Array | bool:
+        if all(type(member).explores is Method.explores for member in self.members):
+            return False
+        return self._select(lambda member: member.explores(key, env, phase, phase_step, method_state))
+
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
@@ -122,6 +133,7 @@ def program_signature(method: Method) -> Hashable:
     if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in UNSHARED_HOOKS):
         return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
+    shapes = *shapes, method.later_steps
     return jax.tree.structure(method.sac), shapes, method_class.demo_copies
 
 

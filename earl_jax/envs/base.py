@@ -12,6 +12,7 @@ import numpy as np
 from earl_jax import options
 from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrated import Demonstrated
+from earl_jax.envs.relabelling import Relabelled
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
@@ -20,7 +21,7 @@ REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
-class Env(Demonstrated, Conventions, abc.ABC):
+class Env(Demonstrated, Relabelled, Conventions, abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
     Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie

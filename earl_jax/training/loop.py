@@ -41,7 +41,7 @@ def train_step(
     """
     lanes = state.lanes
     controller = controller_of(method, lanes.phase)
-    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore))
+    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore, state.step))
     action, pending = act(method, lanes, keys.act)
     if explore is not True:
         if pending.ticket is not None:  # the host starts before the device draws a batch and learns
@@ -67,6 +67,9 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     demo_share = jnp.asarray(method.sac.demo_share)
     size = method.sac.batch_size * method.sac.utd
     batch = replay_lib.sample(state.replay, keys, controller, size, demo_share)
+    if method.later_steps:
+        later_keys = jax.vmap(lambda key: jax.random.fold_in(key, 1))(keys)
+        batch = batch._replace(later=replay_lib.later_states(state.replay, later_keys, batch.row, method.later_steps))
     return _read_before_write(state, batch)
 
 
@@ -86,10 +89,14 @@ def _read_before_write(state: TrainState, batch: TransitionBatch) -> tuple[Train
 
 @jax.named_scope("act")
 def act_and_start(
-    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore
+    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore, step: jax.Array
 ) -> tuple[jax.Array, PendingStep]:
     """Return the action [a] of one lane, uniform with `explore`, and the control step that it starts."""
     action = _act(problem, method, lane, key, explore)
+    if explore is not True:
+        held = jax.random.fold_in(jax.random.fold_in(lane.key, step // method.explore_hold), 3)
+        own = method.explores(held, problem.env, lane.phase, lane.phase_step, lane.method_state)
+        action = action if own is False else jnp.where(own, _act(problem, method, lane, held, True), action)
     return action, problem.env.start_step(lane.env_state, action)
 
 
@@ -236,7 +243,7 @@ def update(
     env, goals, table = problem.env, problem.goals, jnp.asarray(problem.goals.table)
     sampled = sampled._replace(demonstrated=sampled.row < first_row)
     sampled = method.relabel(keys.relabel, env, goals, sampled, phase)
-    goal = table[sampled.flags.goal]
+    goal = table[sampled.flags.goal] if sampled.goal is None else sampled.goal
     batch = sac.Batch(
         obs=jnp.concatenate([sampled.state, goal], axis=-1),
         action=sampled.action,

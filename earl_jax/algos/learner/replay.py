@@ -48,7 +48,9 @@ class Transition(NamedTuple):
 class TransitionBatch(NamedTuple):
     """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
 
-    `demonstrated [N, B]`, bool, marks demonstrations in the hooks of a method.
+    In the hooks of a method, `demonstrated [N, B]`, bool, marks demonstrations, and `later [N, B, s]` are states of the
+    same lane some steps later, for methods with `later_steps`. `goal [N, B, g]` replaces the goals of `flags`, which are
+    indices, where a method learns from others.
     """
 
     row: jax.Array
@@ -58,6 +60,8 @@ class TransitionBatch(NamedTuple):
     reward: jax.Array
     flags: TransitionFlags
     demonstrated: jax.Array | None = None
+    later: jax.Array | None = None
+    goal: jax.Array | None = None
 
 
 class Replay(struct.PyTreeNode):
@@ -218,6 +222,22 @@ def _read(replay: Replay, rows: jax.Array) -> TransitionBatch:
     state, action = replay.state[rows, lanes], replay.action[rows, lanes]
     following = replay.state[replay.successor(rows), lanes]
     return TransitionBatch(rows, state, action, following, reward, flags)
+
+
+def later_states(replay: Replay, keys: jax.Array, rows: jax.Array, mean_steps: float) -> jax.Array:
+    """Return states [N, B, s] that followed those of `rows [N, B]`, a geometric number of steps later, 1 or more.
+
+    Where that is after the newest state, or after the last demonstrated one, they are these. They can lie behind a
+    reset, and behind the end of a demonstration: any state is a goal.
+    """
+    draw = jax.vmap(lambda key: jax.random.geometric(key, 1.0 / mean_steps, rows.shape[1:]))
+    first, size = replay.first_row, replay.capacity - replay.first_row
+    own = rows >= first
+    most = jnp.where(own, (replay.row - rows) % size if replay.evicts else replay.row - rows, first - 1 - rows)
+    following = rows + jnp.minimum(draw(keys), most)
+    if replay.evicts:
+        following = jnp.where(own, first + (following - first) % size, following)
+    return replay.state[following, jnp.arange(len(rows))[:, None]]
 
 
 def _draw(key: jax.Array, count: jax.Array, demos: jax.Array, demo_share: jax.Array, size: int) -> jax.Array:

@@ -26,6 +26,13 @@ RADIUS = 0.05
 NEAREST, WIDEST = 0.335, 0.64
 """Metres: if the middle of the peg has a smaller y or a larger |x|, a hand inside its range cannot touch it or can only
 push it further away: docs/irreversible.md."""
+BEHIND, BESIDE = -0.15, 0.18
+"""Metres: neither peg nor hand can touch the block if their x is larger, or their |y - 0.6| is."""
+FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87], np.float32)
+"""x, y [m] of the heads to which a translation moves the peg: where the hand can lift most of them
+(benchmarks/peg_reach.py)."""
+HAND_FREE_LOW, HAND_FREE_HIGH = np.array([-0.45, 0.42], np.float32), np.array([0.48, 0.88], np.float32)
+"""x, y [m] of the hand at which neither the end of its range nor that of the arm's reach slows it."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -163,6 +170,19 @@ class SawyerPeg(Sawyer):
         """Return whether the peg is off the table (a `fault`: its middle is past an edge) or out of reach."""
         middle = state.obs[self.state_size - 3 : self.state_size] - HEAD
         return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
+
+    def translation(self, key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
+        """Return a vector [s] that moves hand and peg alike across the table, clear of the block."""
+        head = jax.random.uniform(key, (2,), minval=FREE_LOW, maxval=FREE_HIGH)
+        offset = head - state[-3:-1]
+        both = jnp.stack([state, next_state])
+        points = jnp.stack([both[:, :2], both[:, -3:-1]])
+        points = jnp.concatenate([points, points + offset])
+        clear = (points[..., 0] > BEHIND) | (jnp.abs(points[..., 1] - BLOCK[1]) > BESIDE)
+        hands = points[::2]
+        within = ((hands > HAND_FREE_LOW) & (hands < HAND_FREE_HIGH)).all()
+        moved = jnp.zeros_like(state).at[:2].set(offset).at[-3:-1].set(offset)
+        return jnp.where(clear.all() & within, moved, 0.0)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
