@@ -1,4 +1,4 @@
-"""CFBRL: forward-backward RL of one agent that is cloned before its first step, and learns from moved transitions."""
+"""CFBRL: forward-backward RL of one agent that is cloned before its first step and learns from moved transitions."""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -18,11 +18,11 @@ from earl_jax.envs.state import tree_where
 from earl_jax.options import within
 
 COPIES = 16
-"""Transformed copies of each demonstrated step that the cloning before the first step draws from."""
+"""Transformed copies of each demonstrated step from which the cloning before the first step draws."""
 
 
 class Steps(NamedTuple):
-    """Steps to transform: `state, next_state, later [B, s]`, where `later` is one of the states after them, `goal [B, g]`."""
+    """Steps to transform: `state, next_state, later [B, s]`, `later` being a state after them, and `goal [B, g]`."""
 
     state: jax.Array
     next_state: jax.Array
@@ -31,7 +31,20 @@ class Steps(NamedTuple):
 
 
 class CFBRL(RISC):
-    """Clone both directions, then live as RISC does, with hindsight goals and transitions moved to other places."""
+    """Clone both directions before the first step, then alternate phases as FBRL does, with one goal-conditioned agent.
+
+    The actor starts as `BC` does, with little noise, and keeps a cloning term. For `warmup` steps only the critics
+    learn. Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the object in a
+    later state as the goal; and moved to another place of the workspace, where the dynamics are the same. The cloning
+    uses the second form too, and the third together with it, since then the action keeps its meaning. A phase that
+    lasts longer than `patience` is stuck: from then on, blocks of steps take a random action that is held.
+
+    Source: this project, 2026. The parts are known: the cloning term (Rajeswaran et al. 2018, DAPG), hindsight goals
+    (Andrychowicz et al. 2017, HER), moved transitions (Lin et al. 2020, "Invariant Transform Experience Replay"), half of
+    each batch from demonstrations, normalised layers and bootstrapped time-outs (Ball et al. 2023; Patil et al. 2024).
+    `Env.translation` is knowledge of the task that no method of the paper has; `translated=0` omits it. Switching is
+    RISC's, and off by default.
+    """
 
     sac: SAC = SAC(
         timeout_bootstrap=True,
@@ -40,21 +53,20 @@ class CFBRL(RISC):
         random_steps=0,
         initial_temperature=0.1,
         entropy_per_action=-1.0,
-        pretrain_steps=4000,
+        pretrain_steps=6000,
         pretrain_log_std=-3.0,
         cloning=3.0,
         cloning_final=0.3,
         cloning_steps=500_000,
     )
-    switch_share: float = struct.field(default=1.0, metadata=within("[0, 1]"))
+    switching: bool = struct.field(pytree_node=False, default=False)
+    """Whether phases end early as in RISC."""
     hindsight: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of a batch whose goal is the place of the object in a later state."""
     translated: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of a batch that is moved by `Env.translation`, where it can be."""
-
     warmup: float = struct.field(default=20_000.0, metadata=within("[0, 1000000000]"))
-    """Steps at the start of a lifetime in which the critics learn, and actor and temperature stay as cloned."""
-
+    """Steps at the start of a lifetime in which actor and temperature stay as cloned."""
     patience: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of H_E after which a phase explores."""
     exploration: float = struct.field(default=0.5, metadata=within("[0, 1]"))
@@ -62,45 +74,6 @@ class CFBRL(RISC):
 
     name: ClassVar[str] = "cfbrl"
     later_steps: ClassVar[int] = 50
-
-    def relabel(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
-    ) -> TransitionBatch:
-        assert batch.later is not None
-        assert batch.demonstrated is not None
-        goal = jnp.asarray(goals.table)[batch.flags.goal]
-        steps, changed, to_clone = self.transform(
-            key, env, Steps(batch.state, batch.next_state, batch.later, goal), ~batch.flags.no_successor
-        )
-        obs = jnp.concatenate([steps.next_state, steps.goal], axis=-1)
-        return batch._replace(
-            state=steps.state,
-            next_state=steps.next_state,
-            goal=steps.goal,
-            reward=jnp.where(changed, env.reward(obs), batch.reward),
-            flags=batch.flags._replace(reached=jnp.where(changed, env.success(obs) & env.sparse, batch.flags.reached)),
-            demonstrated=batch.demonstrated & to_clone,
-        )
-
-    def transform(
-        self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array
-    ) -> tuple[Steps, jax.Array, jax.Array]:
-        """Return `steps` with hindsight goals and translations where `allowed [B]`, which of them changed, and which
-        keep the meaning of their action as a demonstration."""
-        hindsight_key, translated_key, offset_key = jax.random.split(key, 3)
-        count = allowed.shape
-        achieved = env.goal_from(steps.later) is not None
-        hindsight = jax.random.bernoulli(hindsight_key, self.hindsight, count) & allowed & achieved & env.sparse
-        offset = jax.vmap(env.translation)(jax.random.split(offset_key, len(allowed)), steps.state, steps.next_state)
-        offset = jnp.zeros_like(steps.state) if offset is None else offset
-        moved = jax.random.bernoulli(translated_key, self.translated, count) & allowed & env.sparse
-        moved &= (offset != 0).any(axis=-1)
-        offset = jnp.where(moved[:, None], offset, 0.0)
-        state, later = steps.state + offset, steps.later + offset
-        goal = jnp.where(hindsight[:, None], env.goal_from(later), steps.goal) if achieved else steps.goal
-        ahead = ~env.success(jnp.concatenate([state, goal], axis=-1))
-        to_clone = jnp.where(hindsight, ahead, ~moved)
-        return Steps(state, steps.next_state + offset, later, goal), hindsight | moved, to_clone
 
     def explores(
         self, key: jax.Array, env: Env, phase: jax.Array, phase_step: jax.Array, method_state: Any
@@ -111,43 +84,86 @@ class CFBRL(RISC):
     def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
         updated, diagnostics = super().update_agent(key, agent, batch)
         assert batch.step is not None
-        kept = updated.replace(
+        critics_only = updated.replace(
             actor=agent.actor,
             log_temperature=agent.log_temperature,
             moments={**agent.moments, "critics": updated.moments["critics"]},
         )
-        return tree_where(batch.step < self.warmup, kept, updated), diagnostics
+        return tree_where(batch.step < self.warmup, critics_only, updated), diagnostics
+
+    def relabel(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    ) -> TransitionBatch:
+        """Return `batch` with some goals and places replaced, and `demonstrated` where the action is still to clone."""
+        if not env.sparse:
+            return batch
+        assert batch.later is not None
+        assert batch.demonstrated is not None
+        goal = jnp.asarray(goals.table)[batch.flags.goal]
+        steps = Steps(batch.state, batch.next_state, batch.later, goal)
+        steps, changed, to_clone = self.transform(key, env, steps, ~batch.flags.no_successor)
+        reached = env.success(jnp.concatenate([steps.next_state, steps.goal], axis=-1))
+        return batch._replace(
+            state=steps.state,
+            next_state=steps.next_state,
+            goal=steps.goal,
+            reward=jnp.where(changed, reached.astype(batch.reward.dtype), batch.reward),
+            flags=batch.flags._replace(reached=jnp.where(changed, reached, batch.flags.reached)),
+            demonstrated=batch.demonstrated & to_clone,
+        )
+
+    def transform(
+        self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array
+    ) -> tuple[Steps, jax.Array, jax.Array]:
+        """Return `steps [B]` of which some of the `allowed [B]` have hindsight goals, are moved, or both.
+
+        Also returns the changed ones, bool [B], and those whose action a demonstrator could have taken, bool [B]: not
+        the moved ones that keep their goal, nor those that have reached their hindsight goal already.
+        """
+        goal_key, place_key, offset_key = jax.random.split(key, 3)
+        hindsight = jnp.zeros_like(allowed)
+        if env.goal_from(steps.later) is not None:
+            hindsight = allowed & jax.random.bernoulli(goal_key, self.hindsight, allowed.shape)
+        moved = allowed & jax.random.bernoulli(place_key, self.translated, allowed.shape)
+        offset = _offsets(offset_key, env, steps, moved)
+        moved = (offset != 0).any(axis=-1)
+        state, following, later = (part + offset for part in steps[:3])
+        achieved = env.goal_from(later)
+        goal = steps.goal if achieved is None else jnp.where(hindsight[:, None], achieved, steps.goal)
+        ahead = ~env.success(jnp.concatenate([state, goal], axis=-1))
+        return Steps(state, following, later, goal), hindsight | moved, jnp.where(hindsight, ahead, ~moved)
 
     def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
-        if demos is not None and self.sac.pretrain_steps:
-            demos = self.transformed_demos(jax.random.fold_in(key, 1), env, demos)
+        if demos is not None and self.sac.pretrain_steps and env.sparse:
+            demos = self.transformed_demos(jax.random.fold_in(key, 1), env)
         return super().pretrain(key, env, agent, demos)
 
-    def transformed_demos(self, key: jax.Array, env: Env, demos: Demonstrations) -> Demonstrations:
-        """Return `demos` as often as copies of them that are transformed where they can be cloned."""
-        rows, actions, last, states = _demo_steps(env, self.directions(env))
-        index, ends = np.tile(np.arange(len(rows.state)), COPIES), np.tile(last, COPIES)
+    def transformed_demos(self, key: jax.Array, env: Env) -> Demonstrations:
+        """Return `COPIES` of each demonstrated step, transformed where their action can be cloned, else as they are."""
+        original, actions, last = _demonstrated(env, self.directions(env))
+        index = np.tile(np.arange(len(actions)), COPIES)
         later_key, transform_key = jax.random.split(key)
-        draw = jax.random.uniform(later_key, index.shape)
-        later = states[index + jnp.floor(draw * (ends - index + 1)).astype(jnp.int32)]
-        steps = Steps(rows.state[index], rows.next_state[index], later, rows.goal[index])
+        draw = jax.random.uniform(later_key, index.shape) * (last[index] - index + 1)
+        steps = jax.tree.map(lambda part: part[index], original)
+        steps = steps._replace(later=original.next_state[index + jnp.floor(draw).astype(jnp.int32)])
         new, _, to_clone = self.transform(transform_key, env, steps, jnp.ones(len(index), bool))
-        kept = to_clone[:, None]
-        obs = jnp.where(
-            kept,
-            jnp.concatenate([new.state, new.goal], axis=-1),
-            jnp.concatenate([steps.state, steps.goal], axis=-1),
-        )
-        return Demonstrations(obs, actions[index], np.zeros(len(index), int))
+        obs = [jnp.concatenate([part.state, part.goal], axis=-1) for part in (new, steps)]
+        return Demonstrations(jnp.where(to_clone[:, None], *obs), actions[index], np.zeros(len(index), int))
 
 
-def _demo_steps(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndarray, np.ndarray, jax.Array]:
-    """Return all demonstrated steps, their actions, the index of the last step of each one's demonstration, and the
-    states after them."""
+def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Array:
+    """Return a translation [B, s] of each of the `moved` steps, and 0 for the others and without translations."""
+    offset = jax.vmap(env.translation)(jax.random.split(key, len(moved)), steps.state, steps.next_state)
+    return jnp.zeros_like(steps.state) if offset is None else jnp.where(moved[:, None], offset, 0.0)
+
+
+def _demonstrated(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndarray, np.ndarray]:
+    """Return all demonstrated steps, their actions [T, a], and for each the last step of its demonstration, [T]."""
     parts = [env.demos(direction) for direction in directions]
-    ends = np.flatnonzero(np.concatenate([part.ends for part in parts]))
-    fields = [np.concatenate([getattr(part, name) for part in parts]) for name in ("states", "next_states", "goals")]
-    actions = np.concatenate([part.actions for part in parts])
-    last = ends[np.searchsorted(ends, np.arange(len(actions)))]
-    state, following, goal = map(jnp.asarray, fields)
-    return Steps(state, following, following, goal), actions, last, following
+    states, following, goals, actions, ends = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("states", "next_states", "goals", "actions", "ends")
+    )
+    last = np.flatnonzero(ends)
+    last = last[np.searchsorted(last, np.arange(len(ends)))]
+    return Steps(*map(jnp.asarray, (states, following, following, goals))), actions, last

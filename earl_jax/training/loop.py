@@ -64,12 +64,8 @@ def train_step(
 def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainState, TransitionBatch]:
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     controller = controller_of(method, state.lanes.phase)
-    demo_share = jnp.asarray(method.sac.demo_share)
-    size = method.sac.batch_size * method.sac.utd
-    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share)
-    if method.later_steps:
-        later_keys = jax.vmap(lambda key: jax.random.fold_in(key, 1))(keys)
-        batch = batch._replace(later=replay_lib.later_states(state.replay, later_keys, batch.row, method.later_steps))
+    demo_share, size = jnp.asarray(method.sac.demo_share), method.sac.batch_size * method.sac.utd
+    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps)
     return _read_before_write(state, batch)
 
 
@@ -91,12 +87,12 @@ def _read_before_write(state: TrainState, batch: TransitionBatch) -> tuple[Train
 def act_and_start(
     problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore, step: jax.Array
 ) -> tuple[jax.Array, PendingStep]:
-    """Return the action [a] of one lane, uniform with `explore`, and the control step that it starts."""
+    """Return the action [a] of one lane, uniform with `explore` or by the method's own word, and the step that it starts."""
+    held = jax.random.fold_in(jax.random.fold_in(lane.key, step // method.explore_hold), 3)
+    own = explore is not True and method.explores(held, problem.env, lane.phase, lane.phase_step, lane.method_state)
     action = _act(problem, method, lane, key, explore)
-    if explore is not True:
-        held = jax.random.fold_in(jax.random.fold_in(lane.key, step // method.explore_hold), 3)
-        own = method.explores(held, problem.env, lane.phase, lane.phase_step, lane.method_state)
-        action = action if own is False else jnp.where(own, _act(problem, method, lane, held, True), action)
+    if own is not False:
+        action = jnp.where(own, _act(problem, method, lane, held, True), action)
     return action, problem.env.start_step(lane.env_state, action)
 
 

@@ -188,18 +188,24 @@ def _without_row(replay: Replay, row: jax.Array) -> Replay:
 
 
 @jax.named_scope("sample")
-def sample(replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array) -> TransitionBatch:
+def sample(
+    replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array, later_steps: float = 0
+) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
     A share `demo_share [N]` is drawn from the demonstrations alone. At the first step of a controller without listed
     transitions, it samples those of the other one. A lane's draw depends only on its own key and counts, not on the
-    number of lanes.
+    number of lanes. With `later_steps`, the batch has states `later` that many steps later on average.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
     listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
-    return _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
+    batch = _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
+    if not later_steps:
+        return batch
+    later_keys = jax.vmap(lambda key: jax.random.fold_in(key, 1))(keys)
+    return batch._replace(later=later_states(replay, later_keys, batch.row, later_steps))
 
 
 def sample_own(replay: Replay, keys: jax.Array, controller: int, size: int) -> TransitionBatch:

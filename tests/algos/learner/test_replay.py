@@ -178,3 +178,25 @@ def test_no_step_copies_the_buffer(problem, capacity):
     assert buffer_bytes > (10_000_000 if capacity is None else 8_000_000)
     assert memory.temp_size_in_bytes < buffer_bytes / 10
     assert memory.alias_size_in_bytes > buffer_bytes
+
+
+@pytest.mark.parametrize("evicts", [False, True])
+def test_later_states_are_some_steps_after_the_sampled_ones(evicts):
+    demos, own, capacity = 5, 30, 40 if not evicts else 25
+    buffer = replay.create(capacity, 1, 1, 1, sparse=True, slots=capacity if evicts else None)
+    buffer = buffer.replace(
+        state=buffer.state.at[:demos, 0, 0].set(jnp.arange(demos) - 100.0),
+        row=jnp.asarray(demos),
+        first_row=jnp.asarray(demos),
+    )
+    for number in range(own):
+        flags = TransitionFlags(*jnp.zeros((5, 1), jnp.int32))
+        step = Transition(jnp.zeros((1, 1)), jnp.full((1, 1), number + 1.0), jnp.zeros(1), flags)
+        buffer = replay.write(buffer, step, jnp.ones(1, bool), jnp.zeros(1, jnp.int32))
+    newest = buffer.row - 1 if int(buffer.row) > demos else jnp.asarray(capacity - 1)
+    rows = jnp.concatenate([jnp.full(2000, newest - 4), jnp.full(2000, 1)])[None]
+    later = replay.later_states(buffer, jax.random.split(jax.random.key(0), 1), rows, 3.0)[0, :, 0]
+    ahead = later[:2000] - buffer.state[newest - 4, 0, 0]
+    assert set(np.unique(ahead)) == {1, 2, 3, 4, 5}
+    np.testing.assert_allclose((ahead == 1).mean(), 1 / 3, atol=0.05)
+    assert set(np.unique(later[2000:])) == {-98, -97, -96}, "a demonstrated state stays among the demonstrations"

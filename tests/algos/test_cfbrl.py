@@ -1,0 +1,167 @@
+"""CFBRL: hindsight goals, moved transitions, what of them is cloned, the warm-up, and exploration of stuck phases."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.algos import make_algo
+from earl_jax.algos.cfbrl import COPIES, Steps
+from earl_jax.algos.goals import goal_table
+from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
+from earl_jax.algos.method import TASK
+from earl_jax.envs import make
+from earl_jax.training.demo_rows import demonstrations
+from tests.conftest import advance, make_problem, make_train_state, run_whole, tiny_method, tiny_train
+
+KEY = jax.random.key(3)
+PEG = make("sawyer_peg")
+HEAD = slice(4, 7)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Return the demonstrated forward steps of the peg, whose later states are 20 steps ahead or the last one."""
+    demos = PEG.demos("forward")
+    last = np.flatnonzero(demos.ends)
+    end = last[np.searchsorted(last, np.arange(len(demos.ends)))]
+    later = demos.next_states[np.minimum(np.arange(len(end)) + 20, end)]
+    return Steps(*map(jnp.asarray, (demos.states, demos.next_states, later, demos.goals)))
+
+
+def transformed(rows, allowed=True, **shares):
+    method = make_algo("cfbrl", **{"hindsight": 0.0, "translated": 0.0, **shares})
+    transform = jax.jit(lambda steps: method.transform(KEY, PEG, steps, jnp.full(len(steps.state), allowed)))
+    return transform(rows)
+
+
+def distance(first, second):
+    return np.linalg.norm(np.asarray(first)[:, HEAD] - np.asarray(second)[:, HEAD], axis=1)
+
+
+def test_without_shares_and_where_it_is_not_allowed_nothing_changes(rows):
+    for steps, changed, to_clone in (transformed(rows), transformed(rows, False, hindsight=1.0, translated=1.0)):
+        assert not changed.any()
+        assert to_clone.all()
+        for new, old in zip(steps[:2], rows[:2], strict=True):
+            np.testing.assert_array_equal(new, old)
+        np.testing.assert_array_equal(steps.goal, rows.goal)
+
+
+def test_a_hindsight_goal_is_the_object_of_a_later_state(rows):
+    steps, changed, to_clone = transformed(rows, hindsight=1.0)
+    assert changed.all()
+    np.testing.assert_allclose(distance(steps.goal, rows.later), 0.0, atol=1e-7)
+    np.testing.assert_array_equal(steps.goal[:, :4], np.broadcast_to(PEG.goal_states[0, :4], (len(steps.goal), 4)))
+    ahead = distance(rows.state, rows.later) > 0.05
+    assert 0.1 < ahead.mean() < 0.9
+    np.testing.assert_array_equal(to_clone, ahead)
+
+
+def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block(rows):
+    steps, changed, to_clone = transformed(rows, translated=1.0)
+    offset = np.asarray(steps.state - rows.state)
+    np.testing.assert_allclose(offset[:, :2], offset[:, 4:6], atol=1e-6)
+    np.testing.assert_allclose(steps.next_state - rows.next_state, offset, atol=1e-6)
+    np.testing.assert_array_equal(np.delete(offset, [0, 1, 4, 5], axis=1), 0.0)
+    np.testing.assert_array_equal(changed, (offset != 0).any(axis=1))
+    assert 0.2 < changed.mean() < 0.9
+    heads = np.concatenate([steps.state, steps.next_state])[np.tile(changed, 2)][:, HEAD]
+    assert not ((heads[:, 0] < -0.15) & (np.abs(heads[:, 1] - 0.6) < 0.18)).any()
+    inserted = np.asarray(rows.next_state)[:, 4] < -0.2
+    assert inserted.any()
+    assert not changed[inserted].any(), "the block takes part in an insertion"
+    np.testing.assert_array_equal(to_clone, ~changed)
+
+
+def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
+    keys = jax.random.split(KEY, 400)
+    starts = jax.vmap(env.reset_uniform)(keys)
+    actions = jax.random.uniform(KEY, (400, 3), minval=-1.0)
+    step = jax.jit(jax.vmap(env.step))
+    states, following = starts.obs[:, :6], step(starts, actions).obs[:, :6]
+    offset = jax.vmap(env.translation)(keys, states, following)
+    moved = jax.vmap(env.state_from_demo)(states + offset, starts.info["goal"])
+    np.testing.assert_allclose(step(moved, actions).obs[:, :6], following + offset, atol=1e-5)
+    assert 0.1 < (offset != 0).any(axis=1).mean() < 0.9
+    at_wall = (jnp.abs(following[:, :4]) >= 2.8).any(axis=1)
+    assert at_wall.any()
+    assert not (offset[at_wall] != 0).any()
+
+
+def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal(rows):
+    method, goals = make_algo("cfbrl", hindsight=0.7, translated=0.7), goal_table(PEG)
+    size = len(rows.state)
+    no = jnp.zeros(size, bool)
+    batch = TransitionBatch(
+        row=jnp.arange(size),
+        state=rows.state,
+        action=jnp.zeros((size, 4)),
+        next_state=rows.next_state,
+        reward=jnp.zeros(size),
+        flags=TransitionFlags(jnp.zeros(size, int), no, no, jnp.arange(size) % 5 == 0, no),
+        demonstrated=jnp.arange(size) % 2 == 0,
+        later=rows.later,
+    )
+    new = jax.jit(lambda batch: method.relabel(KEY, PEG, goals, batch, jnp.asarray(TASK)))(batch)
+    reached = PEG.success(jnp.concatenate([new.next_state, new.goal], axis=-1))
+    changed = (new.goal != jnp.asarray(goals.table)[0]).any(axis=1)
+    assert (reached & changed).any()
+    np.testing.assert_array_equal(new.reward[changed], reached[changed])
+    np.testing.assert_array_equal(new.flags.reached[changed], reached[changed])
+    kept = np.arange(size) % 5 == 0
+    np.testing.assert_array_equal(new.state[kept], batch.state[kept])
+    assert not changed[kept].any()
+    assert not new.demonstrated[1::2].any()
+    assert 0 < new.demonstrated.sum() < batch.demonstrated.sum()
+    dense = dataclasses.replace(PEG, reward_type="dense")
+    assert method.relabel(KEY, dense, goals, batch, jnp.asarray(TASK)) is batch
+
+
+def test_the_cloning_draws_from_transformed_demonstrations():
+    method = make_algo("cfbrl", hindsight=0.5, translated=0.5)
+    plain = demonstrations(make_problem(PEG), method)
+    demos = jax.jit(lambda: method.transformed_demos(KEY, PEG).obs)()
+    assert demos.shape == (COPIES * len(plain.obs), 14)
+    same = (np.asarray(demos) == np.tile(plain.obs, (COPIES, 1))).all(axis=1)
+    assert 0.5 < same.mean() < 0.95
+    actions = method.transformed_demos(KEY, PEG).action
+    np.testing.assert_array_equal(actions, np.tile(plain.action, (COPIES, 1)))
+
+
+def test_only_the_critics_learn_in_the_warmup(problem):
+    method = tiny_method("cfbrl", pretrain_steps=0, warmup=[4.0, 0.0], hindsight=0.0)
+    start = make_train_state(problem, method, [0, 1])
+    end = advance(problem, method, start, 4)
+    for lane, learns in ((0, False), (1, True)):
+        actors = [jax.tree.leaves(jax.tree.map(lambda leaf: leaf[lane], s.lanes.agent.actor)) for s in (start, end)]  # noqa: B023
+        assert any((old != new).any() for old, new in zip(*actors, strict=True)) == learns
+        temperatures = [s.lanes.agent.log_temperature[lane, 0] for s in (start, end)]
+        assert (temperatures[0] != temperatures[1]) == learns
+        critics = [jax.tree.leaves(s.lanes.agent.critics)[-1][lane] for s in (start, end)]
+        assert (critics[0] != critics[1]).any()
+
+
+def test_a_phase_explores_after_its_patience_with_actions_that_are_held(problem):
+    horizon = problem.env.eval_horizon
+    method = make_algo("cfbrl", patience=0.5, exploration=0.25)
+    explores = jax.jit(jax.vmap(lambda key, step: method.explores(key, problem.env, TASK, step, ()), in_axes=(0, None)))
+    keys = jax.random.split(KEY, 2000)
+    assert not explores(keys, horizon // 2 - 1).any()
+    assert 0.2 < explores(keys, horizon // 2).mean() < 0.3
+
+    always = tiny_method("cfbrl", pretrain_steps=0, patience=0.0, exploration=1.0)
+    end = run_whole(problem, always, make_train_state(problem, always, [0, 1]), 3 * always.explore_hold)
+    first = int(end.replay.first_row)
+    actions = np.asarray(end.replay.action[first : first + 3 * always.explore_hold, 0])
+    blocks = actions.reshape(3, always.explore_hold, -1)
+    np.testing.assert_array_equal(blocks, np.broadcast_to(blocks[:, :1], blocks.shape))
+    assert (blocks[0] != blocks[1]).any()
+
+
+def test_it_trains_on_a_task_without_translations_and_on_a_dense_one():
+    for task in (make("sawyer_door"), make("tabletop_organization", reward_type="dense")):
+        result = tiny_train("cfbrl", task, pretrain_steps=2, warmup=0.0)
+        assert np.isfinite(result.metrics["critic_loss"]).all()
