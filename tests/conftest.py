@@ -23,7 +23,7 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
-from tests import threefry
+from tests import mlir_context, threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -50,6 +50,7 @@ LATER_ALGOS = ["bc", "cfbrl", "medal", "risc", "rlpd"]
 def pytest_configure(config):
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
+    mlir_context.install()
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))

@@ -1,6 +1,7 @@
 """The memory of a run, computed before it starts."""
 
 import dataclasses
+import functools
 import math
 import os
 from typing import Any
@@ -60,10 +61,7 @@ def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
 def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
     """Return the memory that `lanes` lanes of `steps` steps need."""
     sac = method.sac
-    capacity = replay_capacity(problem, method, 1)
-    shape = jax.eval_shape(
-        lambda key: init_train_state(problem, _single(method), key[None], capacity), jax.random.key(0)
-    )
+    shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), replay_capacity(problem, method, 1))
     networks = (1 + critic_count(sac, method.critics)) * sum(sac.hidden_sizes)
     return Need(
         lanes,
@@ -71,6 +69,12 @@ def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
         agent=_bytes(shape.lanes),
         work=4 * ACTIVATIONS * sac.batch_size * networks // 3,
     )
+
+
+@functools.partial(jax.jit, static_argnames=("problem", "capacity"))
+def _one_lane(problem: Problem, method: Method, key: jax.Array, capacity: int) -> TrainState:
+    """Return the first train state of a lane; under `jit`, so that Python traces it once for all runs of a problem."""
+    return init_train_state(problem, method, key[None], capacity)
 
 
 def _single(method: Method) -> Method:
