@@ -34,7 +34,9 @@ def table_rows(text, first):
     return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
 
 
-@pytest.mark.parametrize("name", ["sac", "r3l", "vaprl", "naive", "oracle", "fbrl", "bc", "risc", "medal", "rlpd"])
+@pytest.mark.parametrize(
+    "name", ["sac", "r3l", "vaprl", "naive", "oracle", "fbrl", "bc", "risc", "medal", "rlpd", "cfbrl"]
+)
 def test_the_page_of_algorithms_has_every_hyper_parameter(name):
     page = (DOCS / "algorithms.md").read_text()
     cls = algos.SAC if name == "sac" else type(algos.make_algo(name))

@@ -1,0 +1,174 @@
+"""CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.cfbrl`.
+
+Reads the runs of results/leaderboard (the long ones) and results/cfbrl (options at equal steps), and writes the tables of
+docs/cfbrl.md and the picture results/cfbrl/curves.png.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.paper_cells import PAGES, with_table
+from earl_jax.metrics.comparison import holm, mean_interval, permutation
+from earl_jax.metrics.crossings import crossing, trailing_mean
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD
+from earl_jax.report.runs import Curves, read
+from earl_jax.report.tables import interval_text, markdown_table
+
+RESULTS = Path(__file__).parent / "results"
+LONG, OPTIONS = RESULTS / "leaderboard", RESULTS / "cfbrl"
+PAGE = PAGES / "docs" / "cfbrl.md"
+DEPLOYED = "deployed/success"
+MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
+RUNS = {
+    "tabletop_organization": ("cfbrl",),
+    "sawyer_door": ("cfbrl",),
+    "sawyer_peg": ("cfbrl-exploration_0.1", "cfbrl-patience_0.9"),
+}
+RESET = 100_000
+"""Steps between hard resets of the peg, of which a lane that is lost gets a new start."""
+LIVES = 0.5
+"""Share of the attempts since a reset from which a lane counts as having lived through that time."""
+
+
+class Goal(NamedTuple):
+    """A goal: `metric` of the task reaches `level` before step `before`, or is there over the last `window` steps."""
+
+    env: str
+    metric: str
+    level: float
+    before: int | None = None
+    window: int = 100_000
+
+
+GOALS = (
+    Goal("tabletop_organization", DEPLOYED, 0.9, before=150_000),
+    Goal("tabletop_organization", DEPLOYED, 0.99),
+    Goal("sawyer_door", DEPLOYED, 0.95, before=200_000),
+    Goal("sawyer_door", DEPLOYED, 1.0, window=700_000),
+    Goal("sawyer_peg", DEPLOYED, 0.95, window=400_000),
+    Goal("sawyer_peg", WIDE, 0.8, window=400_000),
+    Goal("sawyer_peg", FORWARD, 0.8, window=400_000),
+    Goal("sawyer_peg", BACK, 0.8, window=400_000),
+)
+
+
+def goals_text() -> str:
+    """Return the table of the goals with what was measured."""
+    header = ("task", "run", "measure", "goal", "measured", "met")
+    return markdown_table(header, [_goal_line(goal, name) for goal in GOALS for name in RUNS[goal.env]])
+
+
+def _goal_line(goal: Goal, name: str) -> list[str]:
+    curves = read(LONG / goal.env / name)
+    if goal.before is not None:
+        at = crossing(curves.steps, curves.metrics[goal.metric], goal.level)
+        text, met = f"at {_steps(at.value)} [{_steps(at.low)}, {_steps(at.high)}]", at.value < goal.before
+        asked = f"{goal.level} before {_steps(goal.before)}"
+    else:
+        mean = mean_interval(window_scores(curves, goal.metric, goal.window))
+        text, met = interval_text(*mean), mean.value >= goal.level
+        asked = f"{goal.level} over the last {_steps(min(goal.window, curves.steps[-1]))} of {_steps(curves.steps[-1])}"
+    return [goal.env, name, MEASURES[goal.metric], asked, text, "yes" if met else "no"]
+
+
+def window_scores(curves: Curves, metric: str, window: int) -> np.ndarray:
+    """Return the mean [N] of each seed's `metric` over the last `window` steps, of the evaluations that have one."""
+    return np.nanmean(curves.metrics[metric][:, curves.steps > curves.steps[-1] - window], axis=1)
+
+
+def options_text() -> str:
+    """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p."""
+    rows, values = [], []
+    for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
+        base = read(OPTIONS / env / "default")
+        for folder in sorted((OPTIONS / env).iterdir(), key=lambda path: (path.name != "default", path.name)):
+            curves = read(folder)
+            scores = {metric: window_scores(curves, metric, 200_000) for metric in MEASURES}
+            texts = [interval_text(*mean_interval(score)) for score in scores.values()]
+            rows.append([env, folder.name, *texts])
+            for metric, score in scores.items():
+                same = folder.name == "default"
+                values.append(math.nan if same else permutation(score, window_scores(base, metric, 200_000)).p)
+    smallest = np.nanmin(holm(values))
+    header = ("task", "options", *MEASURES.values())
+    tests = int(np.isfinite(values).sum())
+    return f"{markdown_table(header, rows)}\n\nThe smallest of the {tests} adjusted p against the default is {smallest:.2g}."
+
+
+def lanes_text() -> str:
+    """Return a table of the peg's lanes: forward success in each span between hard resets, and the spans lived through."""
+    lines = []
+    for name in RUNS["sawyer_peg"]:
+        curves = read(LONG / "sawyer_peg" / name)
+        lines += [[name, str(seed), *cells] for seed, cells in zip(curves.config.seeds, _spans(curves), strict=True)]
+    spans = len(lines[0]) - 3
+    header = ("run", "seed", *(f"to {_steps((number + 1) * RESET)}" for number in range(spans)), "lived through")
+    return markdown_table(header, lines)
+
+
+def _spans(curves: Curves) -> Iterator[list[str]]:
+    """Yield the cells of each lane."""
+    ends = np.arange(RESET, int(curves.steps[-1]) + 1, RESET)
+    for seed in range(curves.seeds):
+        shares = []
+        for end in ends:
+            inside = (curves.steps > end - RESET) & (curves.steps <= end)
+            shares.append(float(np.nanmean(np.nan_to_num(curves.metrics[FORWARD][seed, inside]))))
+        yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
+
+
+def _steps(count: float) -> str:
+    return "-" if math.isnan(count) else f"{count / 1e6:.2f}M"
+
+
+def draw(path: Path) -> None:
+    """Draw the curves of the long runs: a column a task, means with Student's 95 % bands over 100,000 steps."""
+    figure, grid = plt.subplots(2, len(RUNS), figsize=(11, 5.5), sharex="col", sharey=True, layout="constrained")
+    for column, (env, names) in zip(grid.T, RUNS.items(), strict=True):
+        for axes, metrics in zip(column, ((DEPLOYED, WIDE), (FORWARD, BACK)), strict=True):
+            for style, name in zip(("-", "--"), names, strict=False):
+                _draw_lines(axes, read(LONG / env / name), metrics, style)
+        column[0].set_title(env)
+        column[1].set_xlabel("steps (millions)")
+    for axes, text in zip(grid[:, 0], ("deployed success", "success of phases"), strict=True):
+        axes.set_ylabel(text)
+        axes.legend(loc="lower right", fontsize=8)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style: str) -> None:
+    for color, metric in zip(("C0", "C1"), metrics, strict=True):
+        scores = trailing_mean(curves.steps, np.nan_to_num(curves.metrics[metric]))
+        mean, low, high = mean_interval(scores)
+        axes.plot(curves.steps / 1e6, mean, style, color=color, label=MEASURES[metric] if style == "-" else None)
+        axes.fill_between(curves.steps / 1e6, np.clip(low, 0, 1), np.clip(high, 0, 1), color=color, alpha=0.15, lw=0)
+    axes.set_ylim(0, 1.03)
+
+
+def tables() -> dict[str, str]:
+    """Return the tables of the page by the name of their place."""
+    return {"goals": goals_text(), "lanes": lanes_text(), "options": options_text()}
+
+
+def page_text(page: str) -> str:
+    """Return the text of `page` with the tables of today's runs."""
+    for name, table in tables().items():
+        page = with_table(page, table, f"<!-- {name} -->", f"<!-- end of {name} -->")
+    return page
+
+
+def main() -> None:
+    """Write the page's tables and the picture."""
+    PAGE.write_text(page_text(PAGE.read_text()))
+    draw(OPTIONS / "curves.png")
+
+
+if __name__ == "__main__":
+    main()
