@@ -45,7 +45,7 @@ def test_list_prints_tasks_and_methods():
     assert (
         printed["algos"]
         == list(printed["methods"])
-        == ["bc", "fbrl", "medal", "naive", "oracle", "r3l", "risc", "rlpd", "vaprl"]
+        == ["bc", "cfbrl", "fbrl", "medal", "naive", "oracle", "r3l", "risc", "rlpd", "vaprl"]
     )
 
 
