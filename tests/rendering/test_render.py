@@ -79,7 +79,7 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"acting": "policy"}, "no acting 'policy'; choose from expert, demos, random"),
         ({"acting": "me"}, "unknown acting 'me'; choose from policy"),
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
-        ({"policy": "me"}, "no policies of 'me' ship for tabletop_organization; choose from fbrl"),
+        ({"policy": "me"}, "no policies of 'me' ship for tabletop_organization; choose from cfbrl, fbrl"),
         ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
         ({"policy": "fbrl", "source": "all", "out": "x.png"}, "a policy belongs to one task"),
         ({"policy": "fbrl", "source": "cheetah_run"}, "no trained policies ship for 'cheetah_run'"),
