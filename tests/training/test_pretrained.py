@@ -80,7 +80,10 @@ def test_the_description_is_the_callers_own():
     ("arguments", "message"),
     [
         (("nowhere", "fbrl"), f"no trained policies ship for 'nowhere'; choose from .*{TABLETOP}"),
-        ((TABLETOP, "nothing"), "no policies of 'nothing' ship for tabletop_organization; choose from cfbrl, fbrl, naive"),
+        (
+            (TABLETOP, "nothing"),
+            "no policies of 'nothing' ship for tabletop_organization; choose from cfbrl, fbrl, naive",
+        ),
         ((TABLETOP, "fbrl", 99), r"no seed 99 of fbrl on tabletop_organization ships; choose from \d"),
     ],
 )
