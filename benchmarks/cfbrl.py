@@ -4,6 +4,7 @@ Reads the runs of results/leaderboard (the long ones) and results/cfbrl (options
 docs/cfbrl.md and the picture results/cfbrl/curves.png.
 """
 
+import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks import peg_lives
 from benchmarks.paper_cells import PAGES, with_table
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import crossing, trailing_mean
@@ -123,6 +125,18 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
         yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
 
 
+def lives_text() -> str:
+    """Return the table of the greedy lives of `benchmarks.peg_lives`."""
+    with peg_lives.RESULT.open(newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    empty = sum(row["empty_closed_hand"] == "True" for row in rows)
+    header = ("life", "phases", "reached", "last success at step", "hand", "gripper", "peg's head", "empty closed hand")
+    table = markdown_table(
+        header, [[value.replace("True", "yes").replace("False", "no") for value in row.values()] for row in rows]
+    )
+    return f"{table}\n\n{empty} of {len(rows)} lives of {peg_lives.STEPS:,} steps end with an empty closed hand."
+
+
 def _steps(count: float) -> str:
     return "-" if math.isnan(count) else f"{count / 1e6:.2f}M"
 
@@ -154,7 +168,7 @@ def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style:
 
 def tables() -> dict[str, str]:
     """Return the tables of the page by the name of their place."""
-    return {"goals": goals_text(), "lanes": lanes_text(), "options": options_text()}
+    return {"goals": goals_text(), "lanes": lanes_text(), "lives": lives_text(), "options": options_text()}
 
 
 def page_text(page: str) -> str:
