@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.algos.goals import Goals
+from earl_jax.algos.goals import Goals, rescored
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import TransitionBatch
@@ -102,15 +102,13 @@ class CFBRL(RISC):
         goal = jnp.asarray(goals.table)[batch.flags.goal]
         steps = Steps(batch.state, batch.next_state, batch.later, goal)
         steps, changed, to_clone = self.transform(key, env, steps, ~batch.flags.no_successor)
-        reached = env.success(jnp.concatenate([steps.next_state, steps.goal], axis=-1))
-        return batch._replace(
+        batch = batch._replace(
             state=steps.state,
             next_state=steps.next_state,
             goal=steps.goal,
-            reward=jnp.where(changed, reached.astype(batch.reward.dtype), batch.reward),
-            flags=batch.flags._replace(reached=jnp.where(changed, reached, batch.flags.reached)),
             demonstrated=batch.demonstrated & to_clone,
         )
+        return rescored(env, batch, steps.goal, changed)
 
     def transform(
         self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array
@@ -121,15 +119,14 @@ class CFBRL(RISC):
         the moved ones that keep their goal, nor those that have reached their hindsight goal already.
         """
         goal_key, place_key, offset_key = jax.random.split(key, 3)
-        hindsight = jnp.zeros_like(allowed)
-        if env.goal_from(steps.later) is not None:
-            hindsight = allowed & jax.random.bernoulli(goal_key, self.hindsight, allowed.shape)
         moved = allowed & jax.random.bernoulli(place_key, self.translated, allowed.shape)
         offset = _offsets(offset_key, env, steps, moved)
         moved = (offset != 0).any(axis=-1)
         state, following, later = (part + offset for part in steps[:3])
-        achieved = env.goal_from(later)
-        goal = steps.goal if achieved is None else jnp.where(hindsight[:, None], achieved, steps.goal)
+        goal, hindsight, achieved = steps.goal, jnp.zeros_like(allowed), env.goal_from(later)
+        if achieved is not None:
+            hindsight = allowed & jax.random.bernoulli(goal_key, self.hindsight, allowed.shape)
+            goal = jnp.where(hindsight[:, None], achieved, goal)
         ahead = ~env.success(jnp.concatenate([state, goal], axis=-1))
         return Steps(state, following, later, goal), hindsight | moved, jnp.where(hindsight, ahead, ~moved)
 

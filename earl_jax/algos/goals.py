@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.algos.learner.replay import GOAL_BITS
+from earl_jax.algos.learner.replay import GOAL_BITS, TransitionBatch
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
@@ -43,6 +43,14 @@ class GoalIndices(NamedTuple):
 
     goal: jax.Array
     task: jax.Array
+
+
+def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Array) -> TransitionBatch:
+    """Return `batch [B]` with the rewards and successes of its next states under `goal [B, g]` where `changed [B]`."""
+    obs = jnp.concatenate([batch.next_state, goal], axis=-1)
+    reached = jnp.where(changed, env.success(obs) & env.sparse, batch.flags.reached)
+    reward = jnp.where(changed, env.reward(obs), batch.reward)
+    return batch._replace(reward=reward, flags=batch.flags._replace(reached=reached))
 
 
 @functools.cache

@@ -54,6 +54,10 @@ class MixedMethod(Method):
         return self.members[0].demo_directions
 
     @property
+    def explore_hold(self) -> int:
+        return self.members[0].explore_hold
+
+    @property
     def later_steps(self) -> int:
         return self.members[0].later_steps
 
@@ -133,8 +137,8 @@ def program_signature(method: Method) -> Hashable:
     if any(getattr(method_class, hook) is not getattr(Method, hook) for hook in UNSHARED_HOOKS):
         return _structure(method)
     shapes = (method.controllers, method.phases, method.critics, method.needs_demos, tuple(method.demo_directions))
-    shapes = *shapes, method.later_steps
-    return jax.tree.structure(method.sac), shapes, method_class.demo_copies
+    steps = (method.explore_hold, method.later_steps)
+    return jax.tree.structure(method.sac), shapes, steps, method_class.demo_copies
 
 
 def mix_methods(methods: Sequence[Method]) -> Method:

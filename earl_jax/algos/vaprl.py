@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.goals import GoalIndices, Goals, rescored
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import Agent
@@ -127,9 +127,5 @@ class VaPRL(Method):
         goal_states = jnp.asarray(goals.table)[goal]
         if self.unmet_goals:
             chosen &= ~env.success(jnp.concatenate([batch.state, goal_states], axis=-1))
-        obs = jnp.concatenate([batch.next_state, goal_states], axis=-1)
-        flags = batch.flags._replace(
-            goal=jnp.where(chosen, goal, batch.flags.goal),
-            reached=jnp.where(chosen, env.success(obs) & env.sparse, batch.flags.reached),
-        )
-        return batch._replace(reward=jnp.where(chosen, env.reward(obs), batch.reward), flags=flags)
+        flags = batch.flags._replace(goal=jnp.where(chosen, goal, batch.flags.goal))
+        return rescored(env, batch._replace(flags=flags), goal_states, chosen)

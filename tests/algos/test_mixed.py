@@ -25,6 +25,9 @@ class Custom(Method):
     def ends_on_success(self, phase):
         return False
 
+    def explores(self, key, env, phase, phase_step, method_state):
+        return phase_step % 3 == 0
+
     def relabel(self, key, env, goals, batch, phase):
         return batch._replace(flags=batch.flags._replace(goal=batch.flags.goal * 0))
 
@@ -53,6 +56,14 @@ def test_each_lane_trains_as_if_its_method_were_alone(env, problem):
         assert_equal_trees(take_lane(state.lanes, slice(2 * number, 2 * number + 2)), alone.lanes)
     np.testing.assert_array_equal(state.lanes.counters.interventions, [0, 0, 2, 2, 0, 0])
     assert int(state.lanes.phase_step[4]) == 60 % 7
+
+
+@pytest.mark.parametrize("name", ["explore_hold", "later_steps"])
+def test_methods_that_hold_actions_or_look_ahead_differently_share_no_program(name):
+    naive = tiny_method("naive")
+    other = type("Other", (Custom,), {name: 5})(naive.sac)
+    assert program_signature(Custom(naive.sac)) == program_signature(naive)
+    assert program_signature(other) != program_signature(naive)
 
 
 def test_methods_of_one_class_are_joined_without_a_wrapper():
