@@ -121,7 +121,7 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
         shares = []
         for end in ends:
             inside = (curves.steps > end - RESET) & (curves.steps <= end)
-            shares.append(float(np.nanmean(np.nan_to_num(curves.metrics[FORWARD][seed, inside]))))
+            shares.append(float(np.nan_to_num(curves.metrics[FORWARD][seed, inside]).mean()))
         yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
 
 
