@@ -22,9 +22,10 @@ COPIES = 16
 
 
 class Steps(NamedTuple):
-    """Steps to transform: `state, next_state, later [B, s]`, `later` being a state after them, and `goal [B, g]`."""
+    """Steps to transform: `state, next_state, later [B, s]`, `later` being a state after them, `action`, `goal [B, g]`."""
 
     state: jax.Array
+    action: jax.Array
     next_state: jax.Array
     later: jax.Array
     goal: jax.Array
@@ -65,6 +66,8 @@ class CFBRL(RISC):
     """Share of a batch whose goal is the place of the object in a later state."""
     translated: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of a batch that is moved by `Env.translation`, where it can be."""
+    corrected: float = struct.field(default=0.5, metadata=within("[0, 1]"))
+    """Share of the demonstrated steps that start from a state of `Env.correction`, where there is one."""
     warmup: float = struct.field(default=20_000.0, metadata=within("[0, 1000000000]"))
     """Steps at the start of a lifetime in which actor and temperature stay as cloned."""
     patience: float = struct.field(default=0.5, metadata=within("[0, 1]"))
@@ -100,10 +103,11 @@ class CFBRL(RISC):
         assert batch.later is not None
         assert batch.demonstrated is not None
         goal = jnp.asarray(goals.table)[batch.flags.goal]
-        steps = Steps(batch.state, batch.next_state, batch.later, goal)
-        steps, changed, to_clone = self.transform(key, env, steps, ~batch.flags.no_successor)
+        steps = Steps(batch.state, batch.action, batch.next_state, batch.later, goal)
+        steps, changed, to_clone = self.transform(key, env, steps, ~batch.flags.no_successor, batch.demonstrated)
         batch = batch._replace(
             state=steps.state,
+            action=steps.action,
             next_state=steps.next_state,
             goal=steps.goal,
             demonstrated=batch.demonstrated & to_clone,
@@ -111,24 +115,50 @@ class CFBRL(RISC):
         return rescored(env, batch, steps.goal, changed)
 
     def transform(
-        self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array
+        self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array, demonstrated: jax.Array
     ) -> tuple[Steps, jax.Array, jax.Array]:
-        """Return `steps [B]` of which some of the `allowed [B]` have hindsight goals, are moved, or both.
+        """Return `steps [B]` of which some of the `allowed [B]` are corrected, have hindsight goals, or are moved.
 
-        Also returns the changed ones, bool [B], and those whose action a demonstrator could have taken, bool [B]: not
-        the moved ones that keep their goal, nor those that have reached their hindsight goal already.
+        Corrected are `demonstrated [B]` ones only. Also returns the changed ones, bool [B], and those whose action a
+        demonstrator could have taken, bool [B]: not the moved ones that keep their goal, nor those that have reached
+        their hindsight goal already. An approach to the object serves every goal.
         """
         goal_key, place_key, offset_key = jax.random.split(key, 3)
+        steps, corrected, approach = self.corrected_steps(
+            jax.random.fold_in(key, 3), env, steps, allowed & demonstrated
+        )
         moved = allowed & jax.random.bernoulli(place_key, self.translated, allowed.shape)
         offset = _offsets(offset_key, env, steps, moved)
         moved = (offset != 0).any(axis=-1)
-        state, following, later = (part + offset for part in steps[:3])
+        state, following, later = (part + offset for part in (steps.state, steps.next_state, steps.later))
         goal, hindsight, achieved = steps.goal, jnp.zeros_like(allowed), env.goal_from(later)
         if achieved is not None:
             hindsight = allowed & jax.random.bernoulli(goal_key, self.hindsight, allowed.shape)
             goal = jnp.where(hindsight[:, None], achieved, goal)
         ahead = ~env.success(jnp.concatenate([state, goal], axis=-1))
-        return Steps(state, following, later, goal), hindsight | moved, jnp.where(hindsight, ahead, ~moved)
+        to_clone = jnp.where(hindsight | approach, ahead, ~moved)
+        return Steps(state, steps.action, following, later, goal), hindsight | moved | corrected, to_clone
+
+    def corrected_steps(
+        self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array
+    ) -> tuple[Steps, jax.Array, jax.Array]:
+        """Return `steps [B]` with corrections of some of the `allowed [B]`; which, and which are approaches, bool [B]."""
+        draw_key, goal_key, choice_key, env_key = jax.random.split(key, 4)
+        keys = jax.random.split(env_key, len(allowed))
+        correction = jax.vmap(env.correction)(keys, steps.state, steps.action, steps.next_state)
+        if correction is None:
+            return steps, jnp.zeros_like(allowed), jnp.zeros_like(allowed)
+        drawn = [
+            jnp.asarray(goals)[
+                jax.random.randint(jax.random.fold_in(goal_key, len(goals)), allowed.shape, 0, len(goals))
+            ]
+            for goals in (env.goal_states, env.initial_states)
+        ]
+        goal = jnp.where(jax.random.bernoulli(choice_key, shape=(len(allowed), 1)), *drawn)
+        other = Steps(correction.state, correction.action, correction.next_state, steps.later, goal)
+        approach = correction.approach & allowed
+        chosen = approach & jax.random.bernoulli(draw_key, self.corrected, allowed.shape)
+        return tree_where(chosen[:, None], other, steps), chosen, approach
 
     def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
         if demos is not None and self.sac.pretrain_steps and env.sparse:
@@ -137,15 +167,18 @@ class CFBRL(RISC):
 
     def transformed_demos(self, key: jax.Array, env: Env) -> Demonstrations:
         """Return `COPIES` of each demonstrated step, transformed where their action can be cloned, else as they are."""
-        original, actions, last = _demonstrated(env, self.directions(env))
-        index = np.tile(np.arange(len(actions)), COPIES)
+        original, last = _demonstrated(env, self.directions(env))
+        index = np.tile(np.arange(len(last)), COPIES)
         later_key, transform_key = jax.random.split(key)
         draw = jax.random.uniform(later_key, index.shape) * (last[index] - index + 1)
         steps = jax.tree.map(lambda part: part[index], original)
         steps = steps._replace(later=original.next_state[index + jnp.floor(draw).astype(jnp.int32)])
-        new, _, to_clone = self.transform(transform_key, env, steps, jnp.ones(len(index), bool))
-        obs = [jnp.concatenate([part.state, part.goal], axis=-1) for part in (new, steps)]
-        return Demonstrations(jnp.where(to_clone[:, None], *obs), actions[index], np.zeros(len(index), int))
+        every = jnp.ones(len(index), bool)
+        new, _, to_clone = self.transform(transform_key, env, steps, every, every)
+        new = tree_where(to_clone[:, None], new, steps)
+        obs: Any = jnp.concatenate([new.state, new.goal], axis=-1)
+        action: Any = new.action
+        return Demonstrations(obs, action, np.zeros(len(index), int))
 
 
 def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Array:
@@ -154,8 +187,8 @@ def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Ar
     return jnp.zeros_like(steps.state) if offset is None else jnp.where(moved[:, None], offset, 0.0)
 
 
-def _demonstrated(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndarray, np.ndarray]:
-    """Return all demonstrated steps, their actions [T, a], and for each the last step of its demonstration, [T]."""
+def _demonstrated(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndarray]:
+    """Return all demonstrated steps, and for each the last step of its demonstration, [T]."""
     parts = [env.demos(direction) for direction in directions]
     states, following, goals, actions, ends = (
         np.concatenate([getattr(part, name) for part in parts])
@@ -163,4 +196,4 @@ def _demonstrated(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndar
     )
     last = np.flatnonzero(ends)
     last = last[np.searchsorted(last, np.arange(len(ends)))]
-    return Steps(*map(jnp.asarray, (states, following, following, goals))), actions, last
+    return Steps(*map(jnp.asarray, (states, actions, following, following, goals))), last

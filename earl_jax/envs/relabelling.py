@@ -1,10 +1,24 @@
-"""What a task knows about its transitions beyond one goal and one place: goals from states, and translations."""
+"""What a task knows about its transitions beyond one goal and one place: goals, translations, corrective actions."""
+
+from typing import NamedTuple
 
 import jax
 
 
+class Correction(NamedTuple):
+    """A transition from another state: `state, next_state [s]` and the `action [a]` that leads back.
+
+    `approach []`: whether the action is right for every goal, because nothing has been grasped or pushed yet.
+    """
+
+    state: jax.Array
+    action: jax.Array
+    next_state: jax.Array
+    approach: jax.Array
+
+
 class Relabelled:
-    """Goals that later states met, and the translations under which the dynamics of an `Env` are the same."""
+    """Goals that later states met, and the other transitions of an `Env` that one transition tells about."""
 
     def goal_from(self, state: jax.Array) -> jax.Array | None:
         """Return the goals [..., g] that ask for the object where it is in `state [..., s]`; None without an object.
@@ -21,4 +35,14 @@ class Relabelled:
         in, and where the sums would leave the space in which this holds. None: the task has no such symmetry.
         """
         del key, state, next_state
+        return None
+
+    def correction(
+        self, key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array
+    ) -> Correction | None:
+        """Return a demonstrated transition with the robot away from `state [s]`, and the action that leads back to it.
+
+        A transition that has no such neighbours is returned as it is. None: the task knows no corrections.
+        """
+        del key, state, action, next_state
         return None

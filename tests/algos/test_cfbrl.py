@@ -18,7 +18,7 @@ from tests.conftest import advance, make_problem, make_train_state, run_whole, t
 
 KEY = jax.random.key(3)
 PEG = make("sawyer_peg")
-HEAD = slice(4, 7)
+HEAD, GRIPPER = slice(4, 7), 3
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +28,13 @@ def rows():
     last = np.flatnonzero(demos.ends)
     end = last[np.searchsorted(last, np.arange(len(demos.ends)))]
     later = demos.next_states[np.minimum(np.arange(len(end)) + 20, end)]
-    return Steps(*map(jnp.asarray, (demos.states, demos.next_states, later, demos.goals)))
+    return Steps(*map(jnp.asarray, (demos.states, demos.actions, demos.next_states, later, demos.goals)))
 
 
-def transformed(rows, allowed=True, **shares):
-    method = make_algo("cfbrl", **{"hindsight": 0.0, "translated": 0.0, **shares})
-    transform = jax.jit(lambda steps: method.transform(KEY, PEG, steps, jnp.full(len(steps.state), allowed)))
+def transformed(rows, allowed=True, demonstrated=False, **shares):
+    method = make_algo("cfbrl", **{"hindsight": 0.0, "translated": 0.0, "corrected": 0.0, **shares})
+    every = jnp.ones(len(rows.state), bool)
+    transform = jax.jit(lambda steps: method.transform(KEY, PEG, steps, every & allowed, every & demonstrated))
     return transform(rows)
 
 
@@ -45,7 +46,7 @@ def test_without_shares_and_where_it_is_not_allowed_nothing_changes(rows):
     for steps, changed, to_clone in (transformed(rows), transformed(rows, False, hindsight=1.0, translated=1.0)):
         assert not changed.any()
         assert to_clone.all()
-        for new, old in zip(steps[:2], rows[:2], strict=True):
+        for new, old in zip(steps[:3], rows[:3], strict=True):
             np.testing.assert_array_equal(new, old)
         np.testing.assert_array_equal(steps.goal, rows.goal)
 
@@ -74,6 +75,45 @@ def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block(rows):
     assert inserted.any()
     assert not changed[inserted].any(), "the block takes part in an insertion"
     np.testing.assert_array_equal(to_clone, ~changed)
+
+
+def test_a_corrected_step_leads_back_to_the_demonstrated_one(rows):
+    steps, changed, to_clone = transformed(rows, demonstrated=True, corrected=1.0)
+    still = distance(rows.state, rows.next_state) < 0.001
+    np.testing.assert_array_equal(changed, still)
+    np.testing.assert_array_equal(steps.state[:, HEAD], rows.state[:, HEAD])
+    np.testing.assert_array_equal(steps.action[~still], rows.action[~still])
+    back = np.asarray(rows.state - steps.state)[:, :3]
+    far = np.linalg.norm(back, axis=1) > 0.1
+    assert 0.2 < far[still].mean() < 0.9
+    action = np.asarray(steps.action)
+    along = (action[far, :3] * back[far]).sum(axis=1) / np.linalg.norm(back[far], axis=1)
+    assert (along > 0.8).all()
+    assert np.abs(action).max() <= 1.0
+    closed = np.asarray(steps.state)[:, GRIPPER] < np.asarray(rows.state)[:, GRIPPER]
+    assert closed[far].any()
+    assert (action[closed, GRIPPER] < 0).all(), "a hand that is closed far from the peg opens"
+    goals = {tuple(goal) for goal in np.asarray(steps.goal)[still].round(4)}
+    assert len(goals) > 2, "an approach serves every goal"
+    at_goal = np.asarray(PEG.success(jnp.concatenate([steps.state, steps.goal], axis=-1)))
+    np.testing.assert_array_equal(to_clone[still], ~at_goal[still])
+
+
+def test_the_next_state_of_a_corrected_step_is_near_the_simulated_one(rows):
+    steps, changed, _ = transformed(rows, demonstrated=True, corrected=1.0)
+    moved = np.asarray(steps.next_state - steps.state)[:, :3]
+    assert np.abs(moved[changed]).max() < 0.03
+    speed = np.linalg.norm(np.asarray(steps.action)[:, :3], axis=1)
+    heading = (moved * np.asarray(steps.action)[:, :3]).sum(axis=1)[changed & (speed > 0.9)]
+    assert (heading > 0).mean() > 0.95
+
+
+def test_moved_approaches_are_cloned_with_their_old_goal(rows):
+    _, changed, to_clone = transformed(rows, demonstrated=True, translated=1.0)
+    still = distance(rows.state, rows.next_state) < 0.001
+    assert (np.asarray(changed) & still).any()
+    assert to_clone[still].all()
+    assert not to_clone[np.asarray(changed) & ~still].any()
 
 
 def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
@@ -121,14 +161,13 @@ def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal(rows):
 
 
 def test_the_cloning_draws_from_transformed_demonstrations():
-    method = make_algo("cfbrl", hindsight=0.5, translated=0.5)
+    method = make_algo("cfbrl", hindsight=0.5, translated=0.5, corrected=0.0)
     plain = demonstrations(make_problem(PEG), method)
-    demos = jax.jit(lambda: method.transformed_demos(KEY, PEG).obs)()
-    assert demos.shape == (COPIES * len(plain.obs), 14)
-    same = (np.asarray(demos) == np.tile(plain.obs, (COPIES, 1))).all(axis=1)
+    demos = jax.jit(lambda: method.transformed_demos(KEY, PEG))()
+    assert demos.obs.shape == (COPIES * len(plain.obs), 14)
+    same = (np.asarray(demos.obs) == np.tile(plain.obs, (COPIES, 1))).all(axis=1)
     assert 0.5 < same.mean() < 0.95
-    actions = method.transformed_demos(KEY, PEG).action
-    np.testing.assert_array_equal(actions, np.tile(plain.action, (COPIES, 1)))
+    np.testing.assert_array_equal(demos.action, np.tile(plain.action, (COPIES, 1)))
 
 
 def test_only_the_critics_learn_in_the_warmup(problem):

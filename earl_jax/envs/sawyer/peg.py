@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.sawyer import experts
+from earl_jax.envs.relabelling import Correction
+from earl_jax.envs.sawyer import corrections, experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
 from earl_jax.envs.state import State
@@ -183,6 +184,10 @@ class SawyerPeg(Sawyer):
         within = ((hands > HAND_FREE_LOW) & (hands < HAND_FREE_HIGH)).all()
         moved = jnp.zeros_like(state).at[:2].set(offset).at[-3:-1].set(offset)
         return jnp.where(clear.all() & within, moved, 0.0)
+
+    def correction(self, key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array) -> Correction:
+        """Return a transition with the hand at another place, at which it is as free as in `state [7]`."""
+        return corrections.correction(key, state, action, next_state, state[-3:] + experts.GRASP)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
