@@ -155,9 +155,10 @@ class CFBRL(RISC):
             for goals in (env.goal_states, env.initial_states)
         ]
         goal = jnp.where(jax.random.bernoulli(choice_key, shape=(len(allowed), 1)), *drawn)
-        other = Steps(correction.state, correction.action, correction.next_state, steps.later, goal)
         approach = correction.approach & allowed
-        chosen = approach & jax.random.bernoulli(draw_key, self.corrected, allowed.shape)
+        goal = jnp.where(approach[:, None], goal, steps.goal)
+        other = Steps(correction.state, correction.action, correction.next_state, steps.later, goal)
+        chosen = allowed & jax.random.bernoulli(draw_key, self.corrected, allowed.shape)
         return tree_where(chosen[:, None], other, steps), chosen, approach
 
     def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:

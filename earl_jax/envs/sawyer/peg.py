@@ -34,6 +34,8 @@ FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87]
 (benchmarks/peg_reach.py)."""
 HAND_FREE_LOW, HAND_FREE_HIGH = np.array([-0.45, 0.42], np.float32), np.array([0.48, 0.88], np.float32)
 """x, y [m] of the hand at which neither the end of its range nor that of the arm's reach slows it."""
+INSIDE, DEEPER = -0.2, 0.06
+"""Metres: x of a head in the hole, and how much deeper than demonstrated the peg can be pushed."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -186,8 +188,15 @@ class SawyerPeg(Sawyer):
         return jnp.where(clear.all() & within, moved, 0.0)
 
     def correction(self, key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array) -> Correction:
-        """Return a transition with the hand at another place, at which it is as free as in `state [7]`."""
-        return corrections.correction(key, state, action, next_state, state[-3:] + experts.GRASP)
+        """Return a transition from `state [7]` with a free hand elsewhere, or with an inserted peg deeper in the hole."""
+        grasp = state[-3:] + experts.GRASP
+        heads = jnp.stack([state[-3:], next_state[-3:]])
+        inside = (
+            (heads[:, 0] < INSIDE) & (jnp.abs(heads[:, 1] - BLOCK[1]) < RADIUS) & (heads[:, 2] > LOW[2] + RADIUS)
+        ).all()
+        depth = jnp.where(inside, jax.random.uniform(jax.random.fold_in(key, 1), maxval=DEEPER), 0.0)
+        deeper = jnp.zeros_like(state).at[-3].set(-depth)
+        return corrections.correction(key, state + deeper, action, next_state + deeper, grasp)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
