@@ -100,7 +100,7 @@ def update_text(precision):
 def relative_errors(actual, exact):
     """Return the relative distance of every leaf from `exact`."""
     return [
-        np.linalg.norm(np.asarray(a) - b) / np.linalg.norm(b)
+        np.linalg.norm(np.subtract(a, b)) / np.linalg.norm(b)
         for a, b in zip(jax.tree.leaves(actual), jax.tree.leaves(exact), strict=True)
     ]
 

@@ -104,7 +104,7 @@ def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
 def test_the_gradient_of_the_cloning_term_is_the_analytic_one(batch):
     sac = SMALL.replace(cloning=0.5)
     parameters = jax.random.normal(jax.random.key(5), (ROWS, 2 * SIZE))
-    grads = np.asarray(jax.grad(lambda p: cloning_term(sac, p, batch))(parameters))
+    grads = np.asarray(jax.jit(jax.grad(lambda p: cloning_term(sac, p, batch)))(parameters))
     mode, action = np.tanh(np.asarray(parameters)[:, :SIZE]), np.asarray(batch.action)
     expected = 0.5 * 2.0 * 2 * (mode - action) * (1 - mode**2) / (2 * SIZE)  # two demonstrated rows
     demonstrated = np.asarray(batch.demonstrated)
