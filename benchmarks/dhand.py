@@ -29,8 +29,8 @@ HOLD = 50
 
 def start_states(env: Any, count: int, seed: int) -> Any:
     """Return the states of the documented starts, then `count` of the task's own, stacked."""
-    named = jax.vmap(env.start_at)(jnp.asarray(TARGET[:2] + OFFSETS))
-    own = jax.vmap(env.reset)(jax.random.split(jax.random.key(seed), count))
+    named = jax.jit(jax.vmap(env.start_at))(jnp.asarray(TARGET[:2] + OFFSETS))
+    own = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(seed), count))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), named, own)
 
 

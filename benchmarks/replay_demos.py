@@ -103,7 +103,7 @@ def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
 def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
     """Return errors [T] of the object in metres, agreement [T] of rewards and the offset of the first success."""
     length = len(episode.actions)
-    success = np.asarray(env.success(jnp.asarray(obs)))
+    success = np.asarray(jax.jit(env.success)(obs))
     first = int(np.argmax(success)) if success.any() else None
     recorded = episode.rewards > 0
     ended = int(np.argmax(recorded)) if recorded.any() else length - 1

@@ -132,7 +132,9 @@ def run_whole(problem, method, state, steps, explore=False, compiler_options=Non
 
 def take_lane(tree, lane):
     """Return `lane`, an index or a slice, of a tree of arrays with a leading lane axis."""
-    return select_seed(tree, lane) if isinstance(lane, int) else jax.tree.map(lambda leaf: leaf[lane], tree)
+    if isinstance(lane, int):
+        return select_seed(tree, lane)
+    return jax.jit(lambda tree: jax.tree.map(lambda leaf: leaf[lane], tree))(tree)
 
 
 def to_numpy(leaf):

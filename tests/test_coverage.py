@@ -197,7 +197,7 @@ NUMBERS = {
     "earl_jax.algos.learner.networks:LOG_STD_RANGE": (-20.0, 2.0),
     "earl_jax.algos.naive:Naive.episode_length": 1_000,
     "earl_jax.algos.r3l:R3L.rnd_decay": 0.99,
-    "earl_jax.algos.r3l:_NETWORK.layer_sizes": [256, 256, 512],
+    "earl_jax.algos.r3l:_NETWORK.layer_sizes": (256, 256, 512),
     "earl_jax.protocol:Protocol.eval_every": 10_000,
     "earl_jax.protocol:Protocol.eval_episodes": 10,
     "earl_jax.protocol:Protocol.intervention_chance": 0.0,

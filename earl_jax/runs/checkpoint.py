@@ -164,8 +164,13 @@ def _read_state(
     replay = like.replay
     if with_replay:
         replay = _read_replay(paths, sizes, like.replay)
-    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
-    return like.replace(lanes=joined, replay=replay, step=jnp.asarray(int(paths[0].name), jnp.int32))
+    return like.replace(lanes=_joined(*lanes), replay=replay, step=jnp.asarray(int(paths[0].name), jnp.int32))
+
+
+@jax.jit
+def _joined(*parts: Any) -> Any:
+    """Return the lanes of all `parts`, by one program for all leaves."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def _read_replay(paths: Sequence[Path], sizes: Sequence[int], like: Any) -> Any:

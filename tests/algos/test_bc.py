@@ -38,17 +38,15 @@ def lane_actor(state, lane=0, controller=0):
 def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(problem):
     method, agent_sac = tiny_method("bc", controllers=2), make_algo("bc", hidden_sizes=[16], batch_size=64).sac
     demos = demonstrations(problem, method)
-    agents = jax.vmap(lambda key: sac.init(key, agent_sac, 12, 3))(jax.random.split(jax.random.key(0), 2))
+    agents = jax.jit(jax.vmap(lambda key: sac.init(key, agent_sac, 12, 3)))(jax.random.split(jax.random.key(0), 2))
     actors, losses = jax.jit(lambda key, actors: clone(key, agent_sac, actors, demos, 150, 3e-3))(
         jax.random.key(1), agents.actor
     )
     assert losses.shape == (2, 150)
     assert (losses[:, -20:].mean(axis=1) < 0.6 * losses[:, 0]).all()
     both = [jax.tree.map(lambda leaf, c=c: leaf[c], actors) for c in (0, 1)]
-    cross = [
-        [float(cloning_loss(actor, agent_sac, part.obs, part.action)) for actor in both]
-        for part in (demos.of(0), demos.of(1))
-    ]
+    loss = jax.jit(lambda actor, obs, action: cloning_loss(actor, agent_sac, obs, action))
+    cross = [[float(loss(actor, part.obs, part.action)) for actor in both] for part in (demos.of(0), demos.of(1))]
     assert cross[0][0] < cross[0][1]
     assert cross[1][1] < cross[1][0]
 

@@ -130,12 +130,12 @@ def test_moved_approaches_are_cloned_with_their_old_goal(rows):
 
 def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
     keys = jax.random.split(KEY, 400)
-    starts = jax.vmap(env.reset_uniform)(keys)
+    starts = jax.jit(jax.vmap(env.reset_uniform))(keys)
     actions = jax.random.uniform(KEY, (400, 3), minval=-1.0)
     step = jax.jit(jax.vmap(env.step))
     states, following = starts.obs[:, :6], step(starts, actions).obs[:, :6]
-    offset = jax.vmap(env.translation)(keys, states, following)
-    moved = jax.vmap(env.state_from_demo)(states + offset, starts.info["goal"])
+    offset = jax.jit(jax.vmap(env.translation))(keys, states, following)
+    moved = jax.jit(jax.vmap(env.state_from_demo))(states + offset, starts.info["goal"])
     np.testing.assert_allclose(step(moved, actions).obs[:, :6], following + offset, atol=1e-5)
     assert 0.1 < (offset != 0).any(axis=1).mean() < 0.9
     at_wall = (jnp.abs(following[:, :4]) >= 2.8).any(axis=1)

@@ -34,7 +34,7 @@ class Impatient(FBRL):
 
 def agent_of(method, value):
     """Return a fresh agent whose further critics are `value` everywhere, before the division by the reward scale."""
-    agent = sac.init(jax.random.key(0), method.sac, 12, 3, method.critics)
+    agent = jax.jit(lambda key: sac.init(key, method.sac, 12, 3, method.critics))(jax.random.key(0))
     critics = jax.tree.map(lambda leaf: leaf.at[sac.SOFT_CRITICS :].set(0.0), agent.critics)
     bias = critics["params"]["hidden_1"]["bias"]
     critics["params"]["hidden_1"]["bias"] = bias.at[sac.SOFT_CRITICS :].set(value)
@@ -95,7 +95,7 @@ def test_the_chance_of_a_switch_is_share_p_and_one_minus_k_to_the_c(env, options
 
 def test_the_success_critics_learn_which_goal_is_reached():
     method = make_algo("risc", hidden_sizes=[16], learning_rate=1e-2)
-    agent = sac.init(jax.random.key(0), method.sac, 2, 1, method.critics)
+    agent = jax.jit(lambda key: sac.init(key, method.sac, 2, 1, method.critics))(jax.random.key(0))
     reached = jnp.arange(64) < 32
     obs = jnp.where(reached[:, None], jnp.array([1.0, 0.0]), jnp.array([0.0, 1.0]))
     action = jax.random.uniform(jax.random.key(1), (64, 1), minval=-1.0, maxval=1.0)
@@ -106,8 +106,10 @@ def test_the_success_critics_learn_which_goal_is_reached():
         update = lambda agent, key: (method.update_agent(key, agent, batch)[0], None)  # noqa: E731
         return jax.lax.scan(update, agent, jax.random.split(jax.random.key(2), 400))[0]
 
+    chance = jax.jit(lambda agent, row: method.success_chance(jax.random.key(3), agent, row, 1))
+
     def chances(agent):
-        return [float(method.success_chance(jax.random.key(3), agent, row, 1)) for row in (obs[0], obs[-1])]
+        return [float(chance(agent, row)) for row in (obs[0], obs[-1])]
 
     before, after = chances(agent), chances(learn_batch(agent))
     assert after[0] > max(before[0], 0.8)

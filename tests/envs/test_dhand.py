@@ -147,11 +147,11 @@ def test_the_papers_variant_has_the_same_task(env, start_at):
     obs[:, 29:32] = obs[:, 26:29] - obs[:, 23:26]
     listed = obs.copy()
     listed[:, 26:29] = [-np.pi, 0.0, 0.3]
-    np.testing.assert_allclose(paper.reward(jnp.asarray(listed)), env.reward(jnp.asarray(obs)), atol=1e-5)
+    np.testing.assert_allclose(jax.jit(paper.reward)(listed), jax.jit(env.reward)(obs), atol=1e-5)
     np.testing.assert_array_equal(paper.success(listed), env.success(obs))
     assert np.asarray(paper.success(listed)).any()
     np.testing.assert_array_equal(paper.map_position(listed), env.map_position(obs))
-    experts = [jax.vmap(variant.expert)(rows) for variant, rows in ((paper, listed), (env, obs))]
+    experts = [jax.jit(jax.vmap(variant.expert))(rows) for variant, rows in ((paper, listed), (env, obs))]
     np.testing.assert_allclose(*experts, atol=1e-4)
     with pytest.raises(ValueError, match="reconstruction, paper"):
         make("dhand_lightbulb", variant="released")
@@ -182,7 +182,7 @@ def test_starts_cover_the_table_and_stay_inside(env):
     assert np.linalg.norm(bulb - [0.7, 0.15, 0.885], axis=1).max() < 0.45
     np.testing.assert_allclose(bulb[:, 2], task.REST)
     assert np.ptp(np.asarray(state.obs[:, :23]), axis=0).max() == 0
-    assert not np.asarray(jax.vmap(env.fault)(state)).any()
+    assert not np.asarray(jax.jit(jax.vmap(env.fault))(state)).any()
     np.testing.assert_allclose(env.initial_states[[0, -1], :2], [task.START_LOW, task.START_HIGH], rtol=1e-6)
     assert not np.asarray(state.metrics["success"]).any()
 
@@ -201,7 +201,7 @@ def test_the_wrist_follows_its_command_within_its_range(env, start_at, direction
     target = np.asarray(states.data.mocap_pos[:, 0, 0])
     np.testing.assert_allclose(target[0] - task.START_TARGET, 0.01 * direction, atol=1e-6)
     np.testing.assert_allclose(target[-1], task.HIGH if direction > 0 else task.LOW, atol=1e-6)
-    yaw = np.asarray(jax.vmap(task.yaw_of)(states.data.mocap_quat[:, 0, 0]))
+    yaw = np.asarray(jax.jit(jax.vmap(task.yaw_of))(states.data.mocap_quat[:, 0, 0]))
     assert yaw[0] == pytest.approx(0.02 * direction, abs=1e-5)
     assert yaw[-1] == pytest.approx(np.pi / 6 * direction, abs=1e-5)
     assert np.abs(np.asarray(states.data.mocap_quat)[..., [0, 3]]).max() == 0, "roll and pitch are inert"
@@ -243,12 +243,12 @@ def test_the_reward_is_the_documented_formula(env):
     obs[:, 32:] = np.where(np.arange(400)[:, None] % 2, task.TARGET, env.initial_states[np.arange(400) % 9])
     obs[::3, 23:26] = obs[::3, 32:] + rng.uniform(-0.08, 0.08, (134, 3))
     np.testing.assert_allclose(
-        env.reward(jnp.asarray(obs)), [documented_reward(row) for row in obs.astype(np.float64)], atol=1e-5
+        jax.jit(env.reward)(obs), [documented_reward(row) for row in obs.astype(np.float64)], atol=1e-5
     )
     near = np.linalg.norm(obs[:, 23:26] - obs[:, 32:], axis=1) < 0.1
     np.testing.assert_array_equal(env.success(jnp.asarray(obs)), near)
     sparse = dataclasses.replace(env, reward_type="sparse")
-    np.testing.assert_array_equal(sparse.reward(jnp.asarray(obs)), near.astype(np.float32))
+    np.testing.assert_array_equal(jax.jit(sparse.reward)(obs), near.astype(np.float32))
 
 
 def test_a_goal_on_the_table_rewards_putting_the_bulb_down(env):
@@ -256,7 +256,7 @@ def test_a_goal_on_the_table_rewards_putting_the_bulb_down(env):
     bulb = jnp.asarray(goal + np.array([[0, 0, 0], [0, 0, 0.14], [0.13, 0, 0]], np.float32))
     obs = jnp.zeros((3, 35)).at[:, 23:26].set(bulb).at[:, 26:29].set(bulb + jnp.array([0, 0, 0.02]))
     obs = obs.at[:, 32:].set(goal)
-    at_goal, above, beside = np.asarray(env.reward(obs)).tolist()
+    at_goal, above, beside = np.asarray(jax.jit(env.reward)(obs)).tolist()
     assert at_goal > beside > above
 
 
@@ -295,7 +295,7 @@ def test_the_tether_holds_a_thrown_bulb(env, start_at):
     reach = np.linalg.norm(bulb - [0.7, 0.15, 0.885], axis=1)
     assert 0.4 < reach.max() < 0.5
     assert bulb[:, 2].min() > 0.74
-    assert not np.asarray(jax.vmap(jax.vmap(env.fault))(states)).any()
+    assert not np.asarray(jax.jit(jax.vmap(jax.vmap(env.fault)))(states)).any()
 
 
 def test_the_wrist_moves_down_unless_a_finger_was_pressed_into_the_table(env, start_at):
@@ -324,11 +324,11 @@ def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it(env, start_
 
 @pytest.mark.parametrize("fault", ["nan", "fallen bulb", "far bulb", "far hand"])
 def test_a_broken_or_impossible_state_is_a_fault(env, start_at, fault):
-    state = start_at(jnp.array([0.72, 0.15]))
-    assert not bool(env.fault(state))
+    state, is_fault = start_at(jnp.array([0.72, 0.15])), jax.jit(env.fault)
+    assert not bool(is_fault(state))
     faults = {"nan": (0, jnp.nan), "fallen bulb": (25, 0.6), "far bulb": (23, 1.5), "far hand": (28, 2.0)}
     index, value = faults[fault]
-    assert bool(env.fault(state.replace(obs=state.obs.at[index].set(value))))
+    assert bool(is_fault(state.replace(obs=state.obs.at[index].set(value))))
 
 
 def test_two_thousand_random_and_saturated_steps_leave_the_bulb_on_the_table(env):
@@ -337,4 +337,4 @@ def test_two_thousand_random_and_saturated_steps_leave_the_bulb_on_the_table(env
     states = run_actions(env, state, jnp.asarray(make_actions(2000, lanes, 22)))
     assert_all_finite(states.obs)
     assert np.asarray(states.obs[..., 25]).min() > task.TABLE
-    assert not np.asarray(jax.vmap(jax.vmap(env.fault))(states)).any()
+    assert not np.asarray(jax.jit(jax.vmap(jax.vmap(env.fault)))(states)).any()

@@ -85,7 +85,7 @@ def test_cheetah_speed_and_reward_by_mujocos_own_momentum(cheetah):
     obs = np.random.default_rng(0).normal(size=(60, 17)) * np.repeat([2.0, 1.0, 9.0], [2, 6, 9])
     model, sparse = cheetah.simulator.mujoco_model(), dataclasses.replace(cheetah, reward_type="sparse")
     functions = (cheetah.speed, cheetah.reward, cheetah.success, sparse.reward)
-    values = [np.asarray(function(jnp.asarray(obs, jnp.float32))) for function in functions]
+    values = [np.asarray(jax.jit(function)(jnp.asarray(obs, jnp.float32))) for function in functions]
     data = mujoco.MjData(model)
     for row, (speed, reward, success, bit) in zip(obs, zip(*values, strict=True), strict=True):
         data.qpos[1:], data.qvel[:] = row[:8], row[8:]
@@ -139,7 +139,9 @@ def test_fish_mouth_frame_and_reward_by_mujocos_geometry(fish, fish_states):
     states = jax.jit(jax.vmap(fish.step))(states, jnp.asarray(np.linspace(-1, 1, 60).reshape(12, 5), jnp.float32))
     np.testing.assert_array_equal(states.data.mocap_pos[:, 0], fish.goal_states[:12], "the target is drawn at the goal")
     obs = np.hstack([states.obs[:, :33], states.obs[:, 21:24] + away])
-    values = [np.asarray(f(jnp.asarray(obs, jnp.float32))) for f in (fish.reward, fish.success, fish.target_seen)]
+    values = [
+        np.asarray(jax.jit(f)(jnp.asarray(obs, jnp.float32))) for f in (fish.reward, fish.success, fish.target_seen)
+    ]
     for lane, (row, reward, success, seen) in enumerate(zip(obs, *values, strict=True)):
         data = mujoco.MjData(model)
         data.qpos[:], data.mocap_pos[:] = states.data.qpos[lane], row[33:]

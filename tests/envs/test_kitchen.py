@@ -197,13 +197,14 @@ def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitch
     assert np.abs(states.obs[:, 9:23] - CLOSED[9:]).max() < 0.01, "everything is closed at the start"
     assert len(np.unique(states.obs[:, 23:], axis=0)) == 7, "every goal is drawn"
     assert not np.asarray(states.metrics["success"]).any()
-    assert not np.asarray(jax.vmap(paper.fault)(states)).any()
+    assert not np.asarray(jax.jit(jax.vmap(paper.fault))(states)).any()
 
 
 def test_a_goal_of_the_papers_variant_is_reached_when_its_appliances_are_open_in_the_model(env):
     """The joints are set in the physics, so plate and block follow knob and switch as the model couples them."""
     paper = dataclasses.replace(env, variant="paper", noise=False)
-    state = paper.reset(jax.random.key(0))
+    state = jax.jit(paper.reset)(jax.random.key(0))
+    success, reward = jax.jit(paper.success), jax.jit(paper.reward)
     joints = {
         "micro": (17, -0.7),
         "hinge": (16, 1.45),
@@ -217,7 +218,7 @@ def test_a_goal_of_the_papers_variant_is_reached_when_its_appliances_are_open_in
         for name in opened:
             qpos[joints[name][0]] = joints[name][1]
         obs = jnp.asarray(np.concatenate([kitchen_reward.observed(qpos), goal]), jnp.float32)
-        return bool(paper.success(obs)), float(paper.reward(obs))
+        return bool(success(obs)), float(reward(obs))
 
     for goal, group in zip(paper.goal_states, TEXT_GOALS, strict=True):
         closed, reached = arrive((), goal), arrive(group, goal)

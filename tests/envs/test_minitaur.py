@@ -153,9 +153,9 @@ def test_the_standing_robot_is_in_the_state_after_the_released_reset(nominal_env
 
 
 def test_the_observation_is_the_released_one(nominal_env):
-    state = nominal_env.reset(jax.random.key(0))
+    state, step = jax.jit(nominal_env.reset)(jax.random.key(0)), jax.jit(nominal_env.step)
     for action in np.random.default_rng(0).uniform(-1, 1, (5, 8)):
-        state = nominal_env.step(state, action)
+        state = step(state, action)
     data = physics.mujoco_data("minitaur_pen", state.data)
     motors = [data.joint(int(i)) for i in range(1, 17, 2)]
     np.testing.assert_allclose(
@@ -192,7 +192,10 @@ def test_bodies_differ_from_reset_to_reset_within_the_released_ranges(env):
     volts, viscosity = np.asarray(states.data.memory[:, 16:]).T
     assert 14.8 <= volts.min() < 14.9 < 16.7 < volts.max() <= 16.8
     assert 0 <= viscosity.min() < 5e-4 < 9.5e-3 < viscosity.max() <= 0.01
-    body, fields = minitaur_body.nominal("minitaur_pen"), jax.vmap(env.simulator.variation)(states.data.constants)
+    body, fields = (
+        minitaur_body.nominal("minitaur_pen"),
+        jax.jit(jax.vmap(env.simulator.variation))(states.data.constants),
+    )
     factor = np.asarray(fields["body_mass"][:, 1:] / body.mass[1:])
     assert 0.8 <= factor.min() < 0.81 < 1.19 < factor.max() <= 1.2
     np.testing.assert_allclose(factor[:, 1::2], factor[:, 1:2].repeat(8, 1), rtol=1e-5)
@@ -204,7 +207,7 @@ def test_bodies_differ_from_reset_to_reset_within_the_released_ranges(env):
 
 
 def test_every_lane_is_simulated_with_its_own_body(env):
-    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(2), 3))
+    states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(2), 3))
     run = jax.jit(jax.vmap(lambda s: play(env, s, jnp.tile(jnp.eye(8)[4], (20, 1)))[0].obs))
     obs, reversed_obs = run(states), run(take_lane(states, slice(None, None, -1)))
     np.testing.assert_array_equal(obs[::-1, :30], reversed_obs[:, :30])
@@ -212,7 +215,7 @@ def test_every_lane_is_simulated_with_its_own_body(env):
 
 
 def state_at_the_wall(env):
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     return state.replace(data=state.data.replace(qpos=state.data.qpos.at[0].set(1.1)))
 
 
@@ -233,11 +236,11 @@ def test_random_and_saturated_actions_cause_no_fault(env):
     actions = rng.uniform(-1, 1, (600, 12, 8))
     actions[:, 4:] = np.sign(actions[:, 4:])
     actions[:, 8:] = actions[::30, 8:].repeat(30, axis=0)
-    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 12))
+    states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(3), 12))
     final, path = jax.jit(jax.vmap(lambda s, a: play(env, s, a)))(states, jnp.asarray(actions.swapaxes(0, 1)))
     assert np.isfinite(path).all()
     assert np.abs(path[..., :2]).max() < 1.5
-    assert not np.asarray(jax.vmap(env.fault)(final)).any()
+    assert not np.asarray(jax.jit(jax.vmap(env.fault))(final)).any()
     assert minitaur_trots.loop_error(np.asarray(path[:, ::40])) < 1e-3
     assert bool(env.fault(env.reset(jax.random.key(0)).replace(data=final.data.replace(qpos=path[0, 0] + 5.0))))
 

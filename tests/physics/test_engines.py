@@ -13,6 +13,7 @@ from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.envs.minitaur.motors import MinitaurMotors
 from earl_jax.physics.engines import c
+from tests.conftest import take_lane
 
 EVERY_SAWYER = pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
 NEEDS_WARP = pytest.mark.skipif(
@@ -131,14 +132,14 @@ def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
     nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)
     nested.obs.block_until_ready()
     assert row_counts == [6]
-    alone = env.step(jax.tree.map(lambda leaf: leaf[1, 2], states), action)
+    alone = jax.jit(env.step)(take_lane(states, (1, 2)), action)
     np.testing.assert_allclose(nested.obs[1, 2], alone.obs, rtol=1e-6, atol=1e-6)
 
 
 def test_the_sensors_lag_the_state_by_one_substep():
     env = make("sawyer_door", physics="c", substeps=1)
-    state = env.reset(jax.random.key(0))
-    after = env.step(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
+    state = jax.jit(env.reset)(jax.random.key(0))
+    after = jax.jit(env.step)(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
     np.testing.assert_allclose(after.obs[:3], state.obs[:3], atol=1e-6)
     assert np.abs(np.asarray(after.data.qpos[:9] - state.data.qpos[:9])).max() > 1e-4
 
@@ -149,7 +150,7 @@ def test_a_broken_lane_on_c_does_not_change_the_others():
     broken = states.replace(data=states.data.replace(qvel=states.data.qvel.at[1].set(jnp.nan)))
     step = jax.jit(jax.vmap(lambda s: env.step(s, jnp.ones(4))))
     after, unbroken = step(broken), step(states)
-    assert np.asarray(jax.vmap(env.fault)(after)).tolist() == [False, True, False]
+    assert np.asarray(jax.jit(jax.vmap(env.fault))(after)).tolist() == [False, True, False]
     for lane in (0, 2):
         np.testing.assert_array_equal(after.obs[lane], unbroken.obs[lane])
 
@@ -180,8 +181,8 @@ class Unbound:
 
 def test_c_calls_an_actuator_that_cannot_be_bound_before_every_substep():
     env = make("minitaur_pen", physics="c")
-    state, command = env.reset(jax.random.key(0)).data, jnp.linspace(0, 2, 8)
+    state, command = jax.jit(env.reset)(jax.random.key(0)).data, jnp.linspace(0, 2, 8)
     unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
-    (actual, _), (expected, _) = unbound.step(state, command), env.simulator.step(state, command)
+    (actual, _), (expected, _) = jax.jit(unbound.step)(state, command), jax.jit(env.simulator.step)(state, command)
     assert np.abs(np.asarray(expected.qvel - state.qvel)).max() > 0.1
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), actual, expected)

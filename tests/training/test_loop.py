@@ -160,7 +160,7 @@ def test_a_refresh_runs_at_the_start_of_every_block(problem):
     method = tiny_method("vaprl")
     start = make_train_state(problem, method, [0, 1])
     assert not start.lanes.method_state.values.any()
-    expected = scan.refresh(problem, method, start).lanes.method_state.values
+    expected = jax.jit(lambda m, s: scan.refresh(problem, m, s))(method, start).lanes.method_state.values
     np.testing.assert_allclose(advance(problem, method, start, 20).lanes.method_state.values, expected, atol=1e-5)
     assert np.abs(advance(problem, method, start, 40).lanes.method_state.values - expected).max() > 1e-4
 

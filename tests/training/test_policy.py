@@ -1,5 +1,6 @@
 """Policies of the task without help, after training with a budget."""
 
+import functools
 import types
 
 import jax
@@ -26,6 +27,7 @@ METHOD = tiny_method("naive")
 LENGTHS = {"seeds": (0, 1), "steps": 40, "eval_every": 40, "eval_episodes": 1, "checkpoint_every": 40}
 
 
+@functools.partial(jax.jit, static_argnums=(0, 1, 2))
 def agents(env, lanes=2, controllers=1):
     """Return new agents of `env`, leaves [lanes, controllers, ...]."""
     keys = jax.random.split(jax.random.key(0), (lanes, controllers))
@@ -37,6 +39,7 @@ def lane_of(env, lane=0):
     return types.SimpleNamespace(agent=jax.tree.map(lambda leaf: leaf[lane], agents(env)), key=jax.random.key(1))
 
 
+@functools.partial(jax.jit, static_argnums=1)
 def expected_action(obs, lane=0):
     """Return the action of the actor that was trained with a budget, at a full budget and without its last component."""
     actor = jax.tree.map(lambda leaf: leaf[lane, 0], agents(HELPED).actor)
@@ -65,7 +68,7 @@ def test_no_intervention_keeps_an_evaluated_policy_from_its_goal(cliff, help_bia
     lane.agent = lane.agent.replace(actor=zeros)
     metrics = jax.jit(lambda: deployed_lane(problem, select_seed(METHOD, 0), lane, jnp.int32(0)))()
     starts_at = jax.random.split(jax.random.fold_in(jax.random.fold_in(lane.key, 0), 2), 8)
-    drawn = jax.vmap(lambda key: env.task.reset(key).info["goal"][0])(starts_at) == 3
+    drawn = jax.jit(jax.vmap(lambda key: env.task.reset(key).info["goal"][0]))(starts_at) == 3
     assert 0 < drawn.sum() < 8
     assert metrics["deployed/success"] == pytest.approx(float(drawn.mean()))
 

@@ -13,7 +13,7 @@ from earl_jax.training import program_cache
 from tests.conftest import CACHE, TESTS
 
 TRAIN = """
-import time
+import sys, time
 began = time.perf_counter()
 import jax
 events = []
@@ -23,6 +23,7 @@ from tests import threefry
 threefry.install()
 small = dict(hidden_sizes=[16], batch_size=16, random_steps=20)
 earl_jax.train("tabletop_organization", "naive", seeds=2, steps=40, eval_every=40, **small)
+assert not {"brax", "mujoco", "trimesh"} & set(sys.modules), "they take longer to import than jax"
 print(events.count("cache_hits"), events.count("cache_misses"), time.perf_counter() - began)
 """
 

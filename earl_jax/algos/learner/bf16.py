@@ -16,7 +16,7 @@ Saved = tuple[list[jax.Array], list[jax.Array]]
 
 
 def apply(network: Any, layers: Any, x: jax.Array) -> jax.Array:
-    """Return the float32 outputs [B, O] of a Brax `MLP` with the parameters `layers` at `x [B, K]`."""
+    """Return the float32 outputs [B, O] of an `MLP` with the parameters `layers` at `x [B, K]`."""
     fused = len(network.layer_sizes) > 1 and not network.layer_norm
     return (_apply_plain if fused else _apply_normalised)(network, layers, x)
 

@@ -1,10 +1,11 @@
-"""The learner's networks: Brax's multilayer perceptron and tanh-squashed normal, with the paper's parameters.
+"""The learner's networks: a multilayer perceptron and a tanh-squashed normal, with the paper's parameters.
 
-`apply` evaluates a network at a chosen precision; parameters are always float32.
+`apply` evaluates a network at a chosen precision; parameters are always float32. They are those of Brax's networks, which
+earlier versions used; Brax imports MuJoCo MJX, which takes a third of the time in which a process starts.
 """
 
 import contextlib
-import io
+import dataclasses
 from typing import Any
 
 import jax
@@ -14,33 +15,68 @@ from flax import linen
 from earl_jax.algos.learner import bf16
 from earl_jax.errors import InputError
 
-# Brax imports MJX, which prints a line for each missing optional engine to stdout, where a caller may write JSON.
-with contextlib.redirect_stdout(io.StringIO()):
-    from brax.training import distribution, networks
-
 LOG_STD_RANGE = (-20.0, 2.0)
 PRECISIONS = ("float32", "tf32", "bf16")
 
 
-class TanhNormal(distribution.NormalTanhDistribution):
-    """Tanh-squashed normal whose log standard deviation is the clipped network output, as in the paper.
+@dataclasses.dataclass(frozen=True)
+class TanhNormal:
+    """Tanh-squashed normal of `size` actions; the clipped output of the network is its log standard deviation.
 
-    Brax applies a softplus instead; the rest is unchanged.
+    Every method takes `parameters [..., 2a]`: the means, then the log standard deviations, as in the paper.
     """
 
-    def create_dist(self, parameters: jax.Array) -> Any:
-        """Return the normal before squashing with `parameters [..., 2a]`: means, then log standard deviations."""
-        loc, log_std = jnp.split(parameters, 2, axis=-1)
-        return type(super().create_dist(parameters))(loc, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE)))
+    size: int
+
+    def sample(self, parameters: jax.Array, key: jax.Array) -> jax.Array:
+        """Return actions [..., a]."""
+        return jnp.tanh(self.sample_raw(parameters, key))
+
+    def sample_raw(self, parameters: jax.Array, key: jax.Array) -> jax.Array:
+        """Return actions [..., a] before squashing, reparametrised."""
+        mean, std = self._moments(parameters)
+        return jax.random.normal(key, mean.shape) * std + mean
+
+    def mode(self, parameters: jax.Array) -> jax.Array:
+        """Return the squashed means [..., a]."""
+        return jnp.tanh(self._moments(parameters)[0])
+
+    def log_prob(self, parameters: jax.Array, raw: jax.Array) -> jax.Array:
+        """Return the log-densities [...] of the actions tanh(`raw [..., a]`) (appendix C of the SAC paper)."""
+        mean, std = self._moments(parameters)
+        normal = -0.5 * jnp.square(raw / std - mean / std) - (0.5 * jnp.log(2.0 * jnp.pi) + jnp.log(std))
+        return (normal - 2.0 * (jnp.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))).sum(axis=-1)
+
+    def _moments(self, parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
+        mean, log_std = jnp.split(parameters, [self.size], axis=-1)
+        return mean, jnp.exp(jnp.clip(log_std, *LOG_STD_RANGE))
 
 
-def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> networks.MLP:
-    """Return a ReLU network with Glorot-uniform weights and zero biases, as in the released TF-Agents code.
+class MLP(linen.Module):
+    """ReLU network of layers `hidden_0`, `hidden_1`, ... with `layer_sizes` outputs, the last one linear.
 
-    `layer_norm` normalises every hidden layer.
+    Weights start Glorot-uniform and biases at zero, as in the released TF-Agents code. `layer_norm` normalises every
+    hidden layer after its activation.
     """
-    init = jax.nn.initializers.glorot_uniform()
-    return networks.MLP([*hidden_sizes, outputs], activation=linen.relu, kernel_init=init, layer_norm=layer_norm)
+
+    layer_sizes: tuple[int, ...]
+    layer_norm: bool = False
+
+    @linen.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Return the outputs [..., O] at `x [..., K]`."""
+        init = jax.nn.initializers.glorot_uniform()
+        for number, size in enumerate(self.layer_sizes):
+            if number:
+                x = linen.relu(x)
+                x = linen.LayerNorm()(x) if self.layer_norm else x
+            x = linen.Dense(size, kernel_init=init, name=f"hidden_{number}")(x)
+        return x
+
+
+def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> MLP:
+    """Return the `MLP` with the layers `hidden_sizes` and `outputs`."""
+    return MLP((*hidden_sizes, outputs), layer_norm)
 
 
 def fix_input(params: Any, index: int, value: float) -> Any:
@@ -79,7 +115,7 @@ def check_precision(precision: str) -> None:
         raise InputError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")
 
 
-def apply(network: networks.MLP, params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
+def apply(network: MLP, params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     """Return the float32 outputs [..., O] of `network` at `x [..., K]`, differentiable in `params` and `x`.
 
     Matrix products by `precision`: "float32" is float32 on every device; "tf32" is XLA's default (TF32 on NVIDIA GPUs,

@@ -109,8 +109,8 @@ def act_with_log_prob(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, size
 def _sample(parameters: jax.Array, key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
     """Return actions and log-probabilities of the policy's `parameters [..., 2a]`, as `act_with_log_prob`."""
     policy = TanhNormal(size)
-    raw = policy.sample_no_postprocessing(parameters, key)
-    return policy.postprocess(raw), policy.log_prob(parameters, raw)
+    raw = policy.sample_raw(parameters, key)
+    return jnp.tanh(raw), policy.log_prob(parameters, raw)
 
 
 def q_values(sac: SAC, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:

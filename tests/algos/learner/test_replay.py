@@ -15,21 +15,27 @@ from tests.conftest import assert_equal_trees, make_train_state, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 2)
 NO_DEMO_SHARE = jnp.zeros(2)
+# Each is one program; called eagerly, every operation would be one.
+sample = jax.jit(replay.sample, static_argnums=3)
+write = jax.jit(replay.write)
+later_states = jax.jit(replay.later_states, static_argnums=3)
 
 
 def make_transition(step, lanes=2):
     """Return a transition whose every field shows its step and lane."""
-    number = jnp.arange(lanes) + 10.0 * step
-    no = jnp.zeros(lanes, bool)
-    reached = no.at[0].set(step % 2 == 0)
-    flags = TransitionFlags(goal=jnp.full(lanes, step), reached=reached, timeout=no, no_successor=no, absorbed=no)
+    number = (np.arange(lanes) + 10.0 * step).astype(np.float32)
+    no = np.zeros(lanes, bool)
+    reached = np.append(step % 2 == 0, no[1:])
+    flags = TransitionFlags(
+        goal=np.full(lanes, step, np.int32), reached=reached, timeout=no, no_successor=no, absorbed=no
+    )
     return Transition(action=number[:, None], next_state=number[:, None] + 1000, reward=number, flags=flags)
 
 
 def fill_replay(controllers, valid, sparse=False, buffer=None):
     buffer = replay.create(len(controllers), 2, 1, 1, sparse) if buffer is None else buffer
     for step, (controller, keep) in enumerate(zip(controllers, valid, strict=True)):
-        buffer = replay.write(buffer, make_transition(step), jnp.array(keep), jnp.array(controller))
+        buffer = write(buffer, make_transition(step), np.array(keep), np.array(controller, np.int32))
     return buffer
 
 
@@ -47,7 +53,7 @@ def test_each_controller_samples_its_own_valid_rows():
     valid = [(True, True), (True, True), (False, True), (True, True), (True, False)]
     buffer = fill_replay(controllers, valid)
     for controller, expected in ((0, [{0, 4}, {2, 3}]), (1, [{1, 3}, {0, 1}])):
-        batch = replay.sample(buffer, KEYS, jnp.full(2, controller), 200, NO_DEMO_SHARE)
+        batch = sample(buffer, KEYS, np.full(2, controller, np.int32), 200, NO_DEMO_SHARE)
         for lane in range(2):
             row = np.asarray(batch.row[lane])
             assert set(row.tolist()) == expected[lane]
@@ -60,35 +66,35 @@ def test_each_controller_samples_its_own_valid_rows():
 
 def test_a_controller_without_rows_samples_those_of_the_other():
     buffer = fill_replay([(0, 1), (0, 1)], [(True, True)] * 2)
-    batch = replay.sample(buffer, KEYS, jnp.array([1, 0]), 50, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, jnp.array([1, 0]), 50, NO_DEMO_SHARE)
     for lane in range(2):
         assert {int(row) for row in batch.row[lane]} == {0, 1}
 
 
 def test_a_sparse_reward_is_the_success_bit():
     buffer = fill_replay([(0, 0)] * 4, [(True, True)] * 4, sparse=True)
-    batch = replay.sample(buffer, KEYS, jnp.zeros(2, int), 100, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 100, NO_DEMO_SHARE)
     np.testing.assert_array_equal(batch.reward[0], batch.row[0] % 2 == 0)
     assert not batch.reward[1].any()
 
 
 def test_sampling_is_uniform():
     buffer = fill_replay([(0, 0)] * 8, [(True, True)] * 8)
-    batch = replay.sample(buffer, KEYS, jnp.zeros(2, int), 8000, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 8000, NO_DEMO_SHARE)
     counts = np.bincount(np.asarray(batch.row[0]), minlength=8)
     assert np.abs(counts - 1000).max() < 150
 
 
 def test_a_share_of_the_batch_comes_from_the_demonstrations():
     buffer = fill_replay([(0, 0)] * 8, [(True, True)] * 8).replace(demos=jnp.array([2, 0]))
-    batch = replay.sample(buffer, KEYS, jnp.zeros(2, int), 8000, jnp.array([0.5, 0.0]))
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 8000, jnp.array([0.5, 0.0]))
     assert abs((batch.row[0] < 2).mean() - (0.5 + 0.5 * 0.25)) < 0.02
     assert abs((batch.row[1] < 2).mean() - 0.25) < 0.02
 
 
 def kept_steps(buffer, controller, lane):
     """Return the steps of `make_transition` that `controller` samples in `lane`, whose rows must be consistent."""
-    batch = replay.sample(buffer, KEYS, jnp.full(2, controller), 200, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.full(2, controller, np.int32), 200, NO_DEMO_SHARE)
     action = np.asarray(batch.action[lane, :, 0])
     np.testing.assert_allclose(batch.next_state[lane, :, 0], action + 1000)
     np.testing.assert_allclose(batch.state[lane, :, 0], np.where(action < 10, 0, action + 990))
@@ -124,12 +130,12 @@ def with_demonstrations(own):
 
 def test_a_replay_with_a_capacity_keeps_its_demonstrations():
     buffer = fill_replay([(0, 0)] * 11, [(True, True)] * 11, buffer=with_demonstrations(3))
-    batch = replay.sample(buffer, KEYS, jnp.zeros(2, int), 200, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 200, NO_DEMO_SHARE)
     rows, steps = np.asarray(batch.row[0]), np.asarray(batch.flags.goal[0])
     assert set(rows[rows < 3].tolist()) == {0, 1}
     assert set(steps[rows >= 3].tolist()) == {8, 9, 10}
     np.testing.assert_allclose(batch.next_state[0, rows >= 3, 0], 1000 + 10.0 * steps[rows >= 3])
-    shared = replay.sample(buffer, KEYS, jnp.zeros(2, int), 200, jnp.ones(2))
+    shared = sample(buffer, KEYS, np.zeros(2, np.int32), 200, jnp.ones(2))
     assert set(np.asarray(shared.row).ravel().tolist()) == {0, 1}
 
 
@@ -137,7 +143,7 @@ def test_a_capacity_that_is_never_reached_changes_no_sample():
     plain = fill_replay(*LONG)
     buffer = fill_replay(*LONG, buffer=replay.create(30 + 1, 2, 1, 1, False, slots=2 * 30))
     for controller in (0, 1):
-        batches = [replay.sample(each, KEYS, jnp.full(2, controller), 50, NO_DEMO_SHARE) for each in (plain, buffer)]
+        batches = [sample(each, KEYS, np.full(2, controller, np.int32), 50, NO_DEMO_SHARE) for each in (plain, buffer)]
         assert_equal_trees(*batches)
 
 
@@ -152,7 +158,9 @@ def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_i
     grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], create(9)))
     expected = fill_replay(controllers, valid, buffer=create(9))
     for controller in (0, 1):
-        batches = [replay.sample(each, KEYS, jnp.full(2, controller), 50, NO_DEMO_SHARE) for each in (grown, expected)]
+        batches = [
+            sample(each, KEYS, np.full(2, controller, np.int32), 50, NO_DEMO_SHARE) for each in (grown, expected)
+        ]
         assert_equal_trees(*batches)
     assert int(grown.row) == int(expected.row)
 
@@ -190,12 +198,13 @@ def test_later_states_are_some_steps_after_the_sampled_ones(evicts):
         first_row=jnp.asarray(demos),
     )
     for number in range(own):
-        flags = TransitionFlags(*jnp.zeros((5, 1), jnp.int32))
-        step = Transition(jnp.zeros((1, 1)), jnp.full((1, 1), number + 1.0), jnp.zeros(1), flags)
-        buffer = replay.write(buffer, step, jnp.ones(1, bool), jnp.zeros(1, jnp.int32))
+        flags = TransitionFlags(*np.zeros((5, 1), np.int32))
+        zeros = np.zeros((1, 1), np.float32)
+        step = Transition(zeros, zeros + number + 1, zeros[0], flags)
+        buffer = write(buffer, step, np.ones(1, bool), np.zeros(1, np.int32))
     newest = buffer.row - 1 if int(buffer.row) > demos else jnp.asarray(capacity - 1)
     rows = jnp.concatenate([jnp.full(2000, newest - 4), jnp.full(2000, 1)])[None]
-    later = replay.later_states(buffer, jax.random.split(jax.random.key(0), 1), rows, 3.0)[0, :, 0]
+    later = later_states(buffer, jax.random.split(jax.random.key(0), 1), rows, 3.0)[0, :, 0]
     ahead = later[:2000] - buffer.state[newest - 4, 0, 0]
     assert set(np.unique(ahead)) == {1, 2, 3, 4, 5}
     np.testing.assert_allclose((ahead == 1).mean(), 1 / 3, atol=0.05)

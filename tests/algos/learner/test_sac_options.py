@@ -18,6 +18,7 @@ ROWS, SIZE = 8, 2
 init = jax.jit(sac_lib.init, static_argnames=("obs_size", "action_size", "critics"))
 td_targets = jax.jit(jax.vmap(sac_lib.td_target, (None, None, None, 0)))
 q_values = jax.jit(sac_lib.q_values)
+act_with_log_prob = jax.jit(sac_lib.act_with_log_prob, static_argnums=4)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, su
     agent, keys = init(jax.random.key(1), sac, 4, SIZE, critics=critics), jax.random.split(jax.random.key(2), 12)
     targets, used = np.asarray(td_targets(sac, agent, batch, keys)), set()
     for key, target in zip(keys, targets, strict=True):
-        action, log_prob = sac_lib.act_with_log_prob(sac, agent.actor, batch.next_obs, key, SIZE)
+        action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, SIZE)
         q = np.asarray(q_values(sac, agent.targets, batch.next_obs, action))
         live = ~np.asarray(batch.terminal)
         expected = {
@@ -104,7 +105,7 @@ def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
 def test_the_gradient_of_the_cloning_term_is_the_analytic_one(batch):
     sac = SMALL.replace(cloning=0.5)
     parameters = jax.random.normal(jax.random.key(5), (ROWS, 2 * SIZE))
-    grads = np.asarray(jax.grad(lambda p: cloning_term(sac, p, batch))(parameters))
+    grads = np.asarray(jax.jit(jax.grad(lambda p: cloning_term(sac, p, batch)))(parameters))
     mode, action = np.tanh(np.asarray(parameters)[:, :SIZE]), np.asarray(batch.action)
     expected = 0.5 * 2.0 * 2 * (mode - action) * (1 - mode**2) / (2 * SIZE)  # two demonstrated rows
     demonstrated = np.asarray(batch.demonstrated)

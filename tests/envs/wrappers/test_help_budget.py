@@ -21,7 +21,7 @@ DISCOUNT = 0.9
 
 def start_state(env, position=None, asked=0, enforced=0):
     """Return a state of `env` with the chain's goal, at `position` after so many interventions."""
-    state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0]))
+    state = jax.jit(lambda: env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0])))()
     if position is None:
         return state
     inner = env.task.state_at(position, state.data.info["goal"])
@@ -33,9 +33,13 @@ def start_state(env, position=None, asked=0, enforced=0):
 def run_actions(env, actions, state=None):
     """Return the states [T + 1] before and after every one of the `actions [T, a]`."""
     first = start_state(env) if state is None else state
-    scan = jax.jit(lambda state, actions: jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, state, actions))
-    _, rest = scan(first, jnp.asarray(actions))
-    return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
+
+    @jax.jit
+    def run(first, actions):
+        _, rest = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
+        return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
+
+    return run(first, jnp.asarray(actions))
 
 
 def describe(tree):
