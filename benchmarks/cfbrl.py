@@ -30,7 +30,7 @@ MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way b
 RUNS = {
     "tabletop_organization": ("cfbrl",),
     "sawyer_door": ("cfbrl",),
-    "sawyer_peg": ("cfbrl-exploration_0.1", "cfbrl-patience_0.9"),
+    "sawyer_peg": ("cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
 }
 RESET = 100_000
 """Steps between hard resets of the peg, of which a lane that is lost gets a new start."""
@@ -53,10 +53,10 @@ GOALS = (
     Goal("tabletop_organization", DEPLOYED, 0.99),
     Goal("sawyer_door", DEPLOYED, 0.95, before=200_000),
     Goal("sawyer_door", DEPLOYED, 1.0, window=700_000),
-    Goal("sawyer_peg", DEPLOYED, 0.95, window=400_000),
-    Goal("sawyer_peg", WIDE, 0.8, window=400_000),
-    Goal("sawyer_peg", FORWARD, 0.8, window=400_000),
-    Goal("sawyer_peg", BACK, 0.8, window=400_000),
+    Goal("sawyer_peg", DEPLOYED, 0.95, window=1_000_000),
+    Goal("sawyer_peg", WIDE, 0.8, window=1_000_000),
+    Goal("sawyer_peg", FORWARD, 0.8, window=1_000_000),
+    Goal("sawyer_peg", BACK, 0.8, window=1_000_000),
 )
 
 

@@ -68,7 +68,10 @@ DIFFERENCES = (
         Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE, (f"{PEG}/oracle/layer_norm",)),
     )),
     Difference("5, 6", "VaPRL relabels with goals that are met already; its subgoal where no value reaches epsilon", (
-        Pair((f"{DOOR}/vaprl",), (f"{DOOR}/vaprl/nearest_fallback-unmet_goals",)),
+        *(Pair((f"{env}/vaprl",), (f"{env}/vaprl/{name}",)) for env, name in (
+            (DOOR, "unmet_goals"), (DOOR, "nearest_fallback"), (DOOR, "nearest_fallback-unmet_goals"),
+            (TABLETOP, "nearest_fallback"), (TABLETOP, "nearest_fallback-unmet_goals"),
+        )),
     )),
     Difference("7", "VaPRL on the door with the final model", cell=(DOOR, "vaprl")),
     Difference("8", "naive RL's goal for 1,000 steps; the release: 400, after 10,000 random steps", tuple(

@@ -14,16 +14,17 @@ import numpy as np
 import earl_jax
 from earl_jax.envs import Env, State
 from earl_jax.envs.sawyer.base import GRIPPER
-from earl_jax.envs.sawyer.experts import GRASP
 from earl_jax.envs.sawyer.peg import SawyerPeg
 from earl_jax.report.tables import write
 
 RESULT = Path(__file__).parent / "results" / "cfbrl" / "peg_lives.csv"
-LANES, STEPS = 12, 8000
+LANES, STEPS = 12, 20_000
 OPEN = 0.9
 """Reading of the gripper from which it is open."""
-NEAR = 0.05
-"""Metres between hand and grasp position within which a closed hand may hold the peg."""
+NEAR = 0.08
+"""Metres between hand and peg within which a closed hand may hold it."""
+LENGTH = 0.2
+"""Metres of the peg behind its head that a hand can hold."""
 
 
 def live(env: Env, policy: earl_jax.Policy, key: jax.Array) -> tuple[State, jax.Array]:
@@ -50,7 +51,8 @@ def row(lane: int, obs: np.ndarray, ends: np.ndarray) -> dict:
     """Return what there is to say about one life with the last observation `obs [14]`."""
     hand, head = obs[:3], obs[4:7]
     reached = np.flatnonzero(ends[:, 1])
-    closed, far = obs[GRIPPER] < OPEN, np.linalg.norm(hand - (head + GRASP)) > NEAR
+    held = head + np.array([np.clip(hand[0] - head[0], 0.0, LENGTH), 0.0, 0.0])
+    closed, far = obs[GRIPPER] < OPEN, np.linalg.norm(hand - held) > NEAR
     return {
         "lane": lane,
         "phases": int(ends[:, 0].sum()),

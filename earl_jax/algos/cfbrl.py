@@ -1,4 +1,4 @@
-"""CFBRL: forward-backward RL of one agent that is cloned before its first step and learns from moved transitions."""
+"""CFBRL: forward-backward RL of one agent, cloned from corrected demonstrations before its first step."""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -35,16 +35,18 @@ class CFBRL(RISC):
     """Clone both directions before the first step, then alternate phases as FBRL does, with one goal-conditioned agent.
 
     The actor starts as `BC` does, with little noise, and keeps a cloning term. For `warmup` steps only the critics
-    learn. Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the object in a
-    later state as the goal; and moved to another place of the workspace, where the dynamics are the same. The cloning
-    uses the second form too, and the third together with it, since then the action keeps its meaning. A phase that
-    lasts longer than `patience` is stuck: from then on, blocks of steps take a random action that is held.
+    learn. Demonstrated steps are also cloned from other states of the robot, with actions that lead back
+    (`Env.correction`). Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the
+    object in a later state as the goal; and moved to another place of the workspace, where the dynamics are the same.
+    The cloning uses the second form too, and the third together with it, since then the action keeps its meaning. A
+    phase that lasts longer than `patience` is stuck: from then on, blocks of steps take a random action that is held.
 
     Source: this project, 2026. The parts are known: the cloning term (Rajeswaran et al. 2018, DAPG), hindsight goals
     (Andrychowicz et al. 2017, HER), moved transitions (Lin et al. 2020, "Invariant Transform Experience Replay"), half of
     each batch from demonstrations, normalised layers and bootstrapped time-outs (Ball et al. 2023; Patil et al. 2024).
-    `Env.translation` is knowledge of the task that no method of the paper has; `translated=0` omits it. Switching is
-    RISC's, and off by default.
+    Corrective labels are those of Ke et al. 2023 ("CCIL"), which takes them from a learnt model of the dynamics.
+    `Env.translation` and `Env.correction` are knowledge of the task that no method of the paper has; `translated=0` and
+    `corrected=0` omit them. Switching is RISC's, and off by default.
     """
 
     sac: SAC = SAC(
