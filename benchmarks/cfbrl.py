@@ -5,7 +5,6 @@ docs/cfbrl.md and the picture results/cfbrl/curves.png.
 """
 
 import csv
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +19,7 @@ from earl_jax.metrics.crossings import crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import Curves, read
-from earl_jax.report.tables import interval_text, markdown_table
+from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 RESULTS = Path(__file__).parent / "results"
 LONG, OPTIONS = RESULTS / "leaderboard", RESULTS / "cfbrl"
@@ -70,12 +69,14 @@ def _goal_line(goal: Goal, name: str) -> list[str]:
     curves = read(LONG / goal.env / name)
     if goal.before is not None:
         at = crossing(curves.steps, curves.metrics[goal.metric], goal.level)
-        text, met = f"at {_steps(at.value)} [{_steps(at.low)}, {_steps(at.high)}]", at.value < goal.before
-        asked = f"{goal.level} before {_steps(goal.before)}"
+        text, met = f"at {step_interval(at)}", at.value < goal.before
+        asked = f"{goal.level} before {millions(goal.before)}"
     else:
         mean = mean_interval(window_scores(curves, goal.metric, goal.window))
         text, met = interval_text(*mean), mean.value >= goal.level
-        asked = f"{goal.level} over the last {_steps(min(goal.window, curves.steps[-1]))} of {_steps(curves.steps[-1])}"
+        asked = (
+            f"{goal.level} over the last {millions(min(goal.window, curves.steps[-1]))} of {millions(curves.steps[-1])}"
+        )
     return [goal.env, name, MEASURES[goal.metric], asked, text, "yes" if met else "no"]
 
 
@@ -88,19 +89,24 @@ def options_text() -> str:
     """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p."""
     rows, values = [], []
     for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
-        base = read(OPTIONS / env / "default")
-        for folder in sorted((OPTIONS / env).iterdir(), key=lambda path: (path.name != "default", path.name)):
-            curves = read(folder)
-            scores = {metric: window_scores(curves, metric, 200_000) for metric in MEASURES}
-            texts = [interval_text(*mean_interval(score)) for score in scores.values()]
-            rows.append([env, folder.name, *texts])
-            for metric, score in scores.items():
-                same = folder.name == "default"
-                values.append(math.nan if same else permutation(score, window_scores(base, metric, 200_000)).p)
-    smallest = np.nanmin(holm(values))
+        base = _option_scores(OPTIONS / env / "default")
+        rows.append(_option_line(env, "default", base))
+        for folder in sorted(path for path in (OPTIONS / env).iterdir() if path.name != "default"):
+            scores = _option_scores(folder)
+            rows.append(_option_line(env, folder.name, scores))
+            values += [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
     header = ("task", "options", *MEASURES.values())
-    tests = int(np.isfinite(values).sum())
-    return f"{markdown_table(header, rows)}\n\nThe smallest of the {tests} adjusted p against the default is {smallest:.2g}."
+    smallest = f"The smallest of the {len(values)} adjusted p against the default is {min(holm(values)):.2g}."
+    return f"{markdown_table(header, rows)}\n\n{smallest}"
+
+
+def _option_scores(folder: Path) -> list[np.ndarray]:
+    curves = read(folder)
+    return [window_scores(curves, metric, 200_000) for metric in MEASURES]
+
+
+def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
+    return [env, name, *(interval_text(*mean_interval(score)) for score in scores)]
 
 
 def lanes_text() -> str:
@@ -110,7 +116,7 @@ def lanes_text() -> str:
         curves = read(LONG / "sawyer_peg" / name)
         lines += [[name, str(seed), *cells] for seed, cells in zip(curves.config.seeds, _spans(curves), strict=True)]
     spans = len(lines[0]) - 3
-    header = ("run", "seed", *(f"to {_steps((number + 1) * RESET)}" for number in range(spans)), "lived through")
+    header = ("run", "seed", *(f"to {millions((number + 1) * RESET)}" for number in range(spans)), "lived through")
     return markdown_table(header, lines)
 
 
@@ -135,10 +141,6 @@ def lives_text() -> str:
         header, [[value.replace("True", "yes").replace("False", "no") for value in row.values()] for row in rows]
     )
     return f"{table}\n\n{empty} of {len(rows)} lives of {peg_lives.STEPS:,} steps end with an empty closed hand."
-
-
-def _steps(count: float) -> str:
-    return "-" if math.isnan(count) else f"{count / 1e6:.2f}M"
 
 
 def draw(path: Path) -> None:

@@ -58,6 +58,10 @@ BIASED = f"{CHEETAH}/naive/train_horizon_1000"
 BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
+VAPRL = {
+    DOOR: ("unmet_goals", "nearest_fallback", "nearest_fallback-unmet_goals"),
+    TABLETOP: ("nearest_fallback", "nearest_fallback-unmet_goals"),
+}
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
     Difference("2", "figure 2 with the release's script: 3M steps, reward scale 0.1, 10,000 random steps"),
@@ -67,11 +71,8 @@ DIFFERENCES = (
     Difference("4", "the peg's oracle without layer norm: reward scale, layer norm", (
         Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE, (f"{PEG}/oracle/layer_norm",)),
     )),
-    Difference("5, 6", "VaPRL relabels with goals that are met already; its subgoal where no value reaches epsilon", (
-        *(Pair((f"{env}/vaprl",), (f"{env}/vaprl/{name}",)) for env, name in (
-            (DOOR, "unmet_goals"), (DOOR, "nearest_fallback"), (DOOR, "nearest_fallback-unmet_goals"),
-            (TABLETOP, "nearest_fallback"), (TABLETOP, "nearest_fallback-unmet_goals"),
-        )),
+    Difference("5, 6", "VaPRL relabels with goals that are met already; its subgoal where no value reaches epsilon", tuple(
+        Pair((f"{env}/vaprl",), (f"{env}/vaprl/{name}",)) for env, names in VAPRL.items() for name in names
     )),
     Difference("7", "VaPRL on the door with the final model", cell=(DOOR, "vaprl")),
     Difference("8", "naive RL's goal for 1,000 steps; the release: 400, after 10,000 random steps", tuple(

@@ -151,9 +151,7 @@ class CFBRL(RISC):
         if correction is None:
             return steps, jnp.zeros_like(allowed), jnp.zeros_like(allowed)
         drawn = [
-            jnp.asarray(goals)[
-                jax.random.randint(jax.random.fold_in(goal_key, len(goals)), allowed.shape, 0, len(goals))
-            ]
+            jax.random.choice(jax.random.fold_in(goal_key, len(goals)), goals, allowed.shape)
             for goals in (env.goal_states, env.initial_states)
         ]
         goal = jnp.where(jax.random.bernoulli(choice_key, shape=(len(allowed), 1)), *drawn)
@@ -179,9 +177,8 @@ class CFBRL(RISC):
         every = jnp.ones(len(index), bool)
         new, _, to_clone = self.transform(transform_key, env, steps, every, every)
         new = tree_where(to_clone[:, None], new, steps)
-        obs: Any = jnp.concatenate([new.state, new.goal], axis=-1)
-        action: Any = new.action
-        return Demonstrations(obs, action, np.zeros(len(index), int))
+        obs = jnp.concatenate([new.state, new.goal], axis=-1)
+        return Demonstrations(obs, new.action, np.zeros(len(index), int))
 
 
 def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Array:

@@ -17,9 +17,9 @@ from earl_jax.algos.learner.sac import SAC, Agent, Batch
 class Demonstrations(NamedTuple):
     """Demonstrated steps: `obs [T, o]` with the goal, `action [T, a]`, and the `controller [T]` that takes them."""
 
-    obs: np.ndarray
-    action: np.ndarray
-    controller: np.ndarray
+    obs: np.ndarray | jax.Array
+    action: np.ndarray | jax.Array
+    controller: np.ndarray | jax.Array
 
     def of(self, controller: int) -> "Demonstrations":
         """Return the steps of `controller`, or all of them if it has none of its own."""

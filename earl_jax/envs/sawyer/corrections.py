@@ -5,6 +5,8 @@ import jax.numpy as jnp
 
 from earl_jax.envs.relabelling import Correction
 from earl_jax.envs.sawyer.base import GRIPPER, HAND_HIGH, HAND_LOW
+from earl_jax.envs.sawyer.experts import GAIN, limited
+from earl_jax.envs.state import tree_where
 
 STILL = 0.001
 """Metres per step up to which the object rests."""
@@ -14,8 +16,6 @@ FAR = 0.1
 """Metres from the grasp position from which the hand is placed anywhere, half of the time."""
 SPREAD, LEAST = 0.3, 0.005
 """Standard deviation of the other places, as a share of the distance to the grasp position, and its minimum [m]."""
-GAIN = 25.0
-"""Action per metre of distance to the demonstrated place."""
 SPEED = 0.008
 """Metres per step at action 1: 1 cm when moving steadily, less while the arm accelerates."""
 CLOSED, OPENING_RATE = 0.28, 0.05
@@ -40,17 +40,15 @@ def correction(
     other_hand = jnp.clip(other_hand, HAND_LOW, HAND_HIGH)
     away = jnp.linalg.norm(other_hand - grasp)
     moved = approach & ((away > CLEARANCE) | (distance < 2 * CLEARANCE))
-    move = action[:3] + GAIN * (hand - other_hand)
-    move = move / jnp.maximum(1.0, jnp.abs(move).max())
+    move = limited(action[:3] + GAIN * (hand - other_hand))
     closed = (away > CLEARANCE) & (action[GRIPPER] < 0) & jax.random.bernoulli(close_key)
     grip = jnp.where(closed, jax.random.uniform(grip_key, minval=CLOSED), state[GRIPPER])
     next_grip = jnp.where(closed, jnp.minimum(grip + OPENING_RATE, 1.0), next_state[GRIPPER])
     following = other_hand + next_state[:3] - hand + SPEED * (move - action[:3])
-    elsewhere = Correction(
+    other = Correction(
         jnp.concatenate([other_hand, grip[None], state[4:]]),
         jnp.concatenate([move, action[3:]]),
         jnp.concatenate([following, next_grip[None], next_state[4:]]),
         approach,
     )
-    same = Correction(state, action, next_state, approach)
-    return jax.tree.map(lambda new, old: jnp.where(moved, new, old), elsewhere, same)
+    return tree_where(moved, other, Correction(state, action, next_state, approach))

@@ -30,8 +30,12 @@ OUT = -0.05
 
 def steer(hand: jax.Array, target: jax.Array, grip: jax.Array | float) -> jax.Array:
     """Return the action [4] that moves `hand [3]` straight to `target [3]` with the gripper at `grip`."""
-    move = GAIN * (target - hand)
-    return jnp.append(move / jnp.maximum(1.0, jnp.abs(move).max()), grip)
+    return jnp.append(limited(GAIN * (target - hand)), grip)
+
+
+def limited(move: jax.Array) -> jax.Array:
+    """Return `move [3]` with its direction, scaled down to components in [-1, 1] where they are larger."""
+    return move / jnp.maximum(1.0, jnp.abs(move).max())
 
 
 def travel(hand: jax.Array, target: jax.Array, near: float) -> jax.Array:
