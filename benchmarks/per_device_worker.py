@@ -31,18 +31,14 @@ def _prepare(arguments: argparse.Namespace):
     """Return a function that trains for a chunk, and the seconds of its compilation; it has run once."""
     import jax
 
-    from benchmarks.speed import make_training
+    from benchmarks.speed import compile_steps, make_training
     from earl_jax.cli.arguments import parse_options
     from earl_jax.training.program_cache import keep_programs
-    from earl_jax.training.scan import run_steps
 
     keep_programs()
     options = parse_options(tuple(arguments.set))
     problem, method, state = make_training(arguments.env, arguments.algo, arguments.lanes, 100_000, **options)
-    run = jax.jit(lambda m, s: run_steps(problem, m, s, arguments.chunk), donate_argnums=1)
-    began = time.perf_counter()
-    program = run.lower(method, state).compile()
-    compile_s = time.perf_counter() - began
+    program, compile_s = compile_steps(problem, method, state, arguments.chunk)
 
     def advance() -> None:
         nonlocal state

@@ -6,14 +6,15 @@ Tables, curves, figure 2 and the trade-off are made of run folders below benchma
 figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells,
 the tests of differences and the leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`,
 `benchmarks.differences` and `benchmarks.leaderboard` write them, and success from uniform starts from results/starts. The
-tables and the picture of docs/cfbrl.md are those of `benchmarks.cfbrl`.
+tables and the picture of docs/cfbrl.md are those of `benchmarks.cfbrl`, the rates in docs/algorithms.md those of
+`benchmarks.method_cost`.
 """
 
 import argparse
 import csv
 from pathlib import Path
 
-from benchmarks import cfbrl, differences, leaderboard, paper_cells, uniform_starts
+from benchmarks import cfbrl, differences, leaderboard, method_cost, paper_cells, uniform_starts
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import draw_figure4
@@ -53,6 +54,7 @@ def main() -> None:
         uniform_starts.write_table()
         leaderboard.write_page()
         cfbrl.main()
+        method_cost.write_tables()
 
 
 if __name__ == "__main__":

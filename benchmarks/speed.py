@@ -33,13 +33,17 @@ def make_training(name: str, algo: str, lanes: int, steps: int, **options: Any) 
     return problem, method, init(method, seed_keys(range(lanes)))
 
 
+def compile_steps(problem: Problem, method: Method, state: TrainState, steps: int) -> tuple[Any, float]:
+    """Return the program of `steps` training steps, which overwrites its train state, and the seconds of its compilation."""
+    advance = jax.jit(lambda m, state: run_steps(problem, m, state, steps), donate_argnums=1)
+    began = time.perf_counter()
+    return advance.lower(method, state).compile(), time.perf_counter() - began
+
+
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     """Return compile seconds and the median steps per second of `algo` on task `name` with `lanes` lanes."""
     problem, method, state = make_training(name, algo, lanes, 100_000)
-    advance = jax.jit(lambda m, state: run_steps(problem, m, state, steps), donate_argnums=1)
-    began = time.perf_counter()
-    program = advance.lower(method, state).compile()
-    compiled = time.perf_counter() - began
+    program, compiled = compile_steps(problem, method, state, steps)
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()

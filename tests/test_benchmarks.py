@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget, cloning, kernels, paper_cells, per_device, redraw, run
+from benchmarks import budget, cloning, kernels, method_cost, paper_cells, per_device, redraw, run
 from benchmarks.peers.common import DOOR, TABLETOP
 from benchmarks.peers.learners import LEARNERS, Batch
 from benchmarks.peers.numpy_tabletop import NumpyTabletop
 from benchmarks.peers.original import Door
 from benchmarks.peers.plan import Job, plan
 from benchmarks.peers.ratios import BARS, LANES, ratios
+from earl_jax.algos import list_algos, make_algo
+from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.sweeps.slots import make_slots
 
@@ -235,3 +237,56 @@ def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():
     depths = {kernel.place.rpartition("/")[2]: kernel.depth for kernel in found}
     assert depths["dot_general"] < depths["sin"], "the sine waits for the product"
     assert not any("cos" in kernel.name + kernel.place for kernel in found), "the cosine is outside the loop"
+
+
+class FakeChunks:
+    """A program of benchmarks.method_cost that has one rate after another, and a full replay after the last."""
+
+    def __init__(self, name, *rates):
+        self.name, self._rates = name, list(rates)
+
+    def fit(self, seconds):
+        assert seconds == 0.7
+
+    def rate(self):
+        return self._rates.pop(0)
+
+    @property
+    def full(self):
+        return not self._rates
+
+
+def test_the_cost_of_a_method_is_its_rate_beside_naives_in_the_same_round(tmp_path):
+    given, out = method_cost.parse(["--rounds", "9", "--lanes", "3"]), tmp_path / "device"
+    naive, rlpd = FakeChunks("naive", 1.0, 1000.0, 2000.0, 4000.0), FakeChunks("rlpd utd=20", 1.0, 100.0, 100.0, 800.0)
+    method_cost.measure([naive, rlpd], given, out)
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert report["rates"] == {"naive": [1000.0, 2000.0, 4000.0], "rlpd utd=20": [100.0, 100.0, 800.0]}
+    row = report["rows"][1]
+    assert (row["method"], row["options"], row["lanes"], row["set"], row["rounds"]) == (
+        "rlpd",
+        "utd=20",
+        3,
+        "precision=bf16",
+        3,
+    )
+    assert [row[name] for name in ("ratio_low", "ratio", "ratio_high", "steps_per_s")] == [0.075, 0.1, 0.15, 100.0]
+    table = method_cost.tables(tmp_path)
+    assert "3 lanes, `precision=bf16`, 3 rounds:" in table
+    assert "| `rlpd`, `utd=20` | 100 | 100 to 450 | 0.1 | 0.075 to 0.15 |" in table
+
+
+def test_the_cost_of_every_method_is_measured():
+    for name in method_cost.METHODS:
+        algo, *own = name.split()
+        make_algo(algo, precision="bf16", **parse_options(tuple(own)))
+    assert {name.split()[0] for name in method_cost.METHODS} == set(list_algos())
+
+
+def test_the_table_of_costs_in_the_docs_is_that_of_its_files():
+    text = method_cost.PAGE.read_text()
+    marked = [
+        paper_cells.with_table(text, table, *method_cost.MARKS) for table in (method_cost.tables(), "| another |")
+    ]
+    assert marked[0] == text, "run python -m benchmarks.method_cost --table"
+    assert marked[1] != text
