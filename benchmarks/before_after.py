@@ -20,6 +20,7 @@ from earl_jax.metrics.crossings import crossing
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.runs import MethodRuns, read
 from earl_jax.report.tables import write
+from earl_jax.runs.provenance import short_commit
 
 AFTER = Path(__file__).parent / "results" / "before_after"
 METHODS = ("vaprl", "fbrl")
@@ -38,7 +39,7 @@ def compare(algo: str) -> dict[str, Any]:
     for when, runs in (("before", before), ("after", after)):
         reached = crossing(runs.curves.steps, runs.curves.metrics[METRIC], 0.5)
         row |= {f"{when}_to_0.5": reached.value, f"{when}_to_0.5_low": reached.low, f"{when}_to_0.5_high": reached.high}
-        row[f"{when}_commit"] = commit_of(folders(algo)[when])[:9]
+        row[f"{when}_commit"] = short_commit(commit_of(folders(algo)[when]))
     return row
 
 

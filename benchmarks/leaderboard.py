@@ -23,6 +23,7 @@ from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, s
 from earl_jax.report.runs import MethodRuns, by_method, pooling_key, read
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.provenance import CHANGED, short_commit
 
 RESULTS = Path(__file__).parent / "results"
 FOLDERS = ("paper", "cloning", "leaderboard")
@@ -45,7 +46,9 @@ def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
     Folders with the same task, method and options would be one method with more seeds; they are kept apart here,
     because their commits can differ.
     """
-    runs = [(curves, commit_of(folder)[:9]) for folder in folders(root) if (curves := read(folder)).comparable]
+    runs = [
+        (curves, short_commit(commit_of(folder))) for folder in folders(root) if (curves := read(folder)).comparable
+    ]
     commits = {id(curves): commit for curves, commit in runs}
     return [(group, commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
 
@@ -119,7 +122,9 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
     _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
-    _require(bool(commit_of(run)), "its config.json has no commit")
+    commit = commit_of(run)
+    _require(bool(commit), "its config.json has no commit")
+    _require(not commit.endswith(CHANGED), f"the commit {short_commit(commit)} lacks changes that it was trained with")
     known = {pooling_key(read(folder).config): folder for folder in folders(root)}
     other = known.get(pooling_key(config))
     _require(other is None, f"{other} has the same task, method and options")

@@ -17,6 +17,7 @@ from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import published_score
 from earl_jax.report.runs import read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
+from earl_jax.runs.provenance import short_commit
 
 ROOT = Path(__file__).parent / "results" / "paper"
 TABLETOP, PEG, DHAND = "tabletop_organization", "sawyer_peg", "dhand_lightbulb"
@@ -63,7 +64,7 @@ def _cell(folder: Path, measured: dict[str, Any] | None) -> dict[str, Any]:
     if measured is None:
         return {**names, **row, "verdict": NOT_RUN}
     row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss")}
-    row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": commit_of(folder)[:9]}
+    row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": short_commit(commit_of(folder))}
     if env == DHAND:
         return {**names, **row, "verdict": OURS}
     row |= {name: measured[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}

@@ -27,6 +27,7 @@ from earl_jax.paper.tasks import training_steps
 from earl_jax.report.runs import read
 from earl_jax.report.tables import interval_text, markdown_table, write
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.provenance import short_commit
 from earl_jax.training.loading import load_policies
 
 SEEDS = Path(__file__).parent / "results" / "starts" / "paper_seeds.csv"
@@ -48,7 +49,7 @@ def evaluate(root: Path = ROOT / TABLETOP, episodes: int = EPISODES, known: Sequ
     finished = [folder for folder in folders if int(read(folder).steps[-1]) == length]
     rows = []
     for folder in finished:
-        common = {"run": folder.relative_to(root).as_posix(), "commit": (commit_of(folder) or "")[:9]}
+        common = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(folder) or "")}
         same = [row for row in known if common.items() <= row.items()]
         rows += same or [{**common, **row} for row in _run_rows(folder, episodes)]
     return rows

@@ -84,6 +84,7 @@ def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
         ({"steps": 110_000}, "it has 100000 of 110000 steps"),
         ({"env_options": {"wide": True}}, "the task has options"),
         ({"algo_class": "mine:Naive"}, "mine:Naive is not registered"),
+        ({"provenance": {"commit": "0123456789-dirty"}}, "the commit 012345678-dirty lacks changes"),
     ],
 )
 def test_a_run_that_breaks_a_rule_is_refused(tmp_path, run, values, rule):

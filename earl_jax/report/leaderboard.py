@@ -18,6 +18,7 @@ from earl_jax.report.comparison import recent_scores
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.tables import interval_text, millions, row_of, step_interval
+from earl_jax.runs.provenance import short_commit
 
 TABLE = "leaderboard"
 OURS = "earl_jax"
@@ -33,7 +34,6 @@ HEADER = (
     *(f"to {level}" for level in LEVELS),
     "commit",
 )
-COMMIT_DIGITS = 9
 
 
 class Row(NamedTuple):
@@ -109,7 +109,7 @@ def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
         continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(_crossing(crossings, level) for level in LEVELS),
-        commit=commit[:COMMIT_DIGITS] or "-",
+        commit=short_commit(commit) or "-",
         score=float(recent_scores(curves, step).mean()),
     )
 

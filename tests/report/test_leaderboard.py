@@ -41,3 +41,4 @@ def test_the_row_of_a_run_has_the_scores_of_its_last_100000_steps(tmp_path):
     assert row.crossings[0].startswith("0.60M")
     assert row.commit == "012345678"
     assert run_row(read_methods([tmp_path])[0], "").commit == "-"
+    assert run_row(read_methods([tmp_path])[0], "0123456789abcdef-dirty").commit == "012345678-dirty"

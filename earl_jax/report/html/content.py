@@ -15,6 +15,7 @@ from earl_jax.report.html.text import date_text, steps_text
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW
+from earl_jax.runs.provenance import short_commit
 
 CROWD = 6
 """Above this number of lines, a task's bands are hidden at first, and notes count lines instead of naming them."""
@@ -65,7 +66,7 @@ def _facts(lines: Sequence[Line], runs: Sequence[Run]) -> list[tuple[str, str]]:
         ("Dates", f"{date_range(runs)}; this page, {date_text(datetime.datetime.now(datetime.UTC))}"),
         ("Hardware", values_of(runs, "device")),
         ("Versions", "; ".join(f"{name} {values_of(runs, key)}" for name, key in versions.items())),
-        ("Commit", values_of(runs, "commit", 12)),
+        ("Commit", values_of(runs, "commit", short_commit)),
     ]
 
 

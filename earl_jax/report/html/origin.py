@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,9 +103,9 @@ def origins(runs: Sequence[Run]) -> dict[str, Any]:
     return {"heads": heads, "rows": rows, "differing": [row["name"] for row in rows if row["differs"]]}
 
 
-def values_of(runs: Sequence[Run], name: str, length: int | None = None) -> str:
-    """Return the distinct values of `name` in the provenance of `runs`, cut to `length`, in one line."""
-    return ", ".join(dict.fromkeys(provenance(run).get(name, UNKNOWN)[:length] for run in runs))
+def values_of(runs: Sequence[Run], name: str, text: Callable[[str], str] = str) -> str:
+    """Return the distinct values of `name` in the provenance of `runs`, each as its `text`, in one line."""
+    return ", ".join(dict.fromkeys(text(provenance(run).get(name, UNKNOWN)) for run in runs))
 
 
 def date_range(runs: Sequence[Run]) -> str:

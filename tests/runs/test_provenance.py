@@ -1,0 +1,65 @@
+"""The commit that a run records, which says whether files differ from it."""
+
+import subprocess
+
+import pytest
+
+from earl_jax.runs.provenance import checkout_commit, short_commit
+
+
+def git(root, *command):
+    author = ["-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false"]
+    process = subprocess.run(["git", "-C", str(root), *author, *command], capture_output=True, text=True, check=True)
+    return process.stdout.strip()
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package in a checkout that ignores cached bytecode, with assets and a README beside it."""
+    for folder in ("package", "assets"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "file").write_text("1\n")
+    (tmp_path / "README").write_text("1\n")
+    (tmp_path / ".gitignore").write_text("*.pyc\n")
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "first")
+    return tmp_path / "package"
+
+
+def test_changes_outside_package_and_assets_do_not_mark_a_commit(package):
+    first = git(package, "rev-parse", "HEAD")
+    (package / "cached.pyc").write_text("1\n")
+    (package.parent / "README").write_text("2\n")
+    assert checkout_commit(package) == first
+    git(package.parent, "commit", "-qam", "README")
+    assert checkout_commit(package) == first != git(package, "rev-parse", "HEAD")
+
+
+@pytest.mark.parametrize("file", ["package/file", "package/new", "assets/file"])
+def test_a_commit_ends_in_a_mark_until_changes_are_committed(package, file):
+    (package.parent / file).write_text("2\n")
+    assert checkout_commit(package) == f"{git(package, 'rev-parse', 'HEAD')}-dirty"
+    git(package.parent, "add", ".")
+    assert checkout_commit(package) == f"{git(package, 'rev-parse', 'HEAD')}-dirty"
+    git(package.parent, "commit", "-qm", "second")
+    assert checkout_commit(package) == git(package, "rev-parse", "HEAD")
+
+
+def test_a_removed_file_marks_a_commit(package):
+    (package / "file").unlink()
+    assert checkout_commit(package).endswith("-dirty")
+
+
+def test_files_that_git_does_not_track_have_no_commit(package):
+    installed = package.parent / "installed" / "package"
+    installed.mkdir(parents=True)
+    (installed / "file").write_text("1\n")
+    assert checkout_commit(installed) is None
+    assert checkout_commit(package.parent / "nowhere") is None
+
+
+def test_a_short_commit_keeps_its_mark():
+    assert [short_commit("0123456789" + end) for end in ("", "-dirty")] == ["012345678", "012345678-dirty"]
+    assert short_commit(short_commit("0123456789-dirty")) == "012345678-dirty"
+    assert short_commit("") == ""
