@@ -8,7 +8,9 @@ import pytest
 
 from earl_jax.cli.main import main
 from earl_jax.protocol import Continuing, Deployment
+from earl_jax.report.html.content import _facts
 from earl_jax.report.html.origin import command, settings
+from earl_jax.report.html.runs import gather
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api
@@ -54,6 +56,15 @@ def test_seeds_that_do_not_count_from_0_need_a_python_call(tmp_path):
         "earl_jax.train('tabletop_organization', 'fbrl', setting='deployment', seeds=[3, 4], steps=30"
     )
     assert "wide=True" in text
+
+
+def test_a_page_shows_which_commits_had_changes(tmp_path):
+    for name, commit in (("clean", "a" * 40), ("changed", "a" * 40 + "-dirty"), ("unrecorded", None)):
+        file = write_page_run(tmp_path / name, "fbrl", rising(2, 3)) / "config.json"
+        values = json.loads(file.read_text())
+        file.write_text(json.dumps({**values, "provenance": {"commit": commit}}))
+    runs = [run for name in ("clean", "changed", "unrecorded") for run in gather([tmp_path / name])[0][0].runs]
+    assert dict(_facts([], runs))["Commit"] == "aaaaaaaaa, aaaaaaaaa-dirty, unknown"
 
 
 def test_changed_settings_come_first(tmp_path):
