@@ -98,7 +98,21 @@ def test_the_check_of_a_known_flag_is_quick():
     assert time.perf_counter() - began < 1
 
 
-def test_importing_the_package_sets_nothing():
-    code = "import os, earl_jax, earl_jax.training; assert 'XLA_FLAGS' not in os.environ"
-    environment = {name: value for name, value in ENVIRONMENT.items() if name != "XLA_FLAGS"}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+def test_importing_the_package_sets_nothing(tmp_path):
+    """The process finds a CUDA plugin and the arguments of a command, so that the last line sets the flags."""
+    (tmp_path / "jax_plugins/xla_cuda13").mkdir(parents=True)
+    texts = [text for name, flag in xla_flags.FLAGS.items() for text in (name, flag.text)]
+    (tmp_path / "jax_plugins/xla_cuda13/plugin.so").write_bytes(b"\0".join(text.encode() for text in texts) + b"\0")
+    code = """
+import os, sys, earl_jax, earl_jax.training, earl_jax.cli
+print(os.environ.get("XLA_FLAGS"))
+from earl_jax.cli import xla_flags
+xla_flags.knows_flag = lambda *_: True
+xla_flags.set_flags(sys.argv[1:])
+print(os.environ["XLA_FLAGS"])
+"""
+    environment = {name: value for name, value in ENVIRONMENT.items() if name not in ("XLA_FLAGS", "JAX_PLATFORMS")}
+    environment["PYTHONPATH"] = f"{tmp_path}:{ENVIRONMENT['PYTHONPATH']}"
+    command = [sys.executable, "-c", code, "train", "sawyer_door"]
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert process.stdout.splitlines() == ["None", FLAG]

@@ -131,6 +131,35 @@ CONFIG = {
     "config with logs as text": _config(logs="tensorboard"),
     "config of 17 MB": lambda folder: (folder / "config.json").write_text(" " * (17 << 20)),
 }
+DAMAGED = "config.json is damaged: "
+CAUSES = {
+    **dict.fromkeys(CONFIG, DAMAGED),
+    "config with 900 dictionaries in options": f"{DAMAGED}a in options has more than 8 levels",
+    "config with steps of 400 digits": f"{DAMAGED}steps must lie in [1, ",
+    "config with steps NaN": "and seeds must be whole numbers, not [nan, ",
+    "config with steps as text": "and seeds must be whole numbers, not ['120', ",
+    "config with steps true": "and seeds must be whole numbers, not [True, ",
+    "config with eval_every of 400 digits": f"{DAMAGED}eval_every must lie in [1, ",
+    "config with options of 400 digits": f"{DAMAGED}discount in options is or holds a number that is too large",
+    "config with options NaN": "algo 'naive': discount must be a finite number, not nan",
+    "config with options as a list": f"{DAMAGED}options must be a dict, not []",
+    "config with a seed of 400 digits": f"{DAMAGED}seeds must lie in [0, ",
+    "config with 70000 seeds": f"{DAMAGED}at most 65536 seeds fit in one run",
+    "config with seeds as a number": f"{DAMAGED}seeds must be a list",
+    "config with seeds NaN": "and seeds must be whole numbers, not [120, 40, 2, 40, nan]",
+    "config without seeds": f"{DAMAGED}it has no 'seeds'",
+    "config with an unknown task": "unknown env 'nowhere'; choose from ",
+    "config with an unknown method": "unknown algo 'nothing'; choose from ",
+    "config with a task as a number": f"{DAMAGED}env must be a str, not 5",
+    "config with a setting without a name": f"{DAMAGED}setting has no name: {{}}",
+    "config with an unknown setting": "unknown setting 5; choose from deployment, continuing",
+    "config with a class as a number": f"{DAMAGED}env_class must be text or null, not 5",
+    "config with logs as a number": f"{DAMAGED}logs must be a list",
+    "config with logs as text": f"{DAMAGED}logs must be a list",
+    "config of 17 MB": "config.json is larger than 16 MiB, the limit",
+}
+"""What the message says of each damage to config.json; the wording of the JSON parser is not ours."""
+
 LOGS = {
     "config with an unknown log": _config(logs=["abacus"]),
     "config with a log as a number": _config(logs=[5]),

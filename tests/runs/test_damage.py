@@ -151,8 +151,10 @@ def build_all(folder):
 @pytest.mark.parametrize("kind", damage.CONFIG)
 def test_a_damaged_config_is_one_line(finished, kind):
     damage.CONFIG[kind](finished)
-    message_of(lambda: build_all(finished))
-    message_of(lambda: resume(finished))
+    before = snapshot(finished)
+    for action in (lambda: build_all(finished), lambda: resume(finished)):
+        assert damage.CAUSES[kind] in message_of(action)
+    assert snapshot(finished) == before
 
 
 @pytest.mark.parametrize("kind", damage.LOGS)
