@@ -24,7 +24,7 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
-from tests import mlir_context, stored_programs, threefry
+from tests import indexing, mlir_context, stored_programs, threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -51,6 +51,7 @@ LATER_ALGOS = ["bc", "cfbrl", "medal", "risc", "rlpd"]
 def pytest_configure(config):
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
+    indexing.install()
     mlir_context.install()
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
