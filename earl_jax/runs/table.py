@@ -127,13 +127,11 @@ def _row(columns: Sequence[str], texts: Sequence[str]) -> Row | None:
     if len(texts) != len(columns):
         return None
     try:
-        return dict(zip(columns, map(_number, texts), strict=True))
+        return {name: _number(text) for name, text in zip(columns, texts, strict=True)}
     except ValueError:
         return None
 
 
 def _number(text: str) -> float:
-    if "." in text:
-        return float(text)  # most are: reports read millions of numbers
     is_integer = text.lstrip("-").isdigit() and len(text) < 19  # a longer one fits in no array
     return int(text) if is_integer else float(text)
