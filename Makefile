@@ -55,7 +55,7 @@ test: lint
 	$(MAKE) --no-print-directory --jobs=2 types pytest
 
 pytest: $(TOOLS)
-	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --durations=10
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --durations=10
 
 # Slow tests and tests that need more packages: PyTorch learners, notebooks, a browser, a clean environment, killed processes.
 # Run make test before.

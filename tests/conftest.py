@@ -1,5 +1,6 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
+import fcntl
 import gc
 import os
 from pathlib import Path
@@ -23,7 +24,7 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
-from tests import mlir_context, threefry
+from tests import indexing, mlir_context, stored_programs, threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -50,11 +51,22 @@ LATER_ALGOS = ["bc", "cfbrl", "medal", "risc", "rlpd"]
 def pytest_configure(config):
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
+    indexing.install()
     mlir_context.install()
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also for the other workers
+    stored_programs.install()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let one worker after another import the tests: in a fresh clone the first one writes the bytecode for all."""
+    CACHE.parent.mkdir(exist_ok=True)
+    with (CACHE.parent / "collection.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return (yield)
 
 
 def pytest_collection_modifyitems(items):

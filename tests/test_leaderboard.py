@@ -1,5 +1,6 @@
 """The leaderboard follows from the run folders, and takes only runs that keep its rules."""
 
+import functools
 import json
 import shutil
 
@@ -11,6 +12,21 @@ from benchmarks.paper_cells import with_table
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.report.leaderboard import shipped_rows
 from tests.report.run_files import write_page_run
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _read_once():
+    """Read the runs of the leaderboard once for all tests; other folders are read each time."""
+    read = leaderboard.entries
+    published = functools.cache(lambda: read(leaderboard.RESULTS))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            leaderboard,
+            "entries",
+            lambda root=leaderboard.RESULTS: published() if root == leaderboard.RESULTS else read(root),
+        )
+        yield
+
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
 

@@ -77,9 +77,9 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         action = env.demo_action(obs)
         action[:-1] += rng.uniform(-noise, noise, len(action) - 1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
-        state = _step(env, state, action)
+        state, success = _step(env, state, action)
         next_obs = np.asarray(state.obs)
-        reached = bool(env.success(state.obs))
+        reached = bool(success)
         ends = reached if steps is None else number + 1 == steps
         rows.append((obs[:size], obs[size:], action, next_obs[:size], np.float32(reached), ends))
         if reached and ends:
@@ -88,8 +88,9 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _step(env: Env, state: State, action: jax.Array) -> State:
-    return env.step(state, action)
+def _step(env: Env, state: State, action: jax.Array) -> tuple[State, jax.Array]:
+    state = env.step(state, action)
+    return state, env.success(state.obs)
 
 
 def stacked(rows: list[tuple]) -> Demos:

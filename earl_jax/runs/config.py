@@ -1,6 +1,7 @@
 """The configuration of a run: all values that config.json needs to repeat it."""
 
 import dataclasses
+import functools
 import json
 import numbers
 from collections.abc import Callable, Sequence
@@ -153,7 +154,7 @@ class RunConfig:
             _require_registered("algo", self.algo, self.algo_class, algo_class)
         return make_algo(self.algo, **self.options)
 
-    @property
+    @functools.cached_property
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
         return deployed_metric(self.build_env())

@@ -45,7 +45,8 @@ def _program(simulator: "Simulator") -> Callable[[PhysicsState, jax.Array], tupl
 def _step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
     """Return the result of `Simulator.step`.
 
-    The scan carries the integration state only, so XLA removes the rest of `Data`.
+    The scan carries the integration state only, so XLA removes the rest of `Data`. Its first sensor values, which
+    nothing reads, depend on the state: JAX traces a batch of lanes twice if a part of the carry has lanes only at the end.
     """
     mjx, (model, empty_data) = import_mjx(), _model(simulator)
     if simulator.varied:
@@ -64,7 +65,8 @@ def _step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tu
     guard_kinematics()
     sum_cones_by_contact()
     with jax.default_matmul_precision("highest"):
-        return jax.lax.scan(substep, (state, empty_data.sensordata), length=simulator.substeps)[0]
+        sensors = jnp.full_like(empty_data.sensordata, state.qpos[0])
+        return jax.lax.scan(substep, (state, sensors), length=simulator.substeps)[0]
 
 
 def _warp_overflowed(data: Any) -> jax.Array:
