@@ -17,7 +17,7 @@ from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
 from earl_jax.options import within
 
-COPIES = 16
+COPIES = 64
 """Transformed copies of each demonstrated step from which the cloning before the first step draws."""
 
 
@@ -72,6 +72,8 @@ class CFBRL(RISC):
     """Share of the demonstrated steps that start from a state of `Env.correction`, where there is one."""
     warmup: float = struct.field(default=20_000.0, metadata=within("[0, 1000000000]"))
     """Steps at the start of a lifetime in which actor and temperature stay as cloned."""
+    learning: bool = struct.field(pytree_node=False, default=True)
+    """Whether the agent learns from its life; if not, it stays as cloned, and no update is computed."""
     patience: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of H_E after which a phase explores."""
     exploration: float = struct.field(default=0.5, metadata=within("[0, 1]"))
@@ -87,6 +89,8 @@ class CFBRL(RISC):
         return late & (jax.random.uniform(jax.random.fold_in(key, 1)) < self.exploration)
 
     def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
+        if not self.learning:
+            return agent, dict.fromkeys(sac_lib.DIAGNOSTICS, jnp.zeros(()))
         updated, diagnostics = super().update_agent(key, agent, batch)
         assert batch.step is not None
         critics_only = updated.replace(

@@ -13,8 +13,17 @@ from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
+from earl_jax.envs.sawyer.experts import peg_grasp
 from earl_jax.training.demo_rows import demonstrations
-from tests.conftest import advance, make_problem, make_train_state, run_whole, tiny_method, tiny_train
+from tests.conftest import (
+    advance,
+    assert_equal_trees,
+    make_problem,
+    make_train_state,
+    run_whole,
+    tiny_method,
+    tiny_train,
+)
 
 KEY = jax.random.key(3)
 PEG = make("sawyer_peg")
@@ -36,6 +45,20 @@ def transformed(rows, allowed=True, demonstrated=False, **shares):
     every = jnp.ones(len(rows.state), bool)
     transform = jax.jit(lambda steps: method.transform(KEY, PEG, steps, every & allowed, every & demonstrated))
     return transform(rows)
+
+
+def assert_clear_of_the_block(steps, moved):
+    """Assert that heads keep 2.5 cm and hands 6 cm from the block's sides, where they are not in front of it."""
+    states = np.concatenate([steps.state, steps.next_state])[np.tile(moved, 2)]
+    for points, margin in ((states[:, HEAD], 0.025), (states[:, :3], 0.06)):
+        assert not ((points[:, 0] < -0.17 - 0.01) & (np.abs(points[:, 1] - 0.6) < 0.1 + margin - 0.01)).any()
+
+
+def is_carried(rows):
+    """Return the steps, bool [B], in which the hand holds the peg outside of the hole."""
+    state, action = np.asarray(rows.state), np.asarray(rows.action)
+    held = (state[:, GRIPPER] < 0.5) & (action[:, 3] > 0) & (np.asarray(rows.next_state)[:, 4] > -0.15)
+    return held & (np.linalg.norm(state[:, :3] - np.asarray(jax.vmap(peg_grasp)(state[:, HEAD])), axis=1) < 0.03)
 
 
 def distance(first, second):
@@ -69,8 +92,7 @@ def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block(rows):
     np.testing.assert_array_equal(np.delete(offset, [0, 1, 4, 5], axis=1), 0.0)
     np.testing.assert_array_equal(changed, (offset != 0).any(axis=1))
     assert 0.2 < changed.mean() < 0.9
-    heads = np.concatenate([steps.state, steps.next_state])[np.tile(changed, 2)][:, HEAD]
-    assert not ((heads[:, 0] < -0.15) & (np.abs(heads[:, 1] - 0.6) < 0.18)).any()
+    assert_clear_of_the_block(steps, np.asarray(changed))
     inserted = np.asarray(rows.next_state)[:, 4] < -0.2
     assert inserted.any()
     assert not changed[inserted].any(), "the block takes part in an insertion"
@@ -79,14 +101,16 @@ def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block(rows):
 
 def test_a_corrected_step_leads_back_to_the_demonstrated_one(rows):
     steps, changed, to_clone = transformed(rows, demonstrated=True, corrected=1.0)
-    still = distance(rows.state, rows.next_state) < 0.001
+    still = (distance(rows.state, rows.next_state) < 0.001) & ~is_carried(rows)
     assert changed.all()
-    lying = np.asarray(rows.state)[:, 4] > -0.2
-    np.testing.assert_array_equal(steps.state[lying, HEAD], rows.state[lying, HEAD])
+    lying = (np.asarray(rows.state)[:, 4] > -0.2) & (
+        np.asarray(steps.state)[:, HEAD] == np.asarray(rows.state)[:, HEAD]
+    ).all(1)
+    assert lying[still].all()
     for new, old in zip(steps, rows, strict=True):
         np.testing.assert_array_equal(new[lying & ~still], old[lying & ~still])
     back = np.asarray(rows.state - steps.state)[:, :3]
-    far = np.linalg.norm(back, axis=1) > 0.1
+    far = (np.linalg.norm(back, axis=1) > 0.1) & lying
     assert 0.2 < far[still].mean() < 0.9
     action = np.asarray(steps.action)
     along = (action[far, :3] * back[far]).sum(axis=1) / np.linalg.norm(back[far], axis=1)
@@ -116,8 +140,37 @@ def test_an_inserted_peg_is_also_tried_deeper_in_the_hole(rows):
     depth = np.asarray(rows.state - steps.state)[:, 4]
     inside = np.asarray(rows.state)[:, 4] < -0.2
     assert depth[inside].max() > 0.03
-    assert not depth[~inside].any()
-    np.testing.assert_allclose(np.asarray(rows.next_state - steps.next_state)[:, 4], depth, atol=1e-6)
+    assert not depth[~inside & ~is_carried(rows)].any()
+    np.testing.assert_allclose(np.asarray(rows.next_state - steps.next_state)[inside, 4], depth[inside], atol=1e-6)
+
+
+def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
+    steps, _, _ = transformed(rows, demonstrated=True, corrected=1.0)
+    offset = np.asarray(steps.state - rows.state)
+    moved = np.abs(offset[:, HEAD]).max(axis=1) > 0
+    moved &= np.asarray(rows.state)[:, 4] > -0.15
+    assert moved[is_carried(rows)].mean() > 0.7
+    assert not moved[~is_carried(rows)].any()
+    np.testing.assert_allclose(offset[moved, :3], offset[moved, HEAD], atol=1e-6)
+    assert_clear_of_the_block(steps, moved)
+    head, action = np.asarray(steps.state)[:, HEAD], np.asarray(steps.action)
+    np.testing.assert_array_equal(action[:, GRIPPER], np.asarray(rows.action)[:, GRIPPER])
+    beside = moved & (head[:, 0] < -0.12) & (np.abs(head[:, 1] - 0.6) > 0.12)
+    assert beside.sum() > 5
+    np.testing.assert_allclose(action[beside, 1], 0.0, atol=1e-6)
+    assert (action[beside, 0] > 0).all()
+    far = moved & ~beside & (head[:, 0] > -0.08) & (np.linalg.norm(offset[:, :3], axis=1) > 0.1)
+    along = -(action[far, :3] * offset[far, :3]).sum(axis=1) / np.linalg.norm(offset[far, :3], axis=1)
+    assert (along > 0.8).all()
+    change = np.asarray(steps.next_state - steps.state)
+    assert np.abs(change[moved][:, HEAD]).max() < 0.03
+
+
+def test_without_learning_the_agent_stays_as_cloned(problem):
+    method = tiny_method("cfbrl", pretrain_steps=0, learning=False, warmup=0.0)
+    start = make_train_state(problem, method, [0, 1])
+    end = advance(problem, method, start, 4)
+    assert_equal_trees(end.lanes.agent, start.lanes.agent)
 
 
 def test_moved_approaches_are_cloned_with_their_old_goal(rows):

@@ -22,7 +22,7 @@ CLOSED, OPENING_RATE = 0.28, 0.05
 """Smallest reading of the gripper, and the change of an opening one in a step."""
 
 
-def correction(
+def free_hand(
     key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array, grasp: jax.Array
 ) -> Correction:
     """Return the transition from `state [7]` with the hand elsewhere, and often the gripper further closed.

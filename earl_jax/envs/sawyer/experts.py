@@ -24,6 +24,8 @@ HANDLE_HEIGHT = 0.1
 GRASP = np.array([0.14, 0.0, 0.0], np.float32)
 """Grasp position of the script, relative to the peg's head."""
 PEG_GRIP = 0.05
+HELD = 0.5
+"""Reading of the gripper below which it has closed on the peg."""
 LIFTED = 0.13
 OUT = -0.05
 
@@ -65,12 +67,17 @@ def door(hand: jax.Array, handle: jax.Array, goal: jax.Array) -> jax.Array:
     return steer(hand, jnp.where(ready, target, travel(hand, target, 0.03)), CLOSE)
 
 
+def peg_grasp(head: jax.Array) -> jax.Array:
+    """Return the position [3] at which the hand grasps a peg with its `head [3]`."""
+    return jnp.maximum(head + GRASP + jnp.array([0.0, 0.0, 0.025]), jnp.array([-1.0, 0.0, PEG_GRIP]))
+
+
 def peg(hand: jax.Array, grip: jax.Array, head: jax.Array, goal: jax.Array) -> jax.Array:
     """Return the action [4] that moves the peg's `head [3]` to `goal [3]`: into the hole, or out of it and down."""
-    grasp_position = jnp.maximum(head + GRASP + jnp.array([0.0, 0.0, 0.025]), jnp.array([-1.0, 0.0, PEG_GRIP]))
+    grasp_position = peg_grasp(head)
     offset = hand - grasp_position
     enclosed = (jnp.abs(offset[0]) < 0.03) & (jnp.abs(offset[1]) < 0.025) & (jnp.abs(offset[2]) < 0.02)
-    held = enclosed & (grip < 0.5)
+    held = enclosed & (grip < HELD)
     fetch = steer(hand, travel(hand, grasp_position, 0.02), jnp.where(enclosed, CLOSE, OPEN))
     inserting = goal[2] > 0.08
     inside = head[0] < -0.15

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.relabelling import Correction
-from earl_jax.envs.sawyer import corrections, experts
+from earl_jax.envs.sawyer import experts, peg_relabelling
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
 from earl_jax.envs.state import State
@@ -27,15 +27,6 @@ RADIUS = 0.05
 NEAREST, WIDEST = 0.335, 0.64
 """Metres: if the middle of the peg has a smaller y or a larger |x|, a hand inside its range cannot touch it or can only
 push it further away: docs/irreversible.md."""
-BEHIND, BESIDE = -0.15, 0.18
-"""Metres: neither peg nor hand can touch the block if their x is larger, or their |y - 0.6| is."""
-FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87], np.float32)
-"""x, y [m] of the heads to which a translation moves the peg: where the hand can lift most of them
-(benchmarks/peg_reach.py)."""
-HAND_FREE_LOW, HAND_FREE_HIGH = np.array([-0.45, 0.42], np.float32), np.array([0.48, 0.88], np.float32)
-"""x, y [m] of the hand at which neither the end of its range nor that of the arm's reach slows it."""
-INSIDE, DEEPER = -0.2, 0.06
-"""Metres: x of a head in the hole, and how much deeper than demonstrated the peg can be pushed."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -56,7 +47,6 @@ FAR_HEADS = np.array(
     np.float32,
 )  # fmt: skip
 """x, y of the peg's head in the 22 starts of `wide`."""
-BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
 LIPS = np.array([[[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]], [[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]]], np.float32)
 """Two boxes in front of the block, below and above the hole, in the block's frame: corners of dense reward 0 and 1."""
 HOME = Pose(
@@ -176,27 +166,11 @@ class SawyerPeg(Sawyer):
 
     def translation(self, key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
         """Return a vector [s] that moves hand and peg alike across the table, clear of the block."""
-        head = jax.random.uniform(key, (2,), minval=FREE_LOW, maxval=FREE_HIGH)
-        offset = head - state[-3:-1]
-        both = jnp.stack([state, next_state])
-        points = jnp.stack([both[:, :2], both[:, -3:-1]])
-        points = jnp.concatenate([points, points + offset])
-        clear = (points[..., 0] > BEHIND) | (jnp.abs(points[..., 1] - BLOCK[1]) > BESIDE)
-        hands = points[::2]
-        within = ((hands > HAND_FREE_LOW) & (hands < HAND_FREE_HIGH)).all()
-        moved = jnp.zeros_like(state).at[:2].set(offset).at[-3:-1].set(offset)
-        return jnp.where(clear.all() & within, moved, 0.0)
+        return peg_relabelling.translation(key, state, next_state)
 
     def correction(self, key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array) -> Correction:
-        """Return a transition from `state [7]` with a free hand elsewhere, or with an inserted peg deeper in the hole."""
-        grasp = state[-3:] + experts.GRASP
-        heads = jnp.stack([state[-3:], next_state[-3:]])
-        inside = (
-            (heads[:, 0] < INSIDE) & (jnp.abs(heads[:, 1] - BLOCK[1]) < RADIUS) & (heads[:, 2] > LOW[2] + RADIUS)
-        ).all()
-        depth = jnp.where(inside, jax.random.uniform(jax.random.fold_in(key, 1), maxval=DEEPER), 0.0)
-        deeper = jnp.zeros_like(state).at[-3].set(-depth)
-        return corrections.correction(key, state + deeper, action, next_state + deeper, grasp)
+        """Return a transition from `state [7]` with the hand, the carried peg or the inserted peg elsewhere."""
+        return peg_relabelling.correction(key, state, action, next_state)
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
@@ -273,7 +247,7 @@ def _lying_peg(heads: np.ndarray, key: jax.Array) -> jax.Array:
 def _from_block(corners: np.ndarray) -> np.ndarray:
     """Return world positions of `corners [n, 3]` in the block's frame, which is turned by 90 degrees to the left."""
     turned = np.stack([-corners[:, 1], corners[:, 0], corners[:, 2]], axis=-1)
-    return turned + BLOCK
+    return turned + peg_relabelling.BLOCK
 
 
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:
