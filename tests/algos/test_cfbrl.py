@@ -155,7 +155,7 @@ def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
     assert_clear_of_the_block(steps, moved)
     head, action = np.asarray(steps.state)[:, HEAD], np.asarray(steps.action)
     np.testing.assert_array_equal(action[:, GRIPPER], np.asarray(rows.action)[:, GRIPPER])
-    beside = moved & (head[:, 0] < -0.12) & (np.abs(head[:, 1] - 0.6) > 0.12)
+    beside = moved & (head[:, 0] < -0.14) & (np.abs(head[:, 1] - 0.6) > 0.12)
     assert beside.sum() > 5
     np.testing.assert_allclose(action[beside, 1], 0.0, atol=1e-6)
     assert (action[beside, 0] > 0).all()

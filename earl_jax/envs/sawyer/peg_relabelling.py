@@ -27,7 +27,9 @@ NEAR = np.array([0.03, 0.03, 0.015], np.float32)
 """Standard deviation [m] of the places near the demonstrated one, which half of the carried pegs take."""
 IN_HAND = np.array([0.04, 0.03, 0.03], np.float32)
 """Largest offset [m] of the hand from the grasp position of a carried peg."""
-CORNER, PAST = -0.1, -0.04
+DETOUR = 0.03
+"""Metres against the demonstrated move by which a carried peg is led back at most."""
+CORNER, PAST = -0.13, -0.09
 """x [m] of the heads beside the block up to which a peg is carried along x first, and where that leads."""
 
 
@@ -71,6 +73,7 @@ def _carried(
     valid = _in_hand(state, action) & outside & _free((state[:2] + offset[:2])[None], other[None, :2])
     beside = (other[0] < CORNER) & (jnp.abs(other[1] - BLOCK[1]) > HOLE_RADIUS * 2)
     past = jnp.stack([PAST - other[0], jnp.zeros(()), experts.LIFTED - other[2]])
+    valid &= beside | ((offset * action[:3]).sum() < DETOUR)
     back = action[:3] - experts.GAIN * offset
     move = experts.limited(jnp.where(beside, experts.GAIN * past, back))
     following = next_state + _moved_by(offset + corrections.SPEED * (move - action[:3]))
