@@ -29,7 +29,7 @@ MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way b
 RUNS = {
     "tabletop_organization": ("cfbrl",),
     "sawyer_door": ("cfbrl",),
-    "sawyer_peg": ("cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
+    "sawyer_peg": ("cfbrl-around", "cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
 }
 RESET = 100_000
 """Steps between hard resets of the peg, of which a lane that is lost gets a new start."""

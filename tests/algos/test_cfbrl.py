@@ -149,7 +149,7 @@ def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
     offset = np.asarray(steps.state - rows.state)
     moved = np.abs(offset[:, HEAD]).max(axis=1) > 0
     moved &= np.asarray(rows.state)[:, 4] > -0.15
-    assert moved[is_carried(rows)].mean() > 0.7
+    assert moved[is_carried(rows)].mean() > 0.6
     assert not moved[~is_carried(rows)].any()
     np.testing.assert_allclose(offset[moved, :3], offset[moved, HEAD], atol=1e-6)
     assert_clear_of_the_block(steps, moved)
@@ -162,6 +162,8 @@ def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
     far = moved & ~beside & (head[:, 0] > -0.08) & (np.linalg.norm(offset[:, :3], axis=1) > 0.1)
     along = -(action[far, :3] * offset[far, :3]).sum(axis=1) / np.linalg.norm(offset[far, :3], axis=1)
     assert (along > 0.8).all()
+    against = (offset[:, HEAD] * np.asarray(rows.action)[:, :3]).sum(axis=1)
+    assert (against[moved & (head[:, 0] > -0.12)] < 0.03 + 1e-6).all(), "a peg is not led back against its way"
     change = np.asarray(steps.next_state - steps.state)
     assert np.abs(change[moved][:, HEAD]).max() < 0.03
 
