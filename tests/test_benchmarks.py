@@ -68,10 +68,10 @@ def test_the_original_door_starts_where_ours_does_and_moves():
     assert (reward, success) == (0.0, False)
 
 
-@pytest.mark.parametrize("kind", LEARNERS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "torch")) for kind in LEARNERS]
+)
 def test_the_learners_of_the_python_loop_fit_terminal_rewards(kind):
-    if kind == "torch":
-        pytest.importorskip("torch", reason="PyTorch is installed in the peers' environment only")
     learner, rng = LEARNERS[kind](6, 2), np.random.default_rng(0)
     obs, action = rng.normal(size=(64, 6)).astype(np.float32), rng.uniform(-1, 1, (64, 2)).astype(np.float32)
     batch = Batch(obs, action, np.full(64, 0.1, np.float32), np.ones(64, bool), obs)

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.fbrl import FBRL
@@ -37,4 +36,4 @@ class BC(FBRL):
         return tuple(direction for direction in self.demo_directions if direction in env.demo_directions)
 
     def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
-        return agent, dict.fromkeys(sac_lib.DIAGNOSTICS, jnp.zeros(()))
+        return sac_lib.without_update(agent)

@@ -90,7 +90,7 @@ class CFBRL(RISC):
 
     def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
         if not self.learning:
-            return agent, dict.fromkeys(sac_lib.DIAGNOSTICS, jnp.zeros(()))
+            return sac_lib.without_update(agent)
         updated, diagnostics = super().update_agent(key, agent, batch)
         assert batch.step is not None
         critics_only = updated.replace(

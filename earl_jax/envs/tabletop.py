@@ -31,6 +31,8 @@ COASTERS = np.array([[-2.5, -1.0], [-2.5, 1.0], [0.0, 2.0], [0.0, -2.0]], np.flo
 DEMOS_PER_GOAL = 3
 DEMO_SPEED = 0.5
 """Share of the full speed at which the demonstration script moves, like the released demonstrations."""
+PLACED = 0.1
+"""Largest distance of the mug from its goal at which the scripts release it, in table units."""
 DEMO_AXIS_TOLERANCE = 0.05
 """Distance along x below which the demonstration script moves along y."""
 WIDE_RANGE = 2.5
@@ -185,13 +187,10 @@ class TabletopOrganization(Env):
             start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(goal))
             yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
 
-    def waypoint(self, obs: jax.Array, tolerance: float = 0.1) -> tuple[jax.Array, jax.Array]:
-        """Return the gripper's next target [2] and its grip: hold (1) or release (-1).
-
-        `tolerance` is the largest distance from its goal at which the mug is released, in table units.
-        """
+    def waypoint(self, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the gripper's next target [2] and its grip: hold (1) or release (-1)."""
         gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
-        placed = jnp.linalg.norm(mug - goal_mug) <= tolerance
+        placed = jnp.linalg.norm(mug - goal_mug) <= PLACED
         near = jnp.linalg.norm(gripper - mug) < GRASP
         held = obs[4] == HELD[0]
         carry = gripper + (goal_mug - mug)

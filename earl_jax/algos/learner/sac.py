@@ -227,6 +227,11 @@ def _repeat_critic_updates(sac: SAC, agent: Agent, batch: Batch, key: jax.Array)
     return agent, jax.tree.map(lambda leaf: leaf[-1], parts)._replace(step=batch.step)
 
 
+def without_update(agent: Agent) -> tuple[Agent, dict[str, jax.Array]]:
+    """Return `agent` as it is and diagnostics of 0, what `update` is to a method that does not learn."""
+    return agent, dict.fromkeys(DIAGNOSTICS, jnp.zeros(()))
+
+
 def update(
     sac: SAC, agent: Agent, batch: Batch, key: jax.Array, actor_term: ActorTerm | None = None
 ) -> tuple[Agent, dict[str, jax.Array]]:

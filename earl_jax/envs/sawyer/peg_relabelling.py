@@ -10,7 +10,8 @@ from earl_jax.envs.sawyer.base import GRIPPER
 from earl_jax.envs.state import tree_where
 
 BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
-"""Position [m] of the block, which is 0.2 m wide, deep and high."""
+"""Position [m] of the block, which is 0.2 m high, deep and wide."""
+HALF_WIDTH = 0.1
 BEHIND, PEG_BESIDE, HAND_BESIDE = -0.17, 0.125, 0.16
 """Metres: neither a peg's head nor a hand touches the block from a larger x or a larger |y - 0.6| on."""
 FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87], np.float32)
@@ -70,15 +71,15 @@ def _carried(
     other = jnp.clip(jnp.where(jax.random.bernoulli(choice_key), near, anywhere), low, high)
     offset = other - head
     outside = (state[4] > OUTSIDE) & (next_state[4] > OUTSIDE)
-    valid = _in_hand(state, action) & outside & _free((state[:2] + offset[:2])[None], other[None, :2])
-    beside = (other[0] < CORNER) & (jnp.abs(other[1] - BLOCK[1]) > HOLE_RADIUS * 2)
+    beside = (other[0] < CORNER) & (jnp.abs(other[1] - BLOCK[1]) > HALF_WIDTH)
     past = jnp.stack([PAST - other[0], jnp.zeros(()), experts.LIFTED - other[2]])
-    valid &= beside | ((offset * action[:3]).sum() < DETOUR)
+    ahead = beside | ((offset * action[:3]).sum() < DETOUR)
+    free = _free((state[:2] + offset[:2])[None], other[None, :2])
     back = action[:3] - experts.GAIN * offset
     move = experts.limited(jnp.where(beside, experts.GAIN * past, back))
     following = next_state + _moved_by(offset + corrections.SPEED * (move - action[:3]))
     moved = Correction(state + _moved_by(offset), jnp.append(move, action[GRIPPER]), following, jnp.zeros((), bool))
-    return moved, valid
+    return moved, _in_hand(state, action) & outside & free & ahead
 
 
 def _in_hand(state: jax.Array, action: jax.Array) -> jax.Array:
