@@ -24,7 +24,7 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
-from tests import indexing, mlir_context, stored_programs, threefry
+from tests import indexing, mlir_context, staging, stored_programs, threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -53,6 +53,7 @@ def pytest_configure(config):
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
     indexing.install()
     mlir_context.install()
+    staging.install()
     threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))

@@ -57,7 +57,7 @@ class RunConfig:
             if not isinstance(value, kind):
                 raise InputError(f"{field} must be a {kind.__name__}, not {brief(value)}")
             for name, option in value.items() if isinstance(value, dict) else ():
-                _check_values(f"{name} in {field}", option)
+                _check_values(f"{name!r} in {field}", option)
         if "name" not in self.setting:
             raise InputError(f"setting has no name: {brief(self.setting)}")
         for field in ("env_class", "algo_class"):

@@ -134,13 +134,13 @@ CONFIG = {
 DAMAGED = "config.json is damaged: "
 CAUSES = {
     **dict.fromkeys(CONFIG, DAMAGED),
-    "config with 900 dictionaries in options": f"{DAMAGED}a in options has more than 8 levels",
+    "config with 900 dictionaries in options": f"{DAMAGED}'a' in options has more than 8 levels",
     "config with steps of 400 digits": f"{DAMAGED}steps must lie in [1, ",
     "config with steps NaN": "and seeds must be whole numbers, not [nan, ",
     "config with steps as text": "and seeds must be whole numbers, not ['120', ",
     "config with steps true": "and seeds must be whole numbers, not [True, ",
     "config with eval_every of 400 digits": f"{DAMAGED}eval_every must lie in [1, ",
-    "config with options of 400 digits": f"{DAMAGED}discount in options is or holds a number that is too large",
+    "config with options of 400 digits": f"{DAMAGED}'discount' in options is or holds a number that is too large",
     "config with options NaN": "algo 'naive': discount must be a finite number, not nan",
     "config with options as a list": f"{DAMAGED}options must be a dict, not []",
     "config with a seed of 400 digits": f"{DAMAGED}seeds must lie in [0, ",

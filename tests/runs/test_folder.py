@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from earl_jax import make, make_algo
@@ -68,6 +68,7 @@ def open_and_build(folder):
 
 @FUZZ
 @given(key=st.sampled_from(KEYS), value=JSON, drop=st.booleans())
+@example(key="env_options", value={"\r": 2**63}, drop=False)
 def test_a_changed_config_is_valid_or_one_clear_error(folder, key, value, drop):
     original = folder.config_file.read_text()
     config = copy.deepcopy(json.loads(original))
