@@ -61,6 +61,12 @@ def is_carried(rows):
     return held & (np.linalg.norm(state[:, :3] - np.asarray(jax.vmap(peg_grasp)(state[:, HEAD])), axis=1) < 0.03)
 
 
+def is_around(rows, steps):
+    """Return which approaches, bool [B], a correction has moved to a peg beside the block."""
+    head, before = np.asarray(steps.state)[:, HEAD], np.asarray(rows.state)[:, HEAD]
+    return (head[:, :2] != before[:, :2]).any(axis=1) & ~is_carried(rows) & (before[:, 0] > -0.2)
+
+
 def distance(first, second):
     return np.linalg.norm(np.asarray(first)[:, HEAD] - np.asarray(second)[:, HEAD], axis=1)
 
@@ -101,7 +107,7 @@ def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block(rows):
 
 def test_a_corrected_step_leads_back_to_the_demonstrated_one(rows):
     steps, changed, to_clone = transformed(rows, demonstrated=True, corrected=1.0)
-    still = (distance(rows.state, rows.next_state) < 0.001) & ~is_carried(rows)
+    still = (distance(rows.state, rows.next_state) < 0.001) & ~is_carried(rows) & ~is_around(rows, steps)
     assert changed.all()
     lying = (np.asarray(rows.state)[:, 4] > -0.2) & (
         np.asarray(steps.state)[:, HEAD] == np.asarray(rows.state)[:, HEAD]
@@ -115,7 +121,7 @@ def test_a_corrected_step_leads_back_to_the_demonstrated_one(rows):
     action = np.asarray(steps.action)
     along = (action[far, :3] * back[far]).sum(axis=1) / np.linalg.norm(back[far], axis=1)
     assert (along > 0.8).all()
-    assert np.abs(action).max() <= 1.0
+    assert np.abs(action).max() <= 1.0 + 1e-6
     closed = np.asarray(steps.state)[:, GRIPPER] < np.asarray(rows.state)[:, GRIPPER]
     assert closed[far].any()
     assert (action[closed, GRIPPER] < 0).all(), "a hand that is closed far from the peg opens"
@@ -140,7 +146,7 @@ def test_an_inserted_peg_is_also_tried_deeper_in_the_hole(rows):
     depth = np.asarray(rows.state - steps.state)[:, 4]
     inside = np.asarray(rows.state)[:, 4] < -0.2
     assert depth[inside].max() > 0.03
-    assert not depth[~inside & ~is_carried(rows)].any()
+    assert not depth[~inside & ~is_carried(rows) & ~is_around(rows, steps)].any()
     np.testing.assert_allclose(np.asarray(rows.next_state - steps.next_state)[inside, 4], depth[inside], atol=1e-6)
 
 
@@ -148,13 +154,13 @@ def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
     steps, _, _ = transformed(rows, demonstrated=True, corrected=1.0)
     offset = np.asarray(steps.state - rows.state)
     moved = np.abs(offset[:, HEAD]).max(axis=1) > 0
-    moved &= np.asarray(rows.state)[:, 4] > -0.15
+    moved &= (np.asarray(rows.state)[:, 4] > -0.15) & ~is_around(rows, steps)
     assert moved[is_carried(rows)].mean() > 0.6
     assert not moved[~is_carried(rows)].any()
     np.testing.assert_allclose(offset[moved, :3], offset[moved, HEAD], atol=1e-6)
     assert_clear_of_the_block(steps, moved)
     head, action = np.asarray(steps.state)[:, HEAD], np.asarray(steps.action)
-    np.testing.assert_array_equal(action[:, GRIPPER], np.asarray(rows.action)[:, GRIPPER])
+    np.testing.assert_array_equal(action[moved, GRIPPER], np.asarray(rows.action)[moved, GRIPPER])
     beside = moved & (head[:, 0] < -0.14) & (np.abs(head[:, 1] - 0.6) > 0.12)
     assert beside.sum() > 5
     np.testing.assert_allclose(action[beside, 1], 0.0, atol=1e-6)
@@ -166,6 +172,42 @@ def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block(rows):
     assert (against[moved & (head[:, 0] > -0.12)] < 0.03 + 1e-6).all(), "a peg is not led back against its way"
     change = np.asarray(steps.next_state - steps.state)
     assert np.abs(change[moved][:, HEAD]).max() < 0.03
+
+
+def test_an_approach_to_a_peg_beside_the_block_goes_around_it(rows):
+    steps, _, to_clone = transformed(rows, demonstrated=True, corrected=1.0)
+    around = is_around(rows, steps)
+    lying = (distance(rows.state, rows.next_state) < 0.001) & (np.asarray(rows.state)[:, 6] < 0.05) & ~is_carried(rows)
+    assert 0.1 < around[lying].mean() < 0.4
+    assert not around[~lying].any()
+    assert to_clone[around].all(), "an approach serves every goal"
+    hand, head = np.asarray(steps.state)[around, :3], np.asarray(steps.state)[around, HEAD]
+    action = np.asarray(steps.action)[around]
+    assert (head[:, 0] < -0.3).all()
+    assert (np.abs(head[:, 1] - 0.6) > 0.12).all()
+    side = np.sign(head[:, 1] - 0.6)
+    clear = side * (hand[:, 1] - 0.6) >= 0.16
+    assert 0.1 < clear.mean() < 0.9
+    assert (hand[~clear, 0] > -0.18).all(), "a hand that is not beside the block is in front of it"
+    assert (action[~clear, 1] * side[~clear] > 0).all(), "it moves to the side on which the peg lies"
+    assert (hand[~clear, 0] + 0.01 * action[~clear, 0] > -0.18).all(), "and not against the block"
+    ahead = clear & (hand[:, 0] > head[:, 0] + 0.2) & (hand[:, 2] > 0.2)
+    assert ahead.any()
+    assert (action[ahead, 0] < 0).all(), "then it moves to the peg"
+    assert (action[:, GRIPPER] == -1).all()
+
+
+def test_a_peg_beside_the_block_is_not_moved_and_none_is_moved_behind_it(rows):
+    beside = rows._replace(
+        state=rows.state.at[:, HEAD].set(jnp.array([-0.3, 0.8, 0.02])),
+        next_state=rows.next_state.at[:, HEAD].set(jnp.array([-0.3, 0.8, 0.02])),
+    )
+    assert not transformed(beside, translated=1.0)[1].any()
+    steps = transformed(rows, translated=1.0)[0]
+    hand, head = np.asarray(steps.state)[:, :3], np.asarray(steps.state)[:, HEAD]
+    outside = np.asarray(rows.state)[:, 4] > -0.15
+    behind = (head[:, 0] < -0.31) & (np.abs(hand[:, 1] - 0.6) < 0.16) & outside
+    assert not behind.any(), "the straight way of the demonstration would lead into the block"
 
 
 def test_without_learning_the_agent_stays_as_cloned(problem):

@@ -32,14 +32,27 @@ DETOUR = 0.03
 """Metres against the demonstrated move by which a carried peg is led back at most."""
 CORNER, PAST = -0.13, -0.09
 """x [m] of the heads beside the block up to which a peg is carried along x first, and where that leads."""
+DETOURS = 0.25
+"""Share of the corrected approaches that lead around the block."""
+BLOCKED = -0.31
+"""x [m] of the heads beside the block up to which it is in the way of a hand in front of it."""
+NEARBY = np.array([[-0.3, 0.38, 0.07], [0.3, 0.82, 0.25]], np.float32)
+"""Smallest and largest position [m] of a hand that is led around the block."""
+TURN, ASIDE = -0.13, 0.25
+"""x and |y - 0.6| [m] to which a hand moves while the block is in its way; it turns around the corner before."""
 
 
 def translation(key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
-    """Return a vector [7] that moves hand and peg of a transition alike across the table, clear of the block, or 0."""
+    """Return a vector [7] that moves hand and peg of a transition alike across the table, or 0.
+
+    It is 0 where the block touches the peg or the hand, or decides about the action: from beside it, and to where it is in
+    the way.
+    """
     offset = jax.random.uniform(key, (2,), minval=FREE_LOW, maxval=FREE_HIGH) - state[4:6]
     both = jnp.stack([state, next_state])
     hands, heads = both[:, :2], both[:, 4:6]
     free = _free(hands, heads) & _free(hands + offset, heads + offset)
+    free &= ~_beside(heads).any() & ~_blocked(hands + offset, heads + offset).any()
     return jnp.where(free, _moved_by(jnp.append(offset, 0.0)), 0.0)
 
 
@@ -52,7 +65,32 @@ def correction(key: jax.Array, state: jax.Array, action: jax.Array, next_state: 
     grasp = state[4:7] + experts.GRASP
     free_hand = corrections.free_hand(key, state + deeper, action, next_state + deeper, grasp)
     carried, valid = _carried(jax.random.fold_in(key, 2), state, action, next_state)
-    return tree_where(valid, carried, free_hand)
+    lying = free_hand.approach & (state[6] < HOLE_LOW)
+    around = lying & jax.random.bernoulli(jax.random.fold_in(key, 3), DETOURS)
+    approach = tree_where(around, _around(jax.random.fold_in(key, 4), state), free_hand)
+    return tree_where(valid, carried, approach)
+
+
+def _around(key: jax.Array, state: jax.Array) -> Correction:
+    """Return an approach to a peg beside the block, from in front of the block or beside it.
+
+    The hand moves to the side until the block is no longer in its way, and then as the script does (`experts.travel`).
+    """
+    side_key, head_key, hand_key, grip_key = jax.random.split(key, 4)
+    side = jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0)
+    low, high = np.array([FREE_LOW[0], PEG_BESIDE]), np.array([BLOCKED, BLOCK[1] - FREE_LOW[1]])
+    x, away = jax.random.uniform(head_key, (2,), minval=low, maxval=high)
+    head = jnp.stack([x, BLOCK[1] + side * away, state[6]])
+    hand = jax.random.uniform(hand_key, (3,), minval=NEARBY[0], maxval=NEARBY[1])
+    blocked = side * (hand[1] - BLOCK[1]) < HAND_BESIDE
+    hand = hand.at[0].max(jnp.where(blocked, BEHIND, NEARBY[0, 0]))
+    turn = jnp.stack([jnp.asarray(TURN), BLOCK[1] + side * ASIDE, jnp.asarray(experts.HOVER)])
+    onward = experts.travel(hand, experts.peg_grasp(head), 0.02)
+    action = experts.steer(hand, jnp.where(blocked, turn, onward), experts.OPEN)
+    grip = jax.random.uniform(grip_key, (1,), minval=corrections.CLOSED)
+    moved = jnp.concatenate([hand, grip, head])
+    following = moved.at[:3].add(corrections.SPEED * action[:3])
+    return Correction(moved, action, following, jnp.ones((), bool))
 
 
 def _carried(
@@ -71,7 +109,7 @@ def _carried(
     other = jnp.clip(jnp.where(jax.random.bernoulli(choice_key), near, anywhere), low, high)
     offset = other - head
     outside = (state[4] > OUTSIDE) & (next_state[4] > OUTSIDE)
-    beside = (other[0] < CORNER) & (jnp.abs(other[1] - BLOCK[1]) > HALF_WIDTH)
+    beside = _beside(other)
     past = jnp.stack([PAST - other[0], jnp.zeros(()), experts.LIFTED - other[2]])
     ahead = beside | ((offset * action[:3]).sum() < DETOUR)
     free = _free((state[:2] + offset[:2])[None], other[None, :2])
@@ -96,6 +134,16 @@ def _free(hands: jax.Array, heads: jax.Array) -> jax.Array:
 
 def _clear(points: jax.Array, beside: float) -> jax.Array:
     return (points[..., 0] > BEHIND) | (jnp.abs(points[..., 1] - BLOCK[1]) > beside)
+
+
+def _beside(heads: jax.Array) -> jax.Array:
+    """Return which of `heads [..., 2]` are beside the block, bool."""
+    return (heads[..., 0] < CORNER) & (jnp.abs(heads[..., 1] - BLOCK[1]) > HALF_WIDTH)
+
+
+def _blocked(hands: jax.Array, heads: jax.Array) -> jax.Array:
+    """Return where the block is in the way from `hands [..., 2]` to pegs with `heads [..., 2]`, bool."""
+    return (heads[..., 0] < BLOCKED) & (jnp.abs(hands[..., 1] - BLOCK[1]) < HAND_BESIDE)
 
 
 def _moved_by(offset: jax.Array) -> jax.Array:
