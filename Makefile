@@ -4,8 +4,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock
-UV := $(BIN)/uv pip install --quiet --python $(BIN)/python -c requirements.lock
-# uv takes a sixth of pip's CPU time; pip installs the same versions where uv is missing or reaches no index.
+UV := $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python -c requirements.lock
+# uv takes a sixth of pip's CPU time; pip installs the same versions where uv is missing or reaches no index. Like pip, it trusts the
+# certificates of the system, so that it also works behind a proxy with its own.
 install = $(PIP) uv && $(UV) $(1) || $(PIP) $(1)
 STAMP := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
