@@ -1,7 +1,7 @@
 """CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.cfbrl`.
 
-Reads the runs of results/leaderboard (the long ones) and results/cfbrl (options at equal steps), and writes the tables of
-docs/cfbrl.md and the picture results/cfbrl/curves.png.
+Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning (a
+trial of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
 """
 
 import csv
@@ -22,7 +22,7 @@ from earl_jax.report.runs import Curves, read
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 RESULTS = Path(__file__).parent / "results"
-LONG, OPTIONS = RESULTS / "leaderboard", RESULTS / "cfbrl"
+LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
 PAGE = PAGES / "docs" / "cfbrl.md"
 DEPLOYED = "deployed/success"
 MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
@@ -31,6 +31,10 @@ RUNS = {
     "sawyer_door": ("cfbrl",),
     "sawyer_peg": ("cfbrl-around", "cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
 }
+TARGETS = {"-4": "target_entropy_-1", "-32": "target_entropy_-8"}
+"""Target entropies of the trial of learning on the peg, and its folders."""
+LEARNS, LEARNT = 10_000, 15_000
+"""Steps at which the actor begins to learn in that trial, and at which it ends."""
 RESET = 100_000
 """Steps between hard resets of the peg, of which a lane that is lost gets a new start."""
 LIVES = 0.5
@@ -109,6 +113,19 @@ def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
     return [env, name, *(interval_text(*mean_interval(score)) for score in scores)]
 
 
+def learning_text() -> str:
+    """Return the table of the trial of learning with two target entropies, before and after the actor learns."""
+    runs = [read(LEARNING / folder) for folder in TARGETS.values()]
+    rows = []
+    for metric, name in ((FORWARD, "forward"), (BACK, "way back"), (WIDE, "wide"), ("entropy", "entropy")):
+        for begin, end in ((0, LEARNS), (LEARNS, LEARNT)):
+            inside = [(curves.steps > begin) & (curves.steps <= end) for curves in runs]
+            scores = [np.nanmean(run.metrics[metric][:, part], axis=1) for run, part in zip(runs, inside, strict=True)]
+            texts = [interval_text(*mean_interval(score)) for score in scores]
+            rows.append([name, f"{begin:,} to {end:,}", *texts, f"{permutation(*scores).p:.2g}"])
+    return markdown_table(("measure", "steps", *(f"target {target}" for target in TARGETS), "p"), rows)
+
+
 def lanes_text() -> str:
     """Return a table of the peg's lanes: forward success in each span between hard resets, and the spans lived through."""
     lines = []
@@ -170,7 +187,13 @@ def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style:
 
 def tables() -> dict[str, str]:
     """Return the tables of the page by the name of their place."""
-    return {"goals": goals_text(), "lanes": lanes_text(), "lives": lives_text(), "options": options_text()}
+    return {
+        "goals": goals_text(),
+        "lanes": lanes_text(),
+        "lives": lives_text(),
+        "learning": learning_text(),
+        "options": options_text(),
+    }
 
 
 def page_text(page: str) -> str:

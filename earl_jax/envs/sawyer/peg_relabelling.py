@@ -32,7 +32,7 @@ DETOUR = 0.03
 """Metres against the demonstrated move by which a carried peg is led back at most."""
 CORNER, PAST = -0.13, -0.09
 """x [m] of the heads beside the block up to which a peg is carried along x first, and where that leads."""
-DETOURS = 0.25
+SHARE_AROUND = 0.25
 """Share of the corrected approaches that lead around the block."""
 BLOCKED = -0.31
 """x [m] of the heads beside the block up to which it is in the way of a hand in front of it."""
@@ -66,7 +66,7 @@ def correction(key: jax.Array, state: jax.Array, action: jax.Array, next_state: 
     free_hand = corrections.free_hand(key, state + deeper, action, next_state + deeper, grasp)
     carried, valid = _carried(jax.random.fold_in(key, 2), state, action, next_state)
     lying = free_hand.approach & (state[6] < HOLE_LOW)
-    around = lying & jax.random.bernoulli(jax.random.fold_in(key, 3), DETOURS)
+    around = lying & jax.random.bernoulli(jax.random.fold_in(key, 3), SHARE_AROUND)
     approach = tree_where(around, _around(jax.random.fold_in(key, 4), state), free_hand)
     return tree_where(valid, carried, approach)
 
