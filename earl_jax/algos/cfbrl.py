@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.algos.goals import Goals, rescored
+from earl_jax.algos.goals import Goals, later_demonstrated, rescored
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import TransitionBatch
@@ -106,10 +106,10 @@ class CFBRL(RISC):
         """Return `batch` with some goals and places replaced, and `demonstrated` where the action is still to clone."""
         if not env.sparse:
             return batch
-        assert batch.later is not None
         assert batch.demonstrated is not None
         goal = jnp.asarray(goals.table)[batch.flags.goal]
-        steps = Steps(batch.state, batch.action, batch.next_state, batch.later, goal)
+        later = _later_states(jax.random.fold_in(key, 4), goals, batch)
+        steps = Steps(batch.state, batch.action, batch.next_state, later, goal)
         steps, changed, to_clone = self.transform(key, env, steps, ~batch.flags.no_successor, batch.demonstrated)
         batch = batch._replace(
             state=steps.state,
@@ -183,6 +183,19 @@ class CFBRL(RISC):
         new = tree_where(to_clone[:, None], new, steps)
         obs = jnp.concatenate([new.state, new.goal], axis=-1)
         return Demonstrations(obs, new.action, np.zeros(len(index), int))
+
+
+def _later_states(key: jax.Array, goals: Goals, batch: TransitionBatch) -> jax.Array:
+    """Return the later states [B, s] of `batch`, of demonstrated rows those of the same demonstration.
+
+    Another demonstration, which can follow in the replay, says nothing about the goals that an action serves.
+    """
+    assert batch.later is not None
+    assert batch.demonstrated is not None
+    if not len(goals.ends):
+        return batch.later
+    row = later_demonstrated(goals, batch.row, jax.random.uniform(key, batch.row.shape))
+    return jnp.where(batch.demonstrated[:, None], jnp.asarray(goals.candidates)[row], batch.later)
 
 
 def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Array:

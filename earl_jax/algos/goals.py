@@ -45,6 +45,15 @@ class GoalIndices(NamedTuple):
     task: jax.Array
 
 
+def later_demonstrated(goals: Goals, row: jax.Array, draw: jax.Array) -> jax.Array:
+    """Return a row [B] that follows each demonstrated `row [B]` of the replay in its demonstration, by `draw [B]` in [0, 1).
+
+    The rows count the `candidates` of `goals`, too. For rows that are not demonstrated, the result has no meaning.
+    """
+    last = jnp.asarray(goals.ends)[jnp.minimum(row, len(goals.ends) - 1)]
+    return row + 1 + jnp.floor(draw * (last - row)).astype(jnp.int32)
+
+
 def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Array) -> TransitionBatch:
     """Return `batch [B]` with the rewards and successes of its next states under `goal [B, g]` where `changed [B]`."""
     obs = jnp.concatenate([batch.next_state, goal], axis=-1)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.algos.goals import GoalIndices, Goals, rescored
+from earl_jax.algos.goals import GoalIndices, Goals, later_demonstrated, rescored
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import Agent
@@ -119,8 +119,7 @@ class VaPRL(Method):
         """
         share_key, goal_key = jax.random.split(key)
         draw = jax.random.uniform(goal_key, batch.reward.shape)
-        last = jnp.asarray(goals.ends)[jnp.minimum(batch.row, len(goals.ends) - 1)]
-        later = batch.row + 1 + jnp.floor(draw * (last - batch.row)).astype(jnp.int32)
+        later = later_demonstrated(goals, batch.row, draw)
         any_goal = jnp.floor(draw * len(goals.table)).astype(jnp.int32)
         goal = jnp.where(batch.row < len(goals.ends), goals.tasks + goals.initials + later, any_goal)
         chosen = jax.random.bernoulli(share_key, self.relabel_share, goal.shape) & ~batch.flags.no_successor

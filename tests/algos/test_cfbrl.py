@@ -240,6 +240,35 @@ def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
     assert not (offset[at_wall] != 0).any()
 
 
+def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
+    """The states that follow it in the replay, which `later` has, can belong to another demonstration."""
+    method, goals = make_algo("cfbrl", hindsight=1.0, translated=0.0, corrected=0.0), goal_table(PEG)
+    row = np.repeat(np.arange(60), 20)
+    end = int(goals.ends[0])
+    assert (goals.ends[:end] == end).all()
+    assert end < 60 < goals.ends[end + 1]
+    row = row[row < end]
+    other = jnp.asarray(goals.candidates)[goals.ends[end + 1]]
+    no = jnp.zeros(len(row), bool)
+    batch = TransitionBatch(
+        row=jnp.asarray(row),
+        state=jnp.asarray(goals.candidates[row]),
+        action=jnp.zeros((len(row), 4)),
+        next_state=jnp.asarray(goals.candidates[row + 1]),
+        reward=jnp.zeros(len(row)),
+        flags=TransitionFlags(jnp.zeros(len(row), int), no, no, no, no),
+        later=jnp.broadcast_to(other, (len(row), 7)),
+    )
+    relabel = jax.jit(lambda batch: method.relabel(KEY, PEG, goals, batch, TASK))
+    demonstrated = np.asarray(relabel(batch._replace(demonstrated=~no)).goal)[:, HEAD]
+    own = np.asarray(goals.candidates)[: end + 1, HEAD]
+    places = np.abs(demonstrated[:, None] - own[None]).max(axis=-1).argmin(axis=1)
+    np.testing.assert_allclose(demonstrated, own[places], atol=1e-6)
+    assert len(set(places.tolist())) > 20
+    lived = np.asarray(relabel(batch._replace(demonstrated=no)).goal)[:, HEAD]
+    np.testing.assert_allclose(lived, np.broadcast_to(other[HEAD], lived.shape), atol=1e-6)
+
+
 def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal(rows):
     method, goals = make_algo("cfbrl", hindsight=0.7, translated=0.7), goal_table(PEG)
     size = len(rows.state)
