@@ -31,10 +31,16 @@ RUNS = {
     "sawyer_door": ("cfbrl",),
     "sawyer_peg": ("cfbrl-around", "cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
 }
-TARGETS = {"-4": "target_entropy_-1", "-32": "target_entropy_-8"}
-"""Target entropies of the trial of learning on the peg, and its folders."""
+TRIALS = (
+    "foreign_goals",
+    "foreign_goals-target_entropy_-32",
+    "foreign_goals-cloning_100",
+    "own_goals",
+    "own_goals-cloning_100",
+)
+"""Folders of the trials of learning on the peg; the fourth has the settings of the first."""
 LEARNS, LEARNT = 10_000, 15_000
-"""Steps at which the actor begins to learn in that trial, and at which it ends."""
+"""Steps at which the actor begins to learn in these trials, and at which they are compared."""
 RESET = 100_000
 """Steps between hard resets of the peg, of which a lane that is lost gets a new start."""
 LIVES = 0.5
@@ -114,16 +120,22 @@ def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
 
 
 def learning_text() -> str:
-    """Return the table of the trial of learning with two target entropies, before and after the actor learns."""
-    runs = [read(LEARNING / folder) for folder in TARGETS.values()]
+    """Return the table of the trials of learning: success after the actor began, and p of phases against the fourth."""
+    runs = [read(LEARNING / folder) for folder in TRIALS]
+    measures = (FORWARD, BACK, WIDE, "entropy")
+    scores = [[_early_scores(run, metric) for metric in measures] for run in runs]
     rows = []
-    for metric, name in ((FORWARD, "forward"), (BACK, "way back"), (WIDE, "wide"), ("entropy", "entropy")):
-        for begin, end in ((0, LEARNS), (LEARNS, LEARNT)):
-            inside = [(curves.steps > begin) & (curves.steps <= end) for curves in runs]
-            scores = [np.nanmean(run.metrics[metric][:, part], axis=1) for run, part in zip(runs, inside, strict=True)]
-            texts = [interval_text(*mean_interval(score)) for score in scores]
-            rows.append([name, f"{begin:,} to {end:,}", *texts, f"{permutation(*scores).p:.2g}"])
-    return markdown_table(("measure", "steps", *(f"target {target}" for target in TARGETS), "p"), rows)
+    for name, own in zip(TRIALS, scores, strict=True):
+        same = own is scores[3]
+        tests = ["-" if same else f"{permutation(own[number], scores[3][number]).p:.2g}" for number in (0, 1)]
+        rows.append([name, *(interval_text(*mean_interval(score)) for score in own), *tests])
+    return markdown_table(("trial", "forward", "way back", "wide", "entropy", "p, forward", "p, way back"), rows)
+
+
+def _early_scores(curves: Curves, metric: str) -> np.ndarray:
+    """Return the mean [N] of each seed's `metric` after the actor began to learn."""
+    inside = (curves.steps > LEARNS) & (curves.steps <= LEARNT)
+    return np.nanmean(curves.metrics[metric][:, inside], axis=1)
 
 
 def lanes_text() -> str:
