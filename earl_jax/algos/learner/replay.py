@@ -234,7 +234,8 @@ def later_states(replay: Replay, keys: jax.Array, rows: jax.Array, mean_steps: f
     """Return states [N, B, s] that followed those of `rows [N, B]`, a geometric number of steps later, 1 or more.
 
     Where that is after the newest state, or after the last demonstrated one, they are these. They can lie behind a
-    reset, and behind the end of a demonstration: any state is a goal.
+    reset, and behind the end of a demonstration: values are learnt for any goal. What is cloned needs a later state of
+    the same demonstration.
     """
     draw = jax.vmap(lambda key: jax.random.geometric(key, 1.0 / mean_steps, rows.shape[1:]))
     first, size = replay.first_row, replay.capacity - replay.first_row
