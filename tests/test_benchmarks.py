@@ -1,6 +1,7 @@
 """The parts of `python -m benchmarks.run` that need no peer: equal tasks, the plan, the collection of rows, the ratios."""
 
 import dataclasses
+import importlib.util
 import json
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from earl_jax.algos import list_algos, make_algo
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.sweeps.slots import make_slots
+from tests.conftest import TESTS
 
 
 class CodeJob(Job):
@@ -68,10 +70,8 @@ def test_the_original_door_starts_where_ours_does_and_moves():
     assert (reward, success) == (0.0, False)
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "torch")) for kind in LEARNERS]
-)
-def test_the_learners_of_the_python_loop_fit_terminal_rewards(kind):
+def fit_terminal_rewards(kind):
+    """Assert that the learner `kind` learns the value 1 of transitions that end with that reward."""
     learner, rng = LEARNERS[kind](6, 2), np.random.default_rng(0)
     obs, action = rng.normal(size=(64, 6)).astype(np.float32), rng.uniform(-1, 1, (64, 2)).astype(np.float32)
     batch = Batch(obs, action, np.full(64, 0.1, np.float32), np.ones(64, bool), obs)
@@ -82,6 +82,19 @@ def test_the_learners_of_the_python_loop_fit_terminal_rewards(kind):
             learner.update(batch)
     assert abs(values[1] - 1.0) < 0.2 < abs(values[0] - 1.0)
     assert learner.act(obs[0]).shape == (2,)
+
+
+def test_the_jax_learner_of_the_python_loop_fits_terminal_rewards():
+    fit_terminal_rewards("jax")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="PyTorch comes with make test-slow")
+def test_the_pytorch_learner_of_the_python_loop_fits_terminal_rewards():
+    """In its own process: an import of PyTorch's Triton ends one that has run many other tests."""
+    code = "from tests.test_benchmarks import fit_terminal_rewards; fit_terminal_rewards('torch')"
+    result = subprocess.run([sys.executable, "-c", code], cwd=TESTS.parent, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr[-2000:]
 
 
 def test_every_bar_has_its_rows_in_the_full_suite():
