@@ -121,7 +121,7 @@ def test_a_corrected_step_leads_back_to_the_demonstrated_one(rows):
     action = np.asarray(steps.action)
     along = (action[far, :3] * back[far]).sum(axis=1) / np.linalg.norm(back[far], axis=1)
     assert (along > 0.8).all()
-    assert np.abs(action).max() <= 1.0 + 1e-6
+    assert np.abs(action).max() <= 1.0
     closed = np.asarray(steps.state)[:, GRIPPER] < np.asarray(rows.state)[:, GRIPPER]
     assert closed[far].any()
     assert (action[closed, GRIPPER] < 0).all(), "a hand that is closed far from the peg opens"

@@ -37,7 +37,8 @@ def steer(hand: jax.Array, target: jax.Array, grip: jax.Array | float) -> jax.Ar
 
 def limited(move: jax.Array) -> jax.Array:
     """Return `move [3]` with its direction, scaled down to components in [-1, 1] where they are larger."""
-    return move / jnp.maximum(1.0, jnp.abs(move).max())
+    scaled = move / jnp.maximum(1.0, jnp.abs(move).max())
+    return jnp.clip(scaled, -1.0, 1.0)  # XLA may round the quotient of equal numbers to more than 1
 
 
 def travel(hand: jax.Array, target: jax.Array, near: float) -> jax.Array:
