@@ -1,7 +1,7 @@
 """CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.cfbrl`.
 
-Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning (a
-trial of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
+Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning
+(trials of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
 """
 
 import csv
@@ -31,14 +31,15 @@ RUNS = {
     "sawyer_door": ("cfbrl",),
     "sawyer_peg": ("cfbrl-around", "cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
 }
+REFERENCE = "own_goals"
 TRIALS = (
     "foreign_goals",
     "foreign_goals-target_entropy_-32",
     "foreign_goals-cloning_100",
-    "own_goals",
+    REFERENCE,
     "own_goals-cloning_100",
 )
-"""Folders of the trials of learning on the peg; the fourth has the settings of the first."""
+"""Folders of the trials of learning on the peg; the reference has the settings of the first."""
 LEARNS, LEARNT = 10_000, 15_000
 """Steps at which the actor begins to learn in these trials, and at which they are compared."""
 RESET = 100_000
@@ -90,9 +91,14 @@ def _goal_line(goal: Goal, name: str) -> list[str]:
     return [goal.env, name, MEASURES[goal.metric], asked, text, "yes" if met else "no"]
 
 
-def window_scores(curves: Curves, metric: str, window: int) -> np.ndarray:
-    """Return the mean [N] of each seed's `metric` over the last `window` steps, of the evaluations that have one."""
-    return np.nanmean(curves.metrics[metric][:, curves.steps > curves.steps[-1] - window], axis=1)
+def window_scores(curves: Curves, metric: str, window: int, end: int | None = None) -> np.ndarray:
+    """Return the mean [N] of each seed's `metric` over the last `window` steps up to `end`, by default that of the run.
+
+    Evaluations without the metric do not count.
+    """
+    end = int(curves.steps[-1]) if end is None else end
+    inside = (curves.steps > end - window) & (curves.steps <= end)
+    return np.nanmean(curves.metrics[metric][:, inside], axis=1)
 
 
 def options_text() -> str:
@@ -120,22 +126,19 @@ def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
 
 
 def learning_text() -> str:
-    """Return the table of the trials of learning: success after the actor began, and p of phases against the fourth."""
-    runs = [read(LEARNING / folder) for folder in TRIALS]
+    """Return the table of the trials of learning: success after the actor began, and p of phases against the reference."""
     measures = (FORWARD, BACK, WIDE, "entropy")
-    scores = [[_early_scores(run, metric) for metric in measures] for run in runs]
+    runs = {name: read(LEARNING / name) for name in TRIALS}
+    scores = {
+        name: [window_scores(run, metric, LEARNT - LEARNS, end=LEARNT) for metric in measures]
+        for name, run in runs.items()
+    }
     rows = []
-    for name, own in zip(TRIALS, scores, strict=True):
-        same = own is scores[3]
-        tests = ["-" if same else f"{permutation(own[number], scores[3][number]).p:.2g}" for number in (0, 1)]
+    for name, own in scores.items():
+        pairs = list(zip(own, scores[REFERENCE], strict=True))[:2]
+        tests = ["-" if name == REFERENCE else f"{permutation(*pair).p:.2g}" for pair in pairs]
         rows.append([name, *(interval_text(*mean_interval(score)) for score in own), *tests])
     return markdown_table(("trial", "forward", "way back", "wide", "entropy", "p, forward", "p, way back"), rows)
-
-
-def _early_scores(curves: Curves, metric: str) -> np.ndarray:
-    """Return the mean [N] of each seed's `metric` after the actor began to learn."""
-    inside = (curves.steps > LEARNS) & (curves.steps <= LEARNT)
-    return np.nanmean(curves.metrics[metric][:, inside], axis=1)
 
 
 def lanes_text() -> str:

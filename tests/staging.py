@@ -1,4 +1,4 @@
-"""NumPy arrays and scalars given to JAX without a program, of which it compiles one for each shape that `jnp.asarray` meets."""
+"""NumPy arrays and scalars placed on the device without a program: JAX compiles one for each shape that `jnp.asarray` meets."""
 
 import copy
 

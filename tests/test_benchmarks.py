@@ -70,7 +70,7 @@ def test_the_original_door_starts_where_ours_does_and_moves():
     assert (reward, success) == (0.0, False)
 
 
-def fit_terminal_rewards(kind):
+def assert_fits_terminal_rewards(kind):
     """Assert that the learner `kind` learns the value 1 of transitions that end with that reward."""
     learner, rng = LEARNERS[kind](6, 2), np.random.default_rng(0)
     obs, action = rng.normal(size=(64, 6)).astype(np.float32), rng.uniform(-1, 1, (64, 2)).astype(np.float32)
@@ -85,14 +85,14 @@ def fit_terminal_rewards(kind):
 
 
 def test_the_jax_learner_of_the_python_loop_fits_terminal_rewards():
-    fit_terminal_rewards("jax")
+    assert_fits_terminal_rewards("jax")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="PyTorch comes with make test-slow")
 def test_the_pytorch_learner_of_the_python_loop_fits_terminal_rewards():
     """In its own process: an import of PyTorch's Triton ends one that has run many other tests."""
-    code = "from tests.test_benchmarks import fit_terminal_rewards; fit_terminal_rewards('torch')"
+    code = "from tests.test_benchmarks import assert_fits_terminal_rewards; assert_fits_terminal_rewards('torch')"
     result = subprocess.run([sys.executable, "-c", code], cwd=TESTS.parent, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr[-2000:]
 

@@ -54,6 +54,15 @@ def assert_clear_of_the_block(steps, moved):
         assert not ((points[:, 0] < -0.17 - 0.01) & (np.abs(points[:, 1] - 0.6) < 0.1 + margin - 0.01)).any()
 
 
+def make_batch(row, state, next_state, later, no_successor):
+    """Return transitions with the first goal, no action and no reward."""
+    size = len(row)
+    no = jnp.zeros(size, bool)
+    flags = TransitionFlags(jnp.zeros(size, int), no, no, no_successor, no)
+    action, reward = jnp.zeros((size, 4)), jnp.zeros(size)
+    return TransitionBatch(jnp.asarray(row), state, action, next_state, reward, flags, later=later)
+
+
 def is_carried(rows):
     """Return the steps, bool [B], in which the hand holds the peg outside of the hole."""
     state, action = np.asarray(rows.state), np.asarray(rows.action)
@@ -248,15 +257,8 @@ def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
     assert (goals.ends[:end] == end).all()
     other = jnp.asarray(goals.candidates)[goals.ends[end + 1]]
     no = jnp.zeros(len(row), bool)
-    batch = TransitionBatch(
-        row=jnp.asarray(row),
-        state=jnp.asarray(goals.candidates[row]),
-        action=jnp.zeros((len(row), 4)),
-        next_state=jnp.asarray(goals.candidates[row + 1]),
-        reward=jnp.zeros(len(row)),
-        flags=TransitionFlags(jnp.zeros(len(row), int), no, no, no, no),
-        later=jnp.broadcast_to(other, (len(row), 7)),
-    )
+    later = jnp.broadcast_to(other, (len(row), 7))
+    batch = make_batch(row, jnp.asarray(goals.candidates[row]), jnp.asarray(goals.candidates[row + 1]), later, no)
     relabel = jax.jit(lambda batch: method.relabel(KEY, PEG, goals, batch, TASK))
     demonstrated = np.asarray(relabel(batch._replace(demonstrated=~no)).goal)[:, HEAD]
     own = np.asarray(goals.candidates)[: end + 1, HEAD]
@@ -270,17 +272,9 @@ def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
 def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal(rows):
     method, goals = make_algo("cfbrl", hindsight=0.7, translated=0.7), goal_table(PEG)
     size = len(rows.state)
-    no = jnp.zeros(size, bool)
-    batch = TransitionBatch(
-        row=jnp.arange(size),
-        state=rows.state,
-        action=jnp.zeros((size, 4)),
-        next_state=rows.next_state,
-        reward=jnp.zeros(size),
-        flags=TransitionFlags(jnp.zeros(size, int), no, no, jnp.arange(size) % 5 == 0, no),
-        demonstrated=jnp.arange(size) % 2 == 0,
-        later=rows.later,
-    )
+    no_successor = jnp.arange(size) % 5 == 0
+    batch = make_batch(jnp.arange(size), rows.state, rows.next_state, rows.later, no_successor)
+    batch = batch._replace(demonstrated=jnp.arange(size) % 2 == 0)
     new = jax.jit(lambda batch: method.relabel(KEY, PEG, goals, batch, jnp.asarray(TASK)))(batch)
     reached = PEG.success(jnp.concatenate([new.next_state, new.goal], axis=-1))
     changed = (new.goal != jnp.asarray(goals.table)[0]).any(axis=1)

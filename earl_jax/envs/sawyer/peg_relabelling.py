@@ -57,7 +57,7 @@ def translation(key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.
 
 
 def correction(key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array) -> Correction:
-    """Return the transition from `state [7]` with a free hand or a carried peg elsewhere, or an inserted peg deeper."""
+    """Return the transition from `state [7]` with a free hand, a carried peg or both elsewhere, or an inserted peg deeper."""
     heads = jnp.stack([state[4:7], next_state[4:7]])
     inside = ((heads[:, 0] < INSIDE) & (jnp.abs(heads[:, 1] - BLOCK[1]) < HOLE_RADIUS) & (heads[:, 2] > HOLE_LOW)).all()
     depth = jnp.where(inside, jax.random.uniform(jax.random.fold_in(key, 1), maxval=DEEPER), 0.0)
