@@ -95,6 +95,7 @@ class CFBRL(RISC):
         assert batch.step is not None
         critics_only = updated.replace(
             actor=agent.actor,
+            averaged=agent.averaged,
             log_temperature=agent.log_temperature,
             moments={**agent.moments, "critics": updated.moments["critics"]},
         )

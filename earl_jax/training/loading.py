@@ -47,7 +47,7 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
         return plain_task(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
     plain, to_plain = plain_task(env), functools.partial(plain_actor, env)
-    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.actor)
+    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.deployed_actor)
     if plain is not env and policies.obs_size(folder.policies) == env.obs_size:  # a file of an earlier version
         actor = to_plain(policies.load_policies(folder.policies, like))
     else:

@@ -41,7 +41,7 @@ class Policy(struct.PyTreeNode, eq=False):
     @classmethod
     def of(cls, env: Env, method: Method, lane: LaneState) -> "Policy":
         """Return the policy of one lane (no lane axis) of `method` on `env`."""
-        actor = plain_actor(env, jax.tree.map(lambda leaf: leaf[TASK], lane.agent.actor))
+        actor = plain_actor(env, jax.tree.map(lambda leaf: leaf[TASK], lane.agent.deployed_actor))
         plain = plain_task(env)
         return cls(method.sac, actor, plain.obs_size, plain.action_size)
 

@@ -236,7 +236,7 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
     """Write the task actors and the maps of visits of the lanes of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
-    actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.actor))
+    actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(state.lanes.agent.deployed_actor))
     visits = gathered(state.lanes.visits)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():

@@ -301,12 +301,13 @@ def test_the_cloning_draws_from_transformed_demonstrations():
 
 
 def test_only_the_critics_learn_in_the_warmup(problem):
-    method = tiny_method("cfbrl", pretrain_steps=0, warmup=[4.0, 0.0], hindsight=0.0)
+    method = tiny_method("cfbrl", pretrain_steps=0, warmup=[4.0, 0.0], hindsight=0.0, actor_average_rate=0.5)
     start = make_train_state(problem, method, [0, 1])
     end = advance(problem, method, start, 4)
     for lane, learns in ((0, False), (1, True)):
-        actors = [jax.tree.leaves(jax.tree.map(lambda leaf: leaf[lane], s.lanes.agent.actor)) for s in (start, end)]  # noqa: B023
-        assert any((old != new).any() for old, new in zip(*actors, strict=True)) == learns
+        for name in ("actor", "averaged"):
+            actors = [jax.tree.leaves(getattr(s.lanes.agent, name)) for s in (start, end)]
+            assert any((old[lane] != new[lane]).any() for old, new in zip(*actors, strict=True)) == learns
         temperatures = [s.lanes.agent.log_temperature[lane, 0] for s in (start, end)]
         assert (temperatures[0] != temperatures[1]) == learns
         critics = [jax.tree.leaves(s.lanes.agent.critics)[-1][lane] for s in (start, end)]

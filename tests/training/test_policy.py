@@ -100,6 +100,16 @@ def test_policies_npz_holds_policies_of_the_task_without_help(run):
     assert_loads_the_plain_policies(run.folder)
 
 
+def test_policies_npz_and_the_policy_hold_the_averaged_actor_where_there_is_one(run):
+    agent = agents(HELPED)
+    agent = agent.replace(averaged=agent.actor, actor=jax.tree.map(jnp.zeros_like, agent.actor))
+    runner.save_policies_of([run], types.SimpleNamespace(lanes=types.SimpleNamespace(agent=agent, visits=None)), 40)
+    assert_loads_the_plain_policies(run.folder)
+    lane = types.SimpleNamespace(agent=jax.tree.map(lambda leaf: leaf[0], agent))
+    obs = jnp.full(12, 0.3)
+    np.testing.assert_allclose(Policy.of(HELPED, select_seed(METHOD, 0), lane)(obs), expected_action(obs), atol=1e-6)
+
+
 def test_policies_npz_of_an_earlier_version_has_the_sizes_with_help_and_loads_as_well(run):
     actors = jax.tree.map(lambda leaf: np.asarray(leaf[:, 0]), agents(HELPED).actor)
     policies.save_policies(run.folder.policies, actors, step=40, seeds=(0, 1), obs_size=13, action_size=4)

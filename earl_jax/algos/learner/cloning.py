@@ -30,8 +30,8 @@ class Demonstrations(NamedTuple):
 def pretrained(key: jax.Array, sac: SAC, agent: Agent, demos: Demonstrations) -> Agent:
     """Return `agent` (leading controller axis) with actors cloned in `SAC.pretrain_steps`, and their log-std set."""
     actor, _ = clone(key, sac, agent.actor, demos, sac.pretrain_steps, sac.pretrain_rate)
-    return agent.replace(
-        actor=actor if sac.pretrain_log_std is None else networks.fix_log_std(actor, sac.pretrain_log_std)
+    return agent.with_actor(
+        actor if sac.pretrain_log_std is None else networks.fix_log_std(actor, sac.pretrain_log_std)
     )
 
 

@@ -22,6 +22,10 @@ class SAC(struct.PyTreeNode):
     """gamma (paper)."""
     target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
     """tau of the target critics, which are updated every step (paper)."""
+    actor_average_rate: float | None = struct.field(default=None, metadata=within("(0, 1]"))
+    """Rate of an exponential moving average of the actor's weights, updated every step, that is deployed in the actor's
+    place: evaluations and saved policies are the average's, the life is lived by the actor. None: no average, as in
+    EARL. Source: Nikishin et al. 2018, "Improving Stability in Deep Reinforcement Learning with Weight Averaging"."""
     reward_scale: float = struct.field(default=10.0, metadata=within("(0, 1000000]"))
     """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
     10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""

@@ -41,7 +41,7 @@ ActorTerm = Callable[[jax.Array, Batch], jax.Array | None]
 
 
 class Agent(struct.PyTreeNode):
-    """One controller: actor, K stacked critics and their targets, log temperature, Adam's moments.
+    """One controller: actor, K stacked critics and their targets, log temperature, Adam's moments, averaged actor.
 
     The first `SAC.ensemble` critics are SAC's. Further critics are pairs trained without the entropy term, for methods
     that interpret values as success probabilities.
@@ -52,6 +52,17 @@ class Agent(struct.PyTreeNode):
     targets: Any
     log_temperature: jax.Array
     moments: dict[str, Any]
+    averaged: Any = None
+    """Moving average of the actor's weights; None without `SAC.actor_average_rate`."""
+
+    @property
+    def deployed_actor(self) -> Any:
+        """The actor of evaluations and saved policies: the average, where there is one."""
+        return self.actor if self.averaged is None else self.averaged
+
+    def with_actor(self, actor: Any) -> "Agent":
+        """Return the agent with another actor, from which the average starts again."""
+        return self.replace(actor=actor, averaged=None if self.averaged is None else actor)
 
 
 ADAM = optax.scale_by_adam()
@@ -88,7 +99,8 @@ def init(key: jax.Array, sac: SAC, obs_size: int, action_size: int, critics: int
         "critics": ADAM.init(critic),
         "temperature": ADAM.init(log_temperature),
     }
-    return Agent(actor, critic, jax.tree.map(jnp.copy, critic), log_temperature, moments)
+    averaged = None if sac.actor_average_rate is None else jax.tree.map(jnp.copy, actor)
+    return Agent(actor, critic, jax.tree.map(jnp.copy, critic), log_temperature, moments, averaged)
 
 
 def act(sac: SAC, actor: Any, obs: jax.Array, key: jax.Array, action_size: int) -> jax.Array:
@@ -210,8 +222,18 @@ def _update_temperature(sac: SAC, agent: Agent, log_prob: jax.Array, action_size
 
 
 def _update_targets(sac: SAC, agent: Agent) -> Agent:
-    targets = jax.tree.map(lambda slow, fast: slow + sac.target_rate * (fast - slow), agent.targets, agent.critics)
-    return agent.replace(targets=targets)
+    return agent.replace(targets=_follow(agent.targets, agent.critics, sac.target_rate))
+
+
+def _update_average(sac: SAC, agent: Agent) -> Agent:
+    """Return the agent with its averaged actor a step nearer to the actor, if it has one (Nikishin et al. 2018)."""
+    if sac.actor_average_rate is None:
+        return agent
+    return agent.replace(averaged=_follow(agent.averaged, agent.actor, sac.actor_average_rate))
+
+
+def _follow(slow: Any, fast: Any, rate: Any) -> Any:
+    return jax.tree.map(lambda old, new: old + rate * (new - old), slow, fast)
 
 
 def _repeat_critic_updates(sac: SAC, agent: Agent, batch: Batch, key: jax.Array) -> tuple[Agent, Batch]:
@@ -238,7 +260,7 @@ def update(
     """Return the agent after a step on critics, actor (with the updated critics) and temperature, and diagnostics.
 
     With `utd` batches in one, the critics and their targets take a step on each, the actor one on the last. `actor_term`
-    is added to the actor's loss.
+    is added to the actor's loss. Targets and the averaged actor follow at the end.
     """
     if sac.utd > 1:
         agent, batch = _repeat_critic_updates(sac, agent, batch, jax.random.fold_in(key, 1))
@@ -247,4 +269,5 @@ def update(
     agent, log_prob = _update_actor(sac, agent, batch, actor_key, actor_term)
     agent = _update_temperature(sac, agent, log_prob, batch.action.shape[-1])
     diagnostics = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
-    return _update_targets(sac, agent), dict(zip(DIAGNOSTICS, diagnostics, strict=True))
+    agent = _update_average(sac, _update_targets(sac, agent))
+    return agent, dict(zip(DIAGNOSTICS, diagnostics, strict=True))

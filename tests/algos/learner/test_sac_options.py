@@ -102,6 +102,30 @@ def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
             np.testing.assert_allclose(actual, expected, atol=1e-6)
 
 
+def test_the_averaged_actor_follows_the_actor_and_is_deployed(batch):
+    sac, key = SMALL.replace(actor_average_rate=0.25), jax.random.key(4)
+    agent = init(jax.random.key(1), sac, 4, SIZE)
+    agent = agent.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, agent.actor))
+    after, _ = jax.jit(sac_lib.update)(sac, agent, batch, key)
+    for slow, old, new in zip(*map(jax.tree.leaves, (after.averaged, agent.averaged, after.actor)), strict=True):
+        np.testing.assert_allclose(slow, 0.75 * old + 0.25 * new, atol=1e-6)
+    assert after.deployed_actor is after.averaged
+    other = after.with_actor(agent.actor)
+    assert other.actor is other.averaged is agent.actor
+
+
+def test_without_an_average_the_actor_is_deployed_and_learns_the_same(batch):
+    keys = jax.random.key(1), jax.random.key(4)
+    ends = [
+        jax.jit(sac_lib.update)(sac, init(keys[0], sac, 4, SIZE), batch, keys[1])[0]
+        for sac in (SMALL, SMALL.replace(actor_average_rate=0.25))
+    ]
+    assert ends[0].averaged is None
+    assert ends[0].deployed_actor is ends[0].actor
+    for plain, beside in zip(*[jax.tree.leaves(end.actor) for end in ends], strict=True):
+        np.testing.assert_allclose(plain, beside, rtol=1e-6)
+
+
 def test_the_gradient_of_the_cloning_term_is_the_analytic_one(batch):
     sac = SMALL.replace(cloning=0.5)
     parameters = jax.random.normal(jax.random.key(5), (ROWS, 2 * SIZE))
