@@ -5,7 +5,7 @@ Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at
 """
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,14 +23,25 @@ from earl_jax.report.tables import interval_text, markdown_table, millions, step
 
 RESULTS = Path(__file__).parent / "results"
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
+PAPER = RESULTS / "paper"
 PAGE = PAGES / "docs" / "cfbrl.md"
 DEPLOYED = "deployed/success"
 MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
 RUNS = {
-    "tabletop_organization": ("cfbrl",),
-    "sawyer_door": ("cfbrl",),
-    "sawyer_peg": ("cfbrl-around", "cfbrl-cloned", "cfbrl-corrected", "cfbrl-cloning_10"),
+    "tabletop_organization": ("cfbrl-utd_4", "cfbrl"),
+    "sawyer_door": ("cfbrl", "cfbrl-own_goals"),
+    "sawyer_peg": ("cfbrl-around", "cfbrl-learning", "cfbrl-cloned"),
 }
+LANES = ("cfbrl-around", "cfbrl-cloned")
+"""Runs of the peg without learning, of equal length."""
+LEARNERS = {
+    "sawyer_peg": ("cfbrl-around", "cfbrl-learning", "cfbrl-learning-cloning_30", "cfbrl-learning-cloning_100"),
+    "sawyer_door": ("cfbrl-cloned", "cfbrl-own_goals", "cfbrl"),
+}
+"""Runs that learn beside one that does not, the first of each task."""
+DENSE = "franka_kitchen", "dhand_lightbulb", "minitaur_pen"
+RECENT, REACHED = "continuing/recent", "reached"
+TITLES = {**MEASURES, RECENT: "reward per step", REACHED: "goals per 1,000 steps"}
 REFERENCE = "own_goals"
 TRIALS = (
     "foreign_goals",
@@ -77,7 +88,7 @@ def goals_text() -> str:
 
 
 def _goal_line(goal: Goal, name: str) -> list[str]:
-    curves = read(LONG / goal.env / name)
+    curves, so_far = read(LONG / goal.env / name), False
     if goal.before is not None:
         at = crossing(curves.steps, curves.metrics[goal.metric], goal.level)
         text, met = f"at {step_interval(at)}", at.value < goal.before
@@ -85,18 +96,23 @@ def _goal_line(goal: Goal, name: str) -> list[str]:
     else:
         mean = mean_interval(window_scores(curves, goal.metric, goal.window))
         text, met = interval_text(*mean), mean.value >= goal.level
+        so_far = goal.window > curves.steps[-1]
         asked = (
             f"{goal.level} over the last {millions(min(goal.window, curves.steps[-1]))} of {millions(curves.steps[-1])}"
         )
-    return [goal.env, name, MEASURES[goal.metric], asked, text, "yes" if met else "no"]
+    return [goal.env, name, MEASURES[goal.metric], asked, text, ("so far" if so_far else "yes") if met else "no"]
 
 
 def window_scores(curves: Curves, metric: str, window: int, end: int | None = None) -> np.ndarray:
     """Return the mean [N] of each seed's `metric` over the last `window` steps up to `end`, by default that of the run.
 
-    Evaluations without the metric do not count.
+    Evaluations without the metric do not count. Of `reached`, which counts from the first step, it is the goals in 1,000
+    steps.
     """
     end = int(curves.steps[-1]) if end is None else end
+    if metric == REACHED:
+        first, last = (list(curves.steps).index(step) for step in (end - window, end))
+        return (curves.metrics[metric][:, last] - curves.metrics[metric][:, first]) * 1000 / window
     inside = (curves.steps > end - window) & (curves.steps <= end)
     return np.nanmean(curves.metrics[metric][:, inside], axis=1)
 
@@ -127,24 +143,60 @@ def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
 
 def learning_text() -> str:
     """Return the table of the trials of learning: success after the actor began, and p of phases against the reference."""
-    measures = (FORWARD, BACK, WIDE, "entropy")
     runs = {name: read(LEARNING / name) for name in TRIALS}
+    return _trials_table(runs, (FORWARD, BACK, WIDE, "entropy"), (FORWARD, BACK), REFERENCE, LEARNT - LEARNS, LEARNT)
+
+
+def learners_text(env: str) -> str:
+    """Return the table of the LEARNERS of a task: the 100,000 steps before the last that all have, p against the first."""
+    runs = {name: read(LONG / env / name) for name in LEARNERS[env]}
+    end = min(int(run.steps[-1]) for run in runs.values())
+    metrics = (FORWARD, BACK, WIDE, RECENT, REACHED)
+    table = _trials_table(runs, metrics, metrics, next(iter(runs)), RESET, end)
+    return f"{table}\n\nUp to step {end:,}."
+
+
+def _trials_table(
+    runs: dict[str, Curves], metrics: Sequence[str], tested: Sequence[str], reference: str, window: int, end: int
+) -> str:
+    """Return a line for each run: means of `metrics` over `window`, and p of those `tested` against the run `reference`."""
     scores = {
-        name: [window_scores(run, metric, LEARNT - LEARNS, end=LEARNT) for metric in measures]
-        for name, run in runs.items()
+        name: {metric: window_scores(run, metric, window, end) for metric in metrics} for name, run in runs.items()
     }
     rows = []
     for name, own in scores.items():
-        pairs = list(zip(own, scores[REFERENCE], strict=True))[:2]
-        tests = ["-" if name == REFERENCE else f"{permutation(*pair).p:.2g}" for pair in pairs]
-        rows.append([name, *(interval_text(*mean_interval(score)) for score in own), *tests])
-    return markdown_table(("trial", "forward", "way back", "wide", "entropy", "p, forward", "p, way back"), rows)
+        tests = ["-" if name == reference else _p_text(own[metric], scores[reference][metric]) for metric in tested]
+        rows.append([name, *(interval_text(*mean_interval(score)) for score in own.values()), *tests])
+    header = (
+        "run",
+        *(TITLES.get(metric, metric) for metric in metrics),
+        *(f"p, {TITLES[metric]}" for metric in tested),
+    )
+    return markdown_table(header, rows)
+
+
+def _p_text(scores: np.ndarray, others: np.ndarray) -> str:
+    return f"{permutation(scores, others).p:.2g}"
+
+
+def dense_text() -> str:
+    """Return the table of the dense tasks: returns of CFBRL and naive RL over the 100,000 steps before the last of both."""
+    lines = []
+    for env in DENSE:
+        runs = read(LONG / env / "cfbrl"), read(PAPER / env / "naive")
+        end = min(int(run.steps[-1]) for run in runs)
+        own, other = (window_scores(run, "deployed/return", RESET, end) for run in runs)
+        test = permutation(own, other)
+        intervals = mean_interval(own), mean_interval(other), (test.difference, test.low, test.high)
+        texts = [f"{value:.0f} [{low:.0f}, {high:.0f}]" for value, low, high in intervals]
+        lines.append([env, millions(end), *texts, f"{test.p:.2g}"])
+    return markdown_table(("task", "steps", "CFBRL", "naive RL", "difference [95 %]", "p"), lines)
 
 
 def lanes_text() -> str:
     """Return a table of the peg's lanes: forward success in each span between hard resets, and the spans lived through."""
     lines = []
-    for name in RUNS["sawyer_peg"]:
+    for name in LANES:
         curves = read(LONG / "sawyer_peg" / name)
         lines += [[name, str(seed), *cells] for seed, cells in zip(curves.config.seeds, _spans(curves), strict=True)]
     spans = len(lines[0]) - 3
@@ -207,6 +259,8 @@ def tables() -> dict[str, str]:
         "lanes": lanes_text(),
         "lives": lives_text(),
         "learning": learning_text(),
+        "dense": dense_text(),
+        **{f"learners of {env}": learners_text(env) for env in LEARNERS},
         "options": options_text(),
     }
 

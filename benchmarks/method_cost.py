@@ -138,7 +138,9 @@ def _table(path: Path) -> str:
     with path.open(newline="") as handle:
         rows = list(csv.DictReader(handle))
     heading = "{device} with {cores} cores, {env}, {lanes} lanes, `{set}`, {rounds} rounds:".format(**rows[0])
-    return f"{heading}\n\n{markdown_table(HEADER, [_line(row) for row in rows])}"
+    shown = [0, 3, 4] if rows[0]["device"] == "cpu" else range(len(HEADER))  # of a CPU only ratios
+    lines = [[cells[column] for column in shown] for cells in (HEADER, *map(_line, rows))]
+    return f"{heading}\n\n{markdown_table(lines[0], lines[1:])}"
 
 
 def _line(row: dict[str, str]) -> list[str]:

@@ -62,6 +62,13 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     assert line[-2] == "0.0022"
 
 
+def test_too_few_seeds_for_any_smaller_p_are_named(tmp_path, no_starts):
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0.1, 0.2, 0.3))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0.6, 0.7, 0.8), **NEAREST)
+    [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
+    assert line[-1] == "cannot tell: the seeds do not overlap, but so few can have no smaller p"
+
+
 def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts):
     first, more = (f"{differences.PEG}/oracle", f"{differences.PEG}/oracle/seeds_5_to_14")
     write_run(tmp_path / first, differences.PEG, "oracle", RNG.random((5, 6)))

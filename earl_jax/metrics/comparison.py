@@ -99,6 +99,12 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     return result._replace(p=float((extreme + drawn) / (len(picks) + drawn)))
 
 
+def smallest_p(seeds: int, others: int) -> float:
+    """Return the smallest p that `permutation` can give with so many seeds on the two sides: all of one above the other's."""
+    splits = math.comb(seeds + others, seeds)
+    return 1 / (SPLITS + 1) if splits > SPLITS else (2 if seeds == others else 1) / splits
+
+
 def detectable_difference(sample: Sample, other: Sample) -> float:
     """Return the difference of means that Welch's test of these standard errors finds with a probability of 80 %.
 

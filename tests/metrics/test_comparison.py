@@ -12,6 +12,7 @@ from earl_jax.metrics.comparison import (
     holm,
     mean_interval,
     permutation,
+    smallest_p,
     verdict,
     welch,
 )
@@ -76,6 +77,12 @@ def test_the_permutation_test_enumerates_few_seeds_and_draws_among_many():
     exact = stats.permutation_test((many, more), lambda a, b: a.mean() - b.mean(), n_resamples=20_000, rng=rng)
     assert permutation(many, more).p == pytest.approx(exact.pvalue, abs=0.005)
     assert permutation(many, many + 100).p == pytest.approx(1 / 20_001)
+
+
+@pytest.mark.parametrize("sizes", [(2, 2), (5, 5), (4, 2), (5, 10), (10, 12)])
+def test_the_smallest_p_is_that_of_seeds_without_overlap(sizes):
+    seeds, others = sizes
+    assert permutation(np.arange(seeds), 100.0 + np.arange(others)).p == pytest.approx(smallest_p(seeds, others))
 
 
 def test_the_intervals_of_five_seeds_cover_the_mean():
