@@ -134,7 +134,7 @@ class Progress:
 
     def _state(self) -> str:
         if self._compiling:
-            return f"{self._work}: still compiling after {time.monotonic() - self._work_start:.0f} s"
+            return f"{self._work}: still in the first call, which compiles, after {time.monotonic() - self._work_start:.0f} s"
         return f"step {self._done}/{self._steps}  {self._work}  {self._pace()}"
 
     def _print(self, line: str) -> None:

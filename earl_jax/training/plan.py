@@ -15,6 +15,9 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.state import Problem
 
+LONGEST_CHUNK = 1000
+"""Steps of a jitted call at most: half a minute of five lanes with the paper's networks on two CPU cores."""
+
 
 class Span(NamedTuple):
     """A number of consecutive chunks, which act uniformly at random with `explore`, else by the policy."""
@@ -71,11 +74,16 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
         lanes=lanes,
         steps=steps,
         capacity=replay_capacity(problem, method, steps),
-        chunk=math.gcd(method.sac.random_steps, every),
+        chunk=_chunk(math.gcd(method.sac.random_steps, every)),
         random_steps=method.sac.random_steps,
         mesh=mesh,
         memory=need,
     )
+
+
+def _chunk(common: int) -> int:
+    """Return the largest divisor of `common` up to `LONGEST_CHUNK`, since signals and limits wait for the end of a chunk."""
+    return max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
 
 
 def per_lane(method: Method, lanes: int) -> Method:

@@ -1,5 +1,7 @@
 """The schedule of a program, and hyper-parameters with a lane axis."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import pytest
 
@@ -14,6 +16,15 @@ def test_spans_divide_the_steps_to_the_next_evaluation_at_the_end_of_exploration
     assert plan.spans(0) == [Span(4, explore=True)]
     assert plan.spans(40) == [Span(1, explore=True), Span(3, explore=False)]
     assert plan.spans(80) == [Span(4, explore=False)]
+
+
+@pytest.mark.parametrize(
+    ("random_steps", "every", "chunk"),
+    [(1000, 10_000, 1000), (0, 10_000, 1000), (0, 40, 40), (8192, 4096, 512), (7, 40, 1)],
+)
+def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_steps, every, chunk):
+    problem = dataclasses.replace(problem, protocol=dataclasses.replace(problem.protocol, eval_every=every))
+    assert prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every).chunk == chunk
 
 
 def test_steps_must_be_a_multiple_of_eval_every(problem):
