@@ -14,14 +14,13 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.tasks import METHODS, methods_on, training_steps
 from earl_jax.report.comparison import RULE, published_rows, with_verdicts
 from earl_jax.report.plots import plot_runs
-from earl_jax.report.published import published_score
+from earl_jax.report.published import RECONSTRUCTED, published_score
 from earl_jax.report.runs import read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
 from earl_jax.runs.provenance import short_commit
 
 ROOT = Path(__file__).parent / "results" / "paper"
-TABLETOP, PEG, DHAND = "tabletop_organization", "sawyer_peg", "dhand_lightbulb"
-OURS = "not compared: the task is our reconstruction"
+TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
 NOT_RUN = "not run"
 START, END = "<!-- cells -->", "<!-- end of cells -->"
 PAGES = ROOT.parents[2]
@@ -57,7 +56,7 @@ def cells(root: Path = ROOT) -> list[dict[str, Any]]:
 def _cell(folder: Path, measured: dict[str, Any] | None) -> dict[str, Any]:
     """Return the row of the cell of `folder` from what was `measured`, None if it was not run."""
     env, algo = folder.parent.name, folder.name
-    score = None if env == DHAND else published_score("table1", env, algo)
+    score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
     row = dict.fromkeys(("seeds", "steps", "mean", "low", "high", "difference", "difference_low", "difference_high"))
     row |= dict.fromkeys(("p", "p_holm", "detectable", "largest_critic_loss", "commit"))
     names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
@@ -65,8 +64,6 @@ def _cell(folder: Path, measured: dict[str, Any] | None) -> dict[str, Any]:
         return {**names, **row, "verdict": NOT_RUN}
     row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss")}
     row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": short_commit(commit_of(folder))}
-    if env == DHAND:
-        return {**names, **row, "verdict": OURS}
     row |= {name: measured[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
     return {**names, **row, "difference_low": measured["low"], "difference_high": measured["high"]}
 

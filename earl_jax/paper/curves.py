@@ -10,7 +10,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
-from earl_jax.report.published import LEVELS, PublishedScore, published_crossings, published_score
+from earl_jax.report.published import LEVELS, published_beside, published_crossings
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import markdown_table, millions, step_interval, trailing, write
@@ -71,11 +71,6 @@ def _points(groups: Sequence[MethodRuns]) -> Iterator[dict[str, Any]]:
                 }
 
 
-def _published(table: str, group: MethodRuns) -> PublishedScore | None:
-    """Return the published score, None if there is none or the runs differ from the paper's in reward or setting."""
-    return published_score(table, group.env, group.algo) if group.curves.comparable else None
-
-
 def _crossings(group: MethodRuns) -> dict[float, int]:
     """Return the published crossings, none if the runs differ from the paper's in reward or setting."""
     rates = group.curves.deployed_metric == SUCCESS and group.curves.comparable
@@ -99,7 +94,7 @@ def _line(group: MethodRuns) -> list[str]:
     for level in LEVELS:
         ours = step_interval(crossing(steps, scores, level)) if rates else "-"
         crossings += [ours, millions(_crossings(group).get(level))]
-    deployed, continuing = _published("table1", group), _published("table2", group)
+    deployed, continuing = (published_beside(table, group.curves) for table in ("table1", "table2"))
     digits = 3 if rates else 1
     return [
         group.env,
@@ -175,7 +170,7 @@ def _draw_curve(axis: Any, rows: Sequence[dict[str, Any]], colour: str, line_sty
 
 def _draw_published(axis: Any, group: MethodRuns, metric: str, colour: str) -> None:
     """Draw the published final value as a dash at the right edge, and published crossings as crosses."""
-    final = _published("table2" if metric == CONTINUING else "table1", group)
+    final = published_beside("table2" if metric == CONTINUING else "table1", group.curves)
     if final:
         edge = axis.get_yaxis_transform()
         axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)

@@ -20,13 +20,15 @@ from earl_jax.metrics.comparison import (
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
-from earl_jax.report.published import published_score, published_steps, share_text
+from earl_jax.report.published import RECONSTRUCTED, published_score, published_steps, share_text
 from earl_jax.report.runs import Curves, MethodRuns, read_methods
 from earl_jax.report.style import PICTURES, new_figure, save
 from earl_jax.report.tables import file_table, markdown_table, millions, seeds_text, write
 from earl_jax.report.terminal import shown_table, wrapped
 
 Row = dict[str, Any]
+UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
+OTHER_TASK = "not compared: the task is our reconstruction"
 TABLES = (".md", ".tex", ".csv")
 RULE = (
     "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
@@ -123,9 +125,10 @@ def published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
         step = int(group.curves.steps[-1])
         scores = recent_scores(group.curves, step)
         row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
-        if step < length:
-            row |= {"difference": math.nan, "low": math.nan, "high": math.nan, "p": math.nan, "detectable": math.nan}
-            row["verdict"] = f"not compared at {share_text(step, length)} of the published steps"
+        if group.env in RECONSTRUCTED:
+            row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
+        elif step < length:
+            row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
         rows.append(row)
     return rows
 

@@ -13,7 +13,7 @@ from earl_jax import assets
 from earl_jax.metrics.comparison import Sample, mean_interval, welch
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, recent_scores, with_verdicts
-from earl_jax.report.published import published_score, published_steps, share_text
+from earl_jax.report.published import published_beside, published_score, published_steps, share_text
 from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.style import method_order, task_order
 
@@ -43,7 +43,8 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
 
 def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str, Any]:
     comparable = group is None or group.curves.comparable
-    score = published_score(f"table{number}", env, algo) if comparable else None
+    table = f"table{number}"
+    score = published_beside(table, group.curves) if group else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
     steps_low, steps_high = published_steps(env) or (None, None)
     ours = _measured(number, group)

@@ -12,6 +12,7 @@ from scipy import stats
 from earl_jax import assets
 from earl_jax.metrics.comparison import Sample
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.runs import Curves
 
 LEVELS = (0.5, 0.9)
 """Success rates for which reports give the first step that reaches them."""
@@ -25,6 +26,9 @@ INTERVAL_RULE = (
     "that such a test would find with a probability of 80 %. It is `-` if nothing is published or nothing was run. Intervals "
     "are Student's 95 % intervals of means."
 )
+
+RECONSTRUCTED = ("dhand_lightbulb",)
+"""Tasks of the paper that were never released: ours are other tasks, so no published score stands beside their runs."""
 
 FEW = 10
 """Fewer seeds than this make a bootstrap interval unreliable."""
@@ -79,6 +83,18 @@ def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
     """Return the score of a method on a task in `table1` or `table2`, or None if the paper has none."""
     row = assets.published_row(table, env=env, algo=algo)
     return PublishedScore(row["mean"], row["stderr"]) if row else None
+
+
+def published_beside(table: str, curves: Curves) -> PublishedScore | None:
+    """Return the score to set beside a run in `table1` or `table2`.
+
+    It is None if the paper has none, if the run's reward or setting differ from the paper's, or if the task is our
+    reconstruction.
+    """
+    env = curves.config.env
+    if env in RECONSTRUCTED or not curves.comparable:
+        return None
+    return published_score(table, env, curves.config.algo)
 
 
 def published_crossings(env: str, algo: str) -> dict[float, int]:

@@ -16,7 +16,7 @@ from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.life_columns import life_headings, life_texts, life_values
-from earl_jax.report.published import LEVELS, published_score
+from earl_jax.report.published import LEVELS, published_beside
 from earl_jax.report.runs import Curves, labels, options_text, read_all
 
 WINDOW = 10
@@ -130,7 +130,7 @@ def steps_per_reward(curves: Curves) -> float | None:
 
 
 def _published(table: str, curves: Curves) -> str | None:
-    score = published_score(table, curves.config.env, curves.config.algo) if curves.comparable else None
+    score = published_beside(table, curves)
     return f"{score.mean} ({score.stderr})" if score else None
 
 

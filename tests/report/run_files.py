@@ -12,7 +12,7 @@ from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 
-TABLETOP, DOOR, KITCHEN = "tabletop_organization", "sawyer_door", "franka_kitchen"
+TABLETOP, DOOR, KITCHEN, LIGHTBULB = "tabletop_organization", "sawyer_door", "franka_kitchen", "dhand_lightbulb"
 
 
 def write_run(

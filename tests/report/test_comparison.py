@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from earl_jax.report.comparison import compare, table_text, write_comparison
-from earl_jax.report.published import PublishedScore
-from tests.report.run_files import DOOR, KITCHEN, TABLETOP, constant, count_pixels, read_csv, write_run
+from earl_jax.report.published import PublishedScore, published_beside
+from earl_jax.report.runs import read
+from tests.report.run_files import DOOR, KITCHEN, LIGHTBULB, TABLETOP, constant, count_pixels, read_csv, write_run
 
 BAD, GOOD = (0.0, 0.1, 0.0, 0.1, 0.05), (0.9, 1.0, 0.95, 0.9, 1.0)
 
@@ -54,6 +55,17 @@ def test_runs_that_are_shorter_than_published_are_not_compared_with_the_publishe
     assert row["second"] == "published 0.32 (0.17)"
     assert row["difference"] == pytest.approx(0.95 - 0.32)
     assert 0.01 < row["p"] < 0.05, "the five published seeds vary too: Welch's test has hardly more than four degrees"
+
+
+def test_a_task_that_is_our_reconstruction_is_not_compared_and_its_published_score_not_shown(tmp_path):
+    whole = write_run(tmp_path / "a", LIGHTBULB, "oracle", 2000 + constant(*GOOD), steps=[2_500_000, 5_000_000])
+    [row] = compare([whole], against="published")
+    assert row["verdict"] == "not compared: the task is our reconstruction"
+    assert math.isnan(row["p"])
+    assert math.isnan(row["difference"])
+    assert "2028" not in table_text([row])
+    assert "2.03e+03" not in table_text([row])
+    assert published_beside("table1", read(whole)) is None
 
 
 def test_published_errors_are_those_of_a_sample():

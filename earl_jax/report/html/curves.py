@@ -10,7 +10,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.html.runs import Line
 from earl_jax.report.life_columns import SHARES
-from earl_jax.report.published import published_crossings, published_score, published_steps
+from earl_jax.report.published import published_beside, published_crossings, published_steps
 from earl_jax.report.tables import WINDOW, trailing
 
 POINTS = 250
@@ -114,7 +114,7 @@ def _published(line: Line, metric: str) -> dict[str, Any] | None:
         return None
     steps_by_level = published_crossings(group.env, group.algo) if metric == "deployed/success" else {}
     crossings = [[step, level] for level, step in steps_by_level.items()]
-    score = published_score(tables[metric], group.env, group.algo)
+    score = published_beside(tables[metric], line.curves)
     if score is None or score.interval is None:
         return {"final": None, "crossings": crossings} if crossings else None
     steps = published_steps(group.env)

@@ -18,9 +18,9 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import (
     LEVELS,
     PublishedScore,
+    published_beside,
     published_crossings,
     published_fault,
-    published_score,
 )
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import WINDOW, row_of
@@ -159,7 +159,7 @@ def _rates(lines: Sequence[Line]) -> bool:
 
 
 def _published_interval(line: Line) -> tuple[float, float] | None:
-    score = published_score("table1", line.group.env, line.group.algo) if line.curves.comparable else None
+    score = published_beside("table1", line.curves)
     return score.interval if score else None
 
 
