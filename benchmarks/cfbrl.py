@@ -28,7 +28,7 @@ PAGE = PAGES / "docs" / "cfbrl.md"
 DEPLOYED = "deployed/success"
 MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
 RUNS = {
-    "tabletop_organization": ("cfbrl-utd_4", "cfbrl"),
+    "tabletop_organization": ("cfbrl-averaged", "cfbrl", "cfbrl-utd_4"),
     "sawyer_door": ("cfbrl", "cfbrl-own_goals"),
     "sawyer_peg": ("cfbrl-around", "cfbrl-learning", "cfbrl-cloned"),
 }
