@@ -93,10 +93,9 @@ class CFBRL(RISC):
             return sac_lib.without_update(agent)
         updated, diagnostics = super().update_agent(key, agent, batch)
         assert batch.step is not None
-        critics_only = updated.replace(
-            actor=agent.actor,
-            averaged=agent.averaged,
-            log_temperature=agent.log_temperature,
+        critics_only = agent.replace(
+            critics=updated.critics,
+            targets=updated.targets,
             moments={**agent.moments, "critics": updated.moments["critics"]},
         )
         return tree_where(batch.step < self.warmup, critics_only, updated), diagnostics
