@@ -15,9 +15,10 @@ import numpy as np
 from benchmarks import peg_lives
 from benchmarks.paper_cells import PAGES, with_table
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
-from earl_jax.metrics.crossings import crossing, trailing_mean
+from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD
+from earl_jax.report.comparison import recent_scores
 from earl_jax.report.runs import Curves, read
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
@@ -152,7 +153,7 @@ def learners_text(env: str) -> str:
     runs = {name: read(LONG / env / name) for name in LEARNERS[env]}
     end = min(int(run.steps[-1]) for run in runs.values())
     metrics = (FORWARD, BACK, WIDE, RECENT, REACHED)
-    table = _trials_table(runs, metrics, metrics, next(iter(runs)), RESET, end)
+    table = _trials_table(runs, metrics, metrics, next(iter(runs)), CROSSING_WINDOW, end)
     return f"{table}\n\nUp to step {end:,}."
 
 
@@ -165,7 +166,8 @@ def _trials_table(
     }
     rows = []
     for name, own in scores.items():
-        tests = ["-" if name == reference else _p_text(own[metric], scores[reference][metric]) for metric in tested]
+        pairs = [(own[metric], scores[reference][metric]) for metric in tested]
+        tests = ["-" if name == reference else f"{permutation(*pair).p:.2g}" for pair in pairs]
         rows.append([name, *(interval_text(*mean_interval(score)) for score in own.values()), *tests])
     header = (
         "run",
@@ -175,17 +177,13 @@ def _trials_table(
     return markdown_table(header, rows)
 
 
-def _p_text(scores: np.ndarray, others: np.ndarray) -> str:
-    return f"{permutation(scores, others).p:.2g}"
-
-
 def dense_text() -> str:
     """Return the table of the dense tasks: returns of CFBRL and naive RL over the 100,000 steps before the last of both."""
     lines = []
     for env in DENSE:
         runs = read(LONG / env / "cfbrl"), read(PAPER / env / "naive")
         end = min(int(run.steps[-1]) for run in runs)
-        own, other = (window_scores(run, "deployed/return", RESET, end) for run in runs)
+        own, other = (recent_scores(run, end) for run in runs)
         test = permutation(own, other)
         intervals = mean_interval(own), mean_interval(other), (test.difference, test.low, test.high)
         texts = [f"{value:.0f} [{low:.0f}, {high:.0f}]" for value, low, high in intervals]
