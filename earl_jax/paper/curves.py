@@ -10,7 +10,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
-from earl_jax.report.published import LEVELS, published_beside, published_crossings
+from earl_jax.report.published import LEVELS, crossings_beside, published_beside
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import markdown_table, millions, step_interval, trailing, write
@@ -71,12 +71,6 @@ def _points(groups: Sequence[MethodRuns]) -> Iterator[dict[str, Any]]:
                 }
 
 
-def _crossings(group: MethodRuns) -> dict[float, int]:
-    """Return the published crossings, none if the runs differ from the paper's in reward or setting."""
-    rates = group.curves.deployed_metric == SUCCESS and group.curves.comparable
-    return published_crossings(group.env, group.algo) if rates else {}
-
-
 def _markdown(groups: Sequence[MethodRuns]) -> str:
     header = ["env", "algo", "seeds", "steps"]
     header += [text for level in LEVELS for text in (f"to {level}", "published")]
@@ -90,10 +84,10 @@ def _line(group: MethodRuns) -> list[str]:
     scores, rewards = (group.curves.metrics[metric] for metric in _metrics(group))
     steps = group.curves.steps
     rates = group.curves.deployed_metric == SUCCESS
-    crossings = []
+    crossings, published = [], crossings_beside(group.curves)
     for level in LEVELS:
         ours = step_interval(crossing(steps, scores, level)) if rates else "-"
-        crossings += [ours, millions(_crossings(group).get(level))]
+        crossings += [ours, millions(published.get(level))]
     deployed, continuing = (published_beside(table, group.curves) for table in ("table1", "table2"))
     digits = 3 if rates else 1
     return [
@@ -175,5 +169,5 @@ def _draw_published(axis: Any, group: MethodRuns, metric: str, colour: str) -> N
         edge = axis.get_yaxis_transform()
         axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
     if metric != CONTINUING:
-        for level, step in _crossings(group).items():
+        for level, step in crossings_beside(group.curves).items():
             axis.plot(step, level, "X", color=colour, markersize=8, markeredgecolor="white", zorder=5)

@@ -103,6 +103,11 @@ def published_crossings(env: str, algo: str) -> dict[float, int]:
     return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
 
 
+def crossings_beside(curves: Curves) -> dict[float, int]:
+    """Return the published crossings to set beside a run; none if its reward or setting differ from the paper's."""
+    return published_crossings(curves.config.env, curves.config.algo) if curves.comparable else {}
+
+
 def published_steps(env: str) -> tuple[int, int] | None:
     """Return the least and the greatest length of the paper's runs on a task, or None if unpublished."""
     row = assets.published_row("steps", env=env)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from earl_jax.paper import curves
 from earl_jax.paper.curves import write_curves
 from earl_jax.protocol import Continuing, Deployment
+from earl_jax.report.published import crossings_beside
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import KITCHEN, TABLETOP, count_pixels, read_csv, write_run
@@ -57,7 +57,7 @@ def test_published_numbers_are_drawn_only_beside_the_papers_task_and_setting(tmp
     metrics = {"continuing/reward": 0.004}
     same = write_run(tmp_path / "same", TABLETOP, "fbrl", scores, metrics=metrics, layer_norm=True)
     other = write_run(tmp_path / "other", TABLETOP, "fbrl", scores, metrics=metrics, **changed)
-    marks = {path.name: curves._crossings(read_methods([path])[0]) for path in (same, other)}
+    marks = {path.name: crossings_beside(read_methods([path])[0].curves) for path in (same, other)}
     assert marks == {"same": {0.5: 860_000, 0.9: 2_070_000}, "other": {}}
 
 

@@ -10,7 +10,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.html.runs import Line
 from earl_jax.report.life_columns import SHARES
-from earl_jax.report.published import published_beside, published_crossings, published_steps
+from earl_jax.report.published import crossings_beside, published_beside, published_steps
 from earl_jax.report.tables import WINDOW, trailing
 
 POINTS = 250
@@ -110,9 +110,9 @@ def _published(line: Line, metric: str) -> dict[str, Any] | None:
     """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
     group = line.group
     tables = {line.curves.deployed_metric: "table1", "continuing/reward": "table2"}
-    if metric not in tables or not line.curves.comparable:
+    if metric not in tables:
         return None
-    steps_by_level = published_crossings(group.env, group.algo) if metric == "deployed/success" else {}
+    steps_by_level = crossings_beside(line.curves) if metric == "deployed/success" else {}
     crossings = [[step, level] for level, step in steps_by_level.items()]
     score = published_beside(tables[metric], line.curves)
     if score is None or score.interval is None:

@@ -18,8 +18,8 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import (
     LEVELS,
     PublishedScore,
+    crossings_beside,
     published_beside,
-    published_crossings,
     published_fault,
 )
 from earl_jax.report.style import task_order, task_title
@@ -98,7 +98,7 @@ def speeds(lines: Sequence[Line]) -> list[dict[str, Any]]:
 def _speed(line: Line) -> dict[str, Any]:
     curves, env, algo = line.curves, line.group.env, line.group.algo
     ours = row_of(curves, 1, "")
-    crossings = published_crossings(env, algo) if curves.comparable else {}
+    crossings = crossings_beside(curves)
     published = assets.published_row("crossings", env=env, algo=algo) if curves.comparable else {}
     mean_heights = deployed_area(curves.steps, curves.metrics[curves.deployed_metric])
     return {
