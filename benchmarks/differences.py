@@ -71,9 +71,10 @@ RELEASED_BOOTSTRAPPED = tuple(
     _and_more_seeds(f"{RELEASED_SCRIPT}-timeout_bootstrap-train_horizon_{horizon}") for horizon in HORIZONS
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
+FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 VAPRL = {
-    DOOR: ("unmet_goals", "nearest_fallback", "nearest_fallback-unmet_goals"),
-    TABLETOP: ("nearest_fallback", "nearest_fallback-unmet_goals"),
+    DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
+    TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),
 }
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
@@ -88,8 +89,8 @@ DIFFERENCES = (
     Difference("4", "the peg's oracle without layer norm: reward scale, layer norm", (
         Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE, (f"{PEG}/oracle/layer_norm",)),
     )),
-    Difference("5, 6", "VaPRL relabels with goals that are met already; its subgoal where no value reaches epsilon", tuple(
-        Pair((f"{env}/vaprl",), (f"{env}/vaprl/{name}",)) for env, names in VAPRL.items() for name in names
+    Difference("5, 6", "VaPRL as it was: new goals that are met already, and the highest value where none reaches epsilon", tuple(
+        Pair((f"{env}/vaprl/{FORMER_VAPRL}",), (f"{env}/{name}",)) for env, names in VAPRL.items() for name in names
     )),
     Difference("7", "VaPRL on the door with the final model", cell=(DOOR, "vaprl")),
     Difference("8", "naive RL's goal for 1,000 steps; the release: 400, after 10,000 random steps", tuple(
@@ -97,9 +98,9 @@ DIFFERENCES = (
     )),
     Difference("9", "FBRL in bf16, or in tf32", (Pair((f"{TABLETOP}/fbrl",), (f"{TABLETOP}/fbrl/tf32",)),)),
     Difference("10", "our demonstrations, or the authors' recordings", tuple(
-        Pair((f"{env}/{algo}",), (f"{env}/{algo}/demo_file_recorded",))
+        Pair((f"{env}/{algo}{ours}",), (f"{env}/{algo}/demo_file_recorded{recorded}",))
         for env in (TABLETOP, DOOR, PEG)
-        for algo in ("vaprl", "fbrl")
+        for algo, ours, recorded in (("vaprl", f"/{FORMER_VAPRL}", f"-{FORMER_VAPRL}"), ("fbrl", "", ""))
     )),
 )  # fmt: skip
 

@@ -91,8 +91,8 @@ def test_policies_of_a_variant_come_along_at_the_published_length_only(tmp_path)
     [
         (TABLETOP, "fbrl", {"precision": "bf16", "controllers": 1}, "fbrl/controllers_1"),
         (TABLETOP, "fbrl", {}, "fbrl/tf32"),
-        (DOOR, "vaprl", {"precision": "bf16", "nearest_fallback": True, "unmet_goals": True},
-         "vaprl/nearest_fallback-unmet_goals"),
+        (DOOR, "vaprl", {"precision": "bf16", "nearest_fallback": False, "unmet_goals": False},
+         "vaprl/no_nearest_fallback-no_unmet_goals"),
         (DOOR, "vaprl", {"precision": "bf16", "env_options": RECORDED}, "vaprl/demo_file_recorded"),
         (DOOR, "oracle", {"precision": "bf16", "seeds": [5, 6, 7]}, "oracle/seeds_5_to_7"),
         ("minitaur_pen", "naive", {"precision": "bf16", "reward_scale": 0.1}, "naive"),

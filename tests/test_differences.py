@@ -10,8 +10,8 @@ from benchmarks.starts import within
 from earl_jax.metrics.comparison import holm, permutation
 from tests.report.run_files import DOOR, constant, write_run
 
-NEAREST = {"nearest_fallback": True, "unmet_goals": True}
-VARIANT = f"{DOOR}/vaprl/nearest_fallback-unmet_goals"
+FORMER = {"nearest_fallback": False, "unmet_goals": False}
+VARIANT = f"{DOOR}/vaprl/{differences.FORMER_VAPRL}"
 RNG = np.random.default_rng(0)
 TWO = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.1, 0.3, 5)}
 ONE = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.7, 0.9, 5)}
@@ -51,8 +51,8 @@ def test_without_runs_every_difference_is_not_run(tmp_path, no_starts):
 
 def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     scores, others = np.linspace(0.0, 0.2, 6), np.linspace(0.6, 1.0, 6)
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*scores))
-    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*others), **NEAREST)
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*others))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*scores), **FORMER)
     [row] = differences.comparisons(tmp_path, no_starts)
     expected = permutation(scores, others)
     assert (row["number"], row["difference"], row["p"]) == ("5, 6", pytest.approx(-0.7), expected.p)
@@ -63,8 +63,8 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
 
 
 def test_too_few_seeds_for_any_smaller_p_are_named(tmp_path, no_starts):
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0.1, 0.2, 0.3))
-    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0.6, 0.7, 0.8), **NEAREST)
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0.6, 0.7, 0.8))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0.1, 0.2, 0.3), **FORMER)
     [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
     assert line[-1] == "cannot tell: the seeds do not overlap, but so few can have no smaller p"
 

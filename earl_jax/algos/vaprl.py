@@ -45,10 +45,10 @@ class VaPRL(Method):
 
     refresh_every: int = struct.field(pytree_node=False, default=200, metadata=within(COUNT))
     """Steps between refreshes of the value table."""
-    nearest_fallback: bool = struct.field(pytree_node=False, default=False)
-    """Whether the subgoal is the demonstrated state nearest the initial ones where no value reaches `epsilon`, instead
-    of the one with the highest value. The released search begins there too: its weight of the values starts at 0."""
-    unmet_goals: bool = struct.field(pytree_node=False, default=False)
+    nearest_fallback: bool = struct.field(pytree_node=False, default=True)
+    """Whether the subgoal is the demonstrated state nearest the initial ones where no value reaches `epsilon`, as in the
+    release, whose search begins there: its weight of the values starts at 0. False: the one with the highest value."""
+    unmet_goals: bool = struct.field(pytree_node=False, default=True)
     """Whether a transition is relabelled only with a goal that the state before its step does not meet. The release's
     relabelled copies of an episode end at the first state that meets their goal."""
 
@@ -76,7 +76,7 @@ class VaPRL(Method):
     def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
         """Return the candidate nearest the mean initial state among `values [C]` >= epsilon.
 
-        If there is none, it is the one with the highest value, or with `nearest_fallback` the nearest of all.
+        If there is none, it is the nearest of all, or without `nearest_fallback` the one with the highest value.
         """
         start = goals.table[goals.tasks : goals.tasks + goals.initials].mean(axis=0)
         distance = jnp.linalg.norm(goals.candidates - start, axis=-1)

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import current_options
 from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, POLICIES
 from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
+from earl_jax.runs.former import FORMAT, current_values
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
@@ -258,7 +258,7 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         ValueError: the file is invalid; the message gives the cause.
     """
     try:
-        values = _with_current_names(json.loads(read_bytes(file, LARGEST_CONFIG)))
+        values = current_values(json.loads(read_bytes(file, LARGEST_CONFIG)))
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")
@@ -272,19 +272,11 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         raise InputError(f"{file} is damaged: {cause}") from error
 
 
-def _with_current_names(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of config.json with the current names of options; a task that is not registered keeps its own."""
-    try:
-        return {**values, "env_options": current_options(values["env"], values["env_options"])}
-    except (KeyError, TypeError, ValueError):
-        return values
-
-
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
     """Return the text of config.json."""
     more = {"id": uuid.uuid4().hex, "engine": engine, "logs": list(logs), "provenance": provenance()}
     try:
-        return json.dumps({**dataclasses.asdict(config), **more}, indent=2) + "\n"
+        return json.dumps({"format": FORMAT, **dataclasses.asdict(config), **more}, indent=2) + "\n"
     except TypeError as error:
         raise InputError(
             f"the options of {config.env} or {config.algo} can't be written to {CONFIG} ({error}); "

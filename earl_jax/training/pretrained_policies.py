@@ -14,6 +14,7 @@ from earl_jax import assets
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.former import current_values
 from earl_jax.training.policy import Policy
 
 Arrays = dict[str, np.ndarray]
@@ -87,4 +88,4 @@ def actor_of_arrays(arrays: Arrays) -> Any:
 
 def _config(info: dict[str, Any]) -> RunConfig:
     fields = {field.name for field in dataclasses.fields(RunConfig)}
-    return RunConfig(**{name: value for name, value in info["config"].items() if name in fields})
+    return RunConfig(**{name: value for name, value in current_values(info["config"]).items() if name in fields})

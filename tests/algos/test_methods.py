@@ -147,7 +147,7 @@ def test_rnd_reward_and_scale_are_the_released_formulas(env):
 
 
 def test_vaprl_chooses_the_valued_state_nearest_the_start_or_else_the_best_valued(env):
-    method, goals = make_algo("vaprl", epsilon=0.1), goal_table(env)
+    method, goals = make_algo("vaprl", epsilon=0.1, nearest_fallback=False), goal_table(env)
     distance = np.linalg.norm(goals.candidates - env.initial_states[0], axis=1)
     values = np.zeros(len(distance), np.float32)
     values[[50, 500, 900]] = [0.2, 0.9, 0.15]
@@ -158,8 +158,8 @@ def test_vaprl_chooses_the_valued_state_nearest_the_start_or_else_the_best_value
     assert distance[int(method.choose(everything, goals))] == distance.min()
 
 
-def test_vaprl_with_the_nearest_fallback_begins_at_the_state_nearest_the_start(env):
-    method, goals = make_algo("vaprl", epsilon=0.1, nearest_fallback=True), goal_table(env)
+def test_vaprl_begins_at_the_state_nearest_the_start(env):
+    method, goals = make_algo("vaprl", epsilon=0.1), goal_table(env)
     distance = np.linalg.norm(goals.candidates - env.initial_states[0], axis=1)
     values = jnp.zeros(len(distance)).at[500].set(0.05)
     assert distance[500] > distance.min()
@@ -203,7 +203,7 @@ def test_vaprl_values_come_from_the_entropy_free_pair(problem):
 
 
 def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env):
-    method, goals = make_algo("vaprl", relabel_share=1.0), goal_table(env)
+    method, goals = make_algo("vaprl", relabel_share=1.0, unmet_goals=False), goal_table(env)
     row = len(goals.candidates) + 5
     states = np.tile(env.goal_states[1], (4000, 1))
     batch = make_batch(states, states, np.full(4000, row), 0)
@@ -232,7 +232,7 @@ def test_vaprl_with_unmet_goals_keeps_the_goal_of_a_state_that_meets_the_new_one
 
 
 def test_vaprl_relabels_demonstrations_with_their_own_later_states(env):
-    method, goals = make_algo("vaprl", relabel_share=1.0), goal_table(env)
+    method, goals = make_algo("vaprl", relabel_share=1.0, unmet_goals=False), goal_table(env)
     row = np.repeat(np.arange(100), 40)
     batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row, 0)
     relabel = jax.jit(lambda batch: method.relabel(jax.random.key(1), env, goals, batch, TASK))
