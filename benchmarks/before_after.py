@@ -14,7 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from benchmarks.output import save
-from benchmarks.paper_cells import ROOT, TABLETOP, commit_of
+from benchmarks.paper_cells import FORMER_VAPRL, ROOT, TABLETOP, commit_of
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.crossings import crossing
 from earl_jax.report.comparison import pair_row, with_verdicts
@@ -23,13 +23,14 @@ from earl_jax.report.tables import write
 from earl_jax.runs.provenance import short_commit
 
 AFTER = Path(__file__).parent / "results" / "before_after"
-METHODS = ("vaprl", "fbrl")
+METHODS = {"vaprl": f"vaprl/{FORMER_VAPRL}", "fbrl": "fbrl"}
+"""The methods, and their runs before."""
 METRIC = "deployed/success"
 
 
 def folders(algo: str) -> dict[str, Path]:
     """Return the run folders of a method before and after."""
-    return {"before": ROOT / TABLETOP / algo, "after": AFTER / algo}
+    return {"before": ROOT / TABLETOP / METHODS[algo], "after": AFTER / algo}
 
 
 def compare(algo: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.paper_cells import PAGES, PEG, ROOT, TABLETOP, cells, with_table
+from benchmarks.paper_cells import FORMER_VAPRL, PAGES, PEG, ROOT, TABLETOP, cells, with_table
 from benchmarks.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
@@ -71,7 +71,6 @@ RELEASED_BOOTSTRAPPED = tuple(
     _and_more_seeds(f"{RELEASED_SCRIPT}-timeout_bootstrap-train_horizon_{horizon}") for horizon in HORIZONS
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
-FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 VAPRL = {
     DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
     TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),
@@ -170,6 +169,8 @@ def _line(row: Row) -> list[str]:
     adjusted, smallest = row["p_holm"], smallest_p(row["seeds"], row["other_seeds"])
     if math.isnan(adjusted):
         settled = "no test: no spread"
+    elif math.isnan(row["low"]) and row["difference"] == 0:
+        settled = "no difference: all seeds have the same score"
     elif row["verdict"] == "cannot tell" and math.isclose(row["p"], smallest):
         settled = "cannot tell: the seeds do not overlap, but so few can have no smaller p"
     elif row["verdict"] == "cannot tell":
@@ -191,6 +192,8 @@ def _cell_line(row: Row) -> list[str]:
 
 def _number(row: Row, value: float, digits: int = 3) -> str:
     """Return a number: p with significant `digits`, a success with three decimals, a return with none."""
+    if math.isnan(value):
+        return "-"
     if digits == 2:
         return "<0.001" if value < 0.001 else f"{value:.2g}"
     return f"{value:.0f}" if row["env"] == CHEETAH else f"{value:.3f}"

@@ -21,6 +21,8 @@ from earl_jax.runs.provenance import short_commit
 
 ROOT = Path(__file__).parent / "results" / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
+FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
+"""Variant of runs of VaPRL with the defaults that it had until 2026-11-23."""
 NOT_RUN = "not run"
 START, END = "<!-- cells -->", "<!-- end of cells -->"
 PAGES = ROOT.parents[2]

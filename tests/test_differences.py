@@ -69,6 +69,14 @@ def test_too_few_seeds_for_any_smaller_p_are_named(tmp_path, no_starts):
     assert line[-1] == "cannot tell: the seeds do not overlap, but so few can have no smaller p"
 
 
+def test_sides_with_one_score_have_no_difference_and_no_interval(tmp_path, no_starts):
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0, 0, 0))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0, 0), **FORMER)
+    [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
+    assert line[-1] == "no difference: all seeds have the same score"
+    assert line[7] == "0.000 [-, -]"
+
+
 def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts):
     first, more = (f"{differences.PEG}/oracle", f"{differences.PEG}/oracle/seeds_5_to_14")
     write_run(tmp_path / first, differences.PEG, "oracle", RNG.random((5, 6)))
