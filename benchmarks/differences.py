@@ -64,7 +64,8 @@ def _and_more_seeds(name: str) -> tuple[str, str]:
 BIASED = _and_more_seeds(f"{CHEETAH}/naive/train_horizon_1000")
 BOOTSTRAPPED = _and_more_seeds(f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000")
 SHORTER = _and_more_seeds(f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000")
-RELEASED_SCRIPT = f"{CHEETAH}/naive/random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
+SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
+RELEASED_SCRIPT = f"{CHEETAH}/naive/{SCRIPT_OPTIONS}"
 HORIZONS = 1_000, 10_000, 200_000
 RELEASED_BIASED = tuple(_and_more_seeds(f"{RELEASED_SCRIPT}-train_horizon_{horizon}") for horizon in HORIZONS)
 RELEASED_BOOTSTRAPPED = tuple(
@@ -177,11 +178,17 @@ def _line(row: Row) -> list[str]:
         settled = f"cannot tell; {_number(row, row['detectable'])} would be found"
     else:
         settled = f"the first is {row['verdict']}"
+    first, second = (_short(row[side]) for side in ("first", "second"))
     return [
-        f"{row['env']} {row['first']}, {row['seeds']} seeds", f"{row['second']}, {row['other_seeds']} seeds",
+        f"{row['env']} {first}, {row['seeds']} seeds", f"{second}, {row['other_seeds']} seeds",
         millions(row["steps"]), _interval(row, "mean", "mean_low", "mean_high"), _number(row, row["other_mean"]),
         _interval(row, "difference", "low", "high"), _number(row, row["p"], 2), _number(row, adjusted, 2), settled,
     ]  # fmt: skip
+
+
+def _short(name: str) -> str:
+    """Return the name of a side without the options that its row is about: the released script's, and VaPRL's former ones."""
+    return name.replace(f"{SCRIPT_OPTIONS}-", "").replace(FORMER_VAPRL, "former")
 
 
 def _cell_line(row: Row) -> list[str]:
