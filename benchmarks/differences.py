@@ -4,7 +4,7 @@
 
 Each difference has tests of two sets of runs in results/paper: `earl-jax compare`'s permutation test at the last step that
 both have, p adjusted by Holm over all tests here. A test without its runs is not made, and the table says `not run`.
-Writes results/paper/{pairs.csv,pairs.md} and the table between comments in docs/results.md.
+Writes results/paper/{pairs.csv,pairs.md}, the figure of the cheetah and the table between comments in docs/results.md.
 """
 
 import dataclasses
@@ -21,6 +21,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
 from earl_jax.paper.tasks import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, table_text, with_verdicts
+from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
 
@@ -220,9 +221,17 @@ def write_tables() -> None:
     page.write_text(with_table(page.read_text(), table(rows, cells()), *MARKS))
 
 
+def draw_horizons() -> None:
+    """Draw the return of the second seeds of difference 2, which are older than the first, over their steps."""
+    folders = [ROOT / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
+    names = [f"H_T = {horizon:,}{update}" for update in ("", ", biased") for horizon in HORIZONS]
+    plot_runs(folders, ROOT / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
+
+
 def main() -> None:
     """Write everything and print the tests."""
     write_tables()
+    draw_horizons()
     print((ROOT / "pairs.md").read_text())
 
 
