@@ -32,14 +32,13 @@ class Progress:
         self,
         *,
         label: str,
-        lanes: int,
         steps: int,
         metric: str,
         show: bool,
         silence: float = SILENCE,
         compile_time: str = "about 10 s",
     ):
-        self._lanes, self._steps, self._metric, self._speed, self._done = lanes, steps, metric, 0.0, 0
+        self._steps, self._metric, self._speed, self._done = steps, metric, 0.0, 0
         self._console, self._show = Console(stderr=True), show
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
@@ -89,12 +88,12 @@ class Progress:
             self.message(f"{work}: the first call took {time.monotonic() - self._work_start:.0f} s")
 
     def advance(self, steps: int, seconds: float) -> None:
-        """Add `steps` of every lane, which took `seconds`; the displayed speed is the sum over lanes.
+        """Add `steps` of every lane, which took `seconds`; the displayed speed is that of a lane, as are the steps.
 
         A call that compiled counts for the speed until another one has been timed.
         """
         self._done += steps
-        speed = steps * self._lanes / max(seconds, 1e-9)  # the clock can be too coarse
+        speed = steps / max(seconds, 1e-9)  # the clock can be too coarse
         if self._compiling and self._speed:
             self._timed = None  # the time of a compilation says nothing about the time left
         elif self._timed is None:
@@ -102,7 +101,7 @@ class Progress:
             self._timed = None if self._compiling else (time.monotonic() - seconds, self._done - steps)
         else:
             self._speed = SMOOTHING * self._speed + (1 - SMOOTHING) * speed
-        self._bar.update(self._task, advance=steps, speed=f"{self._speed:,.0f}")
+        self._bar.update(self._task, advance=steps, speed=self._speed_text())
 
     def report(self, step: int, rows: list["Row"]) -> None:
         """Show an evaluation: the deployed metric and the continuing reward, means over seeds."""
@@ -119,12 +118,15 @@ class Progress:
 
     def _pace(self) -> str:
         """Return the speed and the time left, evaluations included, as far as they are known."""
-        speed = f"steps/s {self._speed:.0f}"
+        speed = f"steps/s {self._speed_text()}"
         if self._timed is None or self._done <= self._timed[1] or self._done >= self._steps:
             return speed
         start, first = self._timed
         left = (time.monotonic() - start) / (self._done - first) * (self._steps - self._done)
         return f"{speed}  time left {duration(left)}"
+
+    def _speed_text(self) -> str:
+        return f"{self._speed:.1f}" if self._speed < 10 else f"{self._speed:,.0f}"
 
     def _break_silence(self) -> None:
         """Print a line whenever none was printed for the time of `silence`, until the context ends."""

@@ -257,7 +257,6 @@ def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
     algos = "+".join(dict.fromkeys(run.config.algo for run in runs))
     return Progress(
         label=f"{algos} x {plan.lanes} on {config.env}",
-        lanes=plan.lanes,
         steps=plan.steps,
         metric=deployed_metric(plan.problem.env),
         show=show and first_host(),

@@ -28,7 +28,7 @@ def clock(monkeypatch):
 
 
 def make(show=True, silence=3600.0):
-    return Progress(label="x", lanes=2, steps=400, metric="deployed/success", show=show, silence=silence)
+    return Progress(label="x", steps=400, metric="deployed/success", show=show, silence=silence)
 
 
 def work(bar, clock, name, seconds, steps=40):
@@ -56,9 +56,9 @@ def test_a_line_has_speed_and_time_left_without_the_compilation(clock, capsys):
         clock.now += 56.0  # an evaluation
         bar.report(160, ROWS)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("step")]
-    assert lines[0] == "step 120/400  deployed/success 0.500  continuing/reward 0.25000  steps/s 0"
-    assert lines[1].endswith("steps/s 20  time left 24 s")
-    assert lines[2].endswith("steps/s 20  time left 6 min")
+    assert lines[0] == "step 120/400  deployed/success 0.500  continuing/reward 0.25000  steps/s 0.1"
+    assert lines[1].endswith("steps/s 10  time left 24 s")
+    assert lines[2].endswith("steps/s 10  time left 6 min")
 
 
 def test_the_last_line_has_no_time_left(clock, capsys):
@@ -66,7 +66,7 @@ def test_the_last_line_has_no_time_left(clock, capsys):
         work(bar, clock, "training", 1.0, steps=200)
         work(bar, clock, "training", 1.0, steps=200)
         bar.report(400, ROWS)
-    assert capsys.readouterr().err.splitlines()[-1].endswith("steps/s 400")
+    assert capsys.readouterr().err.splitlines()[-1].endswith("steps/s 200")
 
 
 def test_silence_is_broken_during_a_compilation_and_during_training(capsys, monkeypatch):
@@ -87,7 +87,7 @@ def test_silence_is_broken_during_a_compilation_and_during_training(capsys, monk
         with bar.working("training"):
             assert printed.wait(20)
     assert any(line.startswith("training: still in the first call, which compiles, after") for line in lines)
-    assert any(line.startswith("step 40/400  training  steps/s 80") for line in lines)
+    assert any(line.startswith("step 40/400  training  steps/s 40") for line in lines)
 
 
 def test_without_show_nothing_is_printed(clock, capsys):
