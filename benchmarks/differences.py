@@ -81,7 +81,7 @@ DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
     Difference("2", "figure 2 with the release's script: reward scale 0.1, 10,000 random steps; the biased update", tuple(
         Pair(biased[seeds], bootstrapped[seeds])
-        for seeds in (slice(None), slice(1, None))  # the second seeds alone are older
+        for seeds in (slice(None), slice(1, None))  # seeds 5 to 9 trained longer
         for biased, bootstrapped in zip(RELEASED_BIASED, RELEASED_BOOTSTRAPPED, strict=True)
     )),
     Difference("3", "the biased update at H_T = 1,000: the effective discount 0.98901, or rare large targets", (
@@ -172,7 +172,7 @@ def _line(row: Row) -> list[str]:
     if math.isnan(adjusted):
         settled = "no test: no spread"
     elif math.isnan(row["low"]) and row["difference"] == 0:
-        settled = "no difference: all seeds have the same score"
+        settled = f"cannot tell: every seed of both sides has {_number(row, row['mean'])}"
     elif row["verdict"] == "cannot tell" and math.isclose(row["p"], smallest):
         settled = "cannot tell: the seeds do not overlap, but so few can have no smaller p"
     elif row["verdict"] == "cannot tell":
@@ -188,8 +188,8 @@ def _line(row: Row) -> list[str]:
 
 
 def _short(name: str) -> str:
-    """Return the name of a side without the options that its row is about: the released script's, and VaPRL's former ones."""
-    return name.replace(f"{SCRIPT_OPTIONS}-", "").replace(FORMER_VAPRL, "former")
+    """Return the name of a side with one word for the released script's options, and one for VaPRL's former defaults."""
+    return name.replace(SCRIPT_OPTIONS, "released").replace(FORMER_VAPRL, "former")
 
 
 def _cell_line(row: Row) -> list[str]:
@@ -222,7 +222,7 @@ def write_tables() -> None:
 
 
 def draw_horizons() -> None:
-    """Draw the return of the second seeds of difference 2, which are older than the first, over their steps."""
+    """Draw the return of seeds 5 to 9 of difference 2, which trained longer than the first five, over their steps."""
     folders = [ROOT / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
     names = [f"H_T = {horizon:,}{update}" for update in ("", ", biased") for horizon in HORIZONS]
     plot_runs(folders, ROOT / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)

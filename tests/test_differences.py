@@ -73,7 +73,7 @@ def test_sides_with_one_score_have_no_difference_and_no_interval(tmp_path, no_st
     write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0, 0, 0))
     write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0, 0), **FORMER)
     [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
-    assert line[-1] == "no difference: all seeds have the same score"
+    assert line[-1] == "cannot tell: every seed of both sides has 0.000"
     assert line[7] == "0.000 [-, -]"
 
 

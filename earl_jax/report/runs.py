@@ -1,5 +1,6 @@
 """Curves read from run folders, grouped by task and method."""
 
+import json
 import os
 import warnings
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, NEW_SEEDS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.former import former_defaults
 
 SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
@@ -172,7 +174,8 @@ def _read_below(folders: Sequence[Path]) -> Iterator[tuple[Path, Curves]]:
 
 def pooling_key(config: RunConfig) -> str:
     """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method and options."""
-    return repr((config.env, config.env_options, config.setting, config.algo, config.options))
+    values = [config.env, config.env_options, config.setting, config.algo, config.options]
+    return json.dumps(values, sort_keys=True, default=repr)
 
 
 def _pooled(path: Path, group: list[Curves]) -> Curves:
@@ -202,10 +205,12 @@ def labels(runs: Sequence[Curves]) -> list[str]:
 def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
     """Return the name of a method with those of its changed `options` in which its `peers` differ.
 
-    An option with its default value is not named, so a run with the defaults has the bare name.
+    An option with its default value is not named, so a run with the defaults has the bare name. An option whose default
+    has changed since some runs were made is named for every run without today's.
     """
-    differing = [key for key in sorted(options) if any(other.get(key) != options[key] for other in peers)]
-    text = ", ".join(f"{key}={options[key]}" for key in differing)
+    changed = former_defaults(algo, 1)
+    named = [key for key in sorted(options) if key in changed or any(other.get(key) != options[key] for other in peers)]
+    text = ", ".join(f"{key}={options[key]}" for key in named)
     return f"{algo} ({text})" if text else algo
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.envs import current_options
 from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
@@ -258,7 +259,7 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         ValueError: the file is invalid; the message gives the cause.
     """
     try:
-        values = current_values(json.loads(read_bytes(file, LARGEST_CONFIG)))
+        values = _with_current_names(current_values(json.loads(read_bytes(file, LARGEST_CONFIG))))
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")
@@ -270,6 +271,14 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         cause = str(error) if isinstance(error, InputError) else repr(error)
         raise InputError(f"{file} is damaged: {cause}") from error
+
+
+def _with_current_names(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of config.json with the current names of options; a task that is not registered keeps its own."""
+    try:
+        return {**values, "env_options": current_options(values["env"], values["env_options"])}
+    except (KeyError, TypeError, ValueError):
+        return values
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:

@@ -1,44 +1,38 @@
-"""Configs of earlier versions, read as today's: renamed options of tasks, and defaults of methods that have changed."""
+"""Defaults of methods that have changed: a config of an earlier version keeps those of its time. It loads no array."""
 
 from typing import Any
 
-from earl_jax.algos import algo_class
-from earl_jax.envs import current_options
 from earl_jax.errors import InputError, brief
 
 FORMAT = 2
 """The number of the format that config.json names. A file that names none has format 1."""
-FORMER_DEFAULTS: dict[str, dict[str, Any]] = {"vaprl": {"nearest_fallback": False, "unmet_goals": False}}
-"""Defaults of format 1 that differ from today's, by method and option."""
+CHANGED: dict[str, dict[str, tuple[Any, Any]]] = {
+    "vaprl": {"nearest_fallback": (False, True), "unmet_goals": (False, True)}
+}
+"""Defaults of format 1 and of today, by method and option, where they differ."""
+
+
+def former_defaults(algo: str, number: int) -> dict[str, Any]:
+    """Return the defaults of a method in configs of format `number` that differ from today's, by option."""
+    return {name: former for name, (former, _) in CHANGED.get(algo, {}).items()} if number < FORMAT else {}
 
 
 def current_values(values: dict[str, Any]) -> dict[str, Any]:
     """Return the values of a config.json of any format as one of today's, without its format.
 
-    A config names the options that differ from the defaults of its time; the result names those that differ from
-    today's. A task that is not registered keeps its options.
+    A config names the options of its method that differ from the defaults of its time; the result names those that
+    differ from today's.
 
     Raises:
         ValueError: a later version wrote the file.
     """
     values = dict(values)
-    number = values.pop("format", 1)
+    number, algo, options = values.pop("format", 1), values.get("algo"), values.get("options")
     if number not in range(1, FORMAT + 1):
         raise InputError(f"its format is {brief(number)}, and this version of earl_jax reads 1 to {FORMAT}: update it")
-    if number == 1:
-        values = _with_former_defaults(values)
-    try:
-        return {**values, "env_options": current_options(values["env"], values["env_options"])}
-    except (KeyError, TypeError, ValueError):
-        return values
-
-
-def _with_former_defaults(values: dict[str, Any]) -> dict[str, Any]:
-    """Return `values` of format 1 with the method's options that differ from today's defaults."""
-    algo, options = values.get("algo"), values.get("options")
     if not isinstance(algo, str) or not isinstance(options, dict) or values.get("algo_class"):
         return values
-    former = FORMER_DEFAULTS.get(algo, {})
-    today = {name: getattr(algo_class(algo)(), name) for name in former}
+    former = former_defaults(algo, number)
+    today = {name: CHANGED[algo][name][1] for name in former}
     explicit = {**former, **options}
     return {**values, "options": {name: value for name, value in explicit.items() if today.get(name, ...) != value}}

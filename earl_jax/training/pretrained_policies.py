@@ -34,7 +34,7 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
     lane = 0 if seed is None else seeds.index(seed)
-    config = _config(info)
+    config = _config(pretrained_info(task, method))
     env, actor = config.build_env(), actor_of_arrays({name: array[lane] for name, array in arrays.items()})
     return Policy(config.build_method().sac, actor, env.obs_size, env.action_size)
 
@@ -52,7 +52,8 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
     the float16 actors; `run`, the mean of the last `evaluations` evaluations of every seed of the run. Errors as
     `pretrained`.
     """
-    return copy.deepcopy(assets.pretrained(task, method)[0])
+    info = copy.deepcopy(assets.pretrained(task, method)[0])
+    return {**info, "config": current_values(info["config"])}
 
 
 def list_pretrained() -> dict[str, list[str]]:
@@ -88,4 +89,4 @@ def actor_of_arrays(arrays: Arrays) -> Any:
 
 def _config(info: dict[str, Any]) -> RunConfig:
     fields = {field.name for field in dataclasses.fields(RunConfig)}
-    return RunConfig(**{name: value for name, value in current_values(info["config"]).items() if name in fields})
+    return RunConfig(**{name: value for name, value in info["config"].items() if name in fields})

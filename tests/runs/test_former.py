@@ -1,6 +1,5 @@
 """Configs of earlier versions mean what they meant when they were written."""
 
-import dataclasses
 import json
 
 import pytest
@@ -9,7 +8,7 @@ from earl_jax import make, make_algo
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder, read_config
-from earl_jax.runs.former import FORMAT, FORMER_DEFAULTS, current_values
+from earl_jax.runs.former import CHANGED, FORMAT, current_values
 
 LENGTHS = {"seeds": (0, 1), "steps": 80, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
 FALSE = {"nearest_fallback": False, "unmet_goals": False}
@@ -58,7 +57,7 @@ def test_a_format_of_a_later_version_is_an_error(tmp_path, number):
         read_config(file)
 
 
-def test_former_defaults_are_options_with_another_default_today():
-    for algo, former in FORMER_DEFAULTS.items():
-        today = {field.name: field.default for field in dataclasses.fields(make_algo(algo))}
-        assert all(name in today and today[name] != value for name, value in former.items())
+def test_todays_defaults_are_those_of_the_methods():
+    for algo, options in CHANGED.items():
+        for name, (former, today) in options.items():
+            assert getattr(make_algo(algo), name) == today != former
