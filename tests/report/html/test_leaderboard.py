@@ -45,7 +45,7 @@ def test_a_run_of_another_task_or_with_other_options_is_not_ranked(tmp_path):
 
 
 def test_a_run_of_the_repository_is_shown_once(tmp_path):
-    folder = next(path for path in committed.folders() if path.parts[-2:] == (DOOR, "fbrl"))
+    folder = next(path for path in committed.folders() if path.parts[-2:] == (DOOR, "r3l"))
     [group] = table(shutil.copytree(folder, tmp_path / "copy"))["groups"]
-    rows = [(row["texts"][1], bool(row["line"])) for row in group["rows"] if row["name"][0] == "fbrl"]
+    rows = [(row["texts"][1], bool(row["line"])) for row in group["rows"] if row["name"][0] == "r3l"]
     assert sorted(rows) == [("EARL, 2022", False), (HERE, True)]
