@@ -45,25 +45,37 @@ HEADER = (
 
 def cells(root: Path = ROOT) -> list[dict[str, Any]]:
     """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
-    folders = [root / env / algo for env in PAPER_TASKS for algo in methods_on(env, METHODS)]
-    runs = read_methods([folder for folder in folders if (folder / "metrics.csv").exists()])
+    names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env, METHODS)]
+    folders = {(env, algo): _folder(root / env / algo) for env, algo in names}
+    runs = read_methods([folder for folder in folders.values() if folder])
     tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs))}
     measured: dict[tuple[str, str], dict[str, Any]] = {}
     for run in runs:
         largest_loss = float(run.curves.metrics["critic_loss"].max())
-        measured[run.env, run.label] = {**tests[run.env, run.label], "largest_critic_loss": largest_loss}
-    return [_cell(folder, measured.get((folder.parent.name, folder.name))) for folder in folders]
+        measured[run.env, run.algo] = {**tests[run.env, run.label], "largest_critic_loss": largest_loss}
+    return [_cell(*name, folders[name], measured.get(name)) for name in names]
 
 
-def _cell(folder: Path, measured: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the row of the cell of `folder` from what was `measured`, None if it was not run."""
-    env, algo = folder.parent.name, folder.name
+def _folder(cell: Path) -> Path | None:
+    """Return the folder of the run of a cell, which is VaPRL's with its former defaults where it has no other; None without."""
+    return next((folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()), None)
+
+
+def _cell(env: str, algo: str, folder: Path | None, measured: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the row of the cell whose run in `folder` has what was `measured`, both None if it was not run."""
     score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
     row = dict.fromkeys(("seeds", "steps", "mean", "low", "high", "difference", "difference_low", "difference_high"))
     row |= dict.fromkeys(("p", "p_holm", "detectable", "largest_critic_loss", "commit"))
-    names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
-    if measured is None:
+    names = {
+        "env": env,
+        "algo": algo,
+        "run": None,
+        "of": training_steps(env),
+        "published": score.text if score else None,
+    }
+    if measured is None or folder is None:
         return {**names, **row, "verdict": NOT_RUN}
+    names["run"] = algo if folder.name == algo else f"{algo}/{folder.name}"
     row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss")}
     row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": short_commit(commit_of(folder))}
     row |= {name: measured[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
@@ -81,7 +93,7 @@ def cells_text(rows: list[dict[str, Any]]) -> str:
 
 
 def _line(row: dict[str, Any]) -> list[str]:
-    names = [row["env"], row["algo"]]
+    names = [row["env"], row["algo"] + (", former defaults" if row["run"] not in (None, row["algo"]) else "")]
     if row["seeds"] is None:
         return [*names, *"--", millions(row["of"]), "-", row["published"] or "-", *"--", row["verdict"], *"---"]
     tested = row["p"] is not None and row["p"] == row["p"]
@@ -129,7 +141,7 @@ def main() -> None:
     write(rows, ROOT / "cells.csv")
     (ROOT / "cells.md").write_text(f"{cells_text(rows)}\n\n{RULE}\n")
     for env in dict.fromkeys(row["env"] for row in rows if row["seeds"]):
-        runs = [ROOT / env / row["algo"] for row in rows if row["env"] == env and row["seeds"]]
+        runs = [ROOT / env / row["run"] for row in rows if row["env"] == env and row["seeds"]]
         plot_runs(runs, ROOT / env / "curves.png", smooth=10)
     for page, table in (
         (PAGES / "docs" / "results.md", cells_summary(rows)),

@@ -223,18 +223,6 @@ def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
 
 
-def test_the_tables_of_cells_in_the_docs_are_those_of_the_runs():
-    rows = paper_cells.cells()
-    assert len(rows) == 27
-    for page, table in (
-        ("docs/results.md", paper_cells.cells_summary(rows)),
-        ("README.md", paper_cells.tested_summary(rows)),
-    ):
-        text = (paper_cells.PAGES / page).read_text()
-        assert paper_cells.with_table(text, table) == text, "run python -m benchmarks.paper_cells"
-        assert paper_cells.with_table(text, "| another |") != text
-
-
 def test_the_table_of_cloning_in_the_docs_is_that_of_its_runs():
     text = cloning.PAGE.read_text()
     assert paper_cells.with_table(text, cloning.table(), *cloning.MARKS) == text, "run python -m benchmarks.cloning"
