@@ -41,7 +41,10 @@ def main() -> None:
     parser.add_argument("--backward", type=Path)
     arguments = parser.parse_args()
     files = {"forward": arguments.forward, "backward": arguments.backward}
-    demos = with_recordings(arguments.task, {direction: file for direction, file in files.items() if file})
+    try:
+        demos = with_recordings(arguments.task, {direction: file for direction, file in files.items() if file})
+    except (InputError, OSError) as error:
+        parser.error(str(error))
     target = FOLDER / f"{arguments.task}.npz"
     target.parent.mkdir(exist_ok=True)
     save(demos, target)
