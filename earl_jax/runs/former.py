@@ -18,7 +18,7 @@ def former_defaults(algo: str, number: int) -> dict[str, Any]:
 
 
 def current_values(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a config.json of any format as one of today's, without its format.
+    """Return the values of a config.json of any format as those of today's, which its `format` says.
 
     A config names the options of its method that differ from the defaults of its time; the result names those that
     differ from today's.
@@ -26,10 +26,10 @@ def current_values(values: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: a later version wrote the file.
     """
-    values = dict(values)
-    number, algo, options = values.pop("format", 1), values.get("algo"), values.get("options")
+    number, algo, options = values.get("format", 1), values.get("algo"), values.get("options")
     if number not in range(1, FORMAT + 1):
         raise InputError(f"its format is {brief(number)}, and this version of earl_jax reads 1 to {FORMAT}: update it")
+    values = {**values, "format": FORMAT}
     if not isinstance(algo, str) or not isinstance(options, dict) or values.get("algo_class"):
         return values
     former = former_defaults(algo, number)

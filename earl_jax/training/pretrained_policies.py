@@ -29,12 +29,12 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     Raises:
         ValueError: no such policy ships; the message lists the choices.
     """
-    info, arrays = assets.pretrained(task, method)
+    info, arrays = pretrained_info(task, method), assets.pretrained(task, method)[1]
     seeds = info["seeds"]
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
     lane = 0 if seed is None else seeds.index(seed)
-    config = _config(pretrained_info(task, method))
+    config = _config(info)
     env, actor = config.build_env(), actor_of_arrays({name: array[lane] for name, array in arrays.items()})
     return Policy(config.build_method().sac, actor, env.obs_size, env.action_size)
 

@@ -31,7 +31,9 @@ def values_of(algo, options, **more):
     ],
 )
 def test_a_file_without_a_format_keeps_the_defaults_of_its_time(written, read):
-    assert current_values(values_of("vaprl", written))["options"] == read
+    values = current_values(values_of("vaprl", written))
+    assert values["options"] == read
+    assert current_values(values) == values
 
 
 def test_methods_whose_defaults_stayed_keep_their_options():
