@@ -46,14 +46,19 @@ HEADER = (
 def cells(root: Path = ROOT) -> list[dict[str, Any]]:
     """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
     names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env, METHODS)]
-    folders = {(env, algo): _folder(root / env / algo) for env, algo in names}
-    runs = read_methods([folder for folder in folders.values() if folder])
+    folders = {name: folder for name in names if (folder := _folder(root.joinpath(*name)))}
+    runs = read_methods(list(folders.values()))
     tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs))}
     measured: dict[tuple[str, str], dict[str, Any]] = {}
     for run in runs:
-        largest_loss = float(run.curves.metrics["critic_loss"].max())
-        measured[run.env, run.algo] = {**tests[run.env, run.label], "largest_critic_loss": largest_loss}
-    return [_cell(*name, folders[name], measured.get(name)) for name in names]
+        folder = folders[run.env, run.algo]
+        measured[run.env, run.algo] = {
+            **tests[run.env, run.label],
+            "run": folder.relative_to(root / run.env).as_posix(),
+            "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
+            "commit": short_commit(commit_of(folder)),
+        }
+    return [_cell(*name, measured.get(name)) for name in names]
 
 
 def _folder(cell: Path) -> Path | None:
@@ -61,23 +66,22 @@ def _folder(cell: Path) -> Path | None:
     return next((folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()), None)
 
 
-def _cell(env: str, algo: str, folder: Path | None, measured: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the row of the cell whose run in `folder` has what was `measured`, both None if it was not run."""
+def _cell(env: str, algo: str, measured: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the row of a cell from what was `measured`, None if it was not run."""
     score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
     row = dict.fromkeys(("seeds", "steps", "mean", "low", "high", "difference", "difference_low", "difference_high"))
     row |= dict.fromkeys(("p", "p_holm", "detectable", "largest_critic_loss", "commit"))
     names = {
         "env": env,
         "algo": algo,
-        "run": None,
+        "run": measured["run"] if measured else None,
         "of": training_steps(env),
         "published": score.text if score else None,
     }
-    if measured is None or folder is None:
+    if measured is None:
         return {**names, **row, "verdict": NOT_RUN}
-    names["run"] = algo if folder.name == algo else f"{algo}/{folder.name}"
-    row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss")}
-    row |= {"low": measured["mean_low"], "high": measured["mean_high"], "commit": short_commit(commit_of(folder))}
+    row |= {name: measured[name] for name in ("seeds", "steps", "mean", "largest_critic_loss", "commit")}
+    row |= {"low": measured["mean_low"], "high": measured["mean_high"]}
     row |= {name: measured[name] for name in ("difference", "p", "p_holm", "detectable", "verdict")}
     return {**names, **row, "difference_low": measured["low"], "difference_high": measured["high"]}
 

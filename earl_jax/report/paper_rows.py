@@ -13,7 +13,7 @@ from earl_jax import assets
 from earl_jax.metrics.comparison import Sample, mean_interval, welch
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, recent_scores, with_verdicts
-from earl_jax.report.published import published_beside, published_score, published_steps, share_text
+from earl_jax.report.published import curve_beside, published_beside, published_score, published_steps, share_text
 from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.style import method_order, task_order
 
@@ -42,7 +42,6 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
 
 
 def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str, Any]:
-    comparable = group is None or group.curves.comparable
     table = f"table{number}"
     score = published_beside(table, group.curves) if group else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
@@ -68,8 +67,8 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         result = welch(Sample.of(scores), score.sample)
         row |= comparison_columns(scores, score.sample, result, "difference_")
     if number == 1:
-        crossings = assets.published_row("crossings", env=env, algo=algo) if comparable else {}
-        row["published_last10"] = crossings.get("last10") or None
+        curve = curve_beside(group.curves) if group else assets.published_row("crossings", env=env, algo=algo)
+        row["published_last10"] = curve.get("last10") or None
     return row
 
 

@@ -99,13 +99,25 @@ def published_beside(table: str, curves: Curves) -> PublishedScore | None:
 
 def published_crossings(env: str, algo: str) -> dict[float, int]:
     """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
-    row = assets.published_row("crossings", env=env, algo=algo)
-    return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
+    return _crossings(assets.published_row("crossings", env=env, algo=algo))
+
+
+def curve_beside(curves: Curves) -> dict[str, str]:
+    """Return what the released mean curve of a run's task and method shows, by column of `crossings`.
+
+    It is empty if none was released, or if the run's reward or setting differ from the paper's.
+    """
+    config = curves.config
+    return assets.published_row("crossings", env=config.env, algo=config.algo) if curves.comparable else {}
 
 
 def crossings_beside(curves: Curves) -> dict[float, int]:
-    """Return the published crossings to set beside a run; none if its reward or setting differ from the paper's."""
-    return published_crossings(curves.config.env, curves.config.algo) if curves.comparable else {}
+    """Return the published crossings to set beside a run, from its `curve_beside`."""
+    return _crossings(curve_beside(curves))
+
+
+def _crossings(row: dict[str, str]) -> dict[float, int]:
+    return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
 
 
 def published_steps(env: str) -> tuple[int, int] | None:

@@ -19,7 +19,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, NEW_SEEDS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.former import former_defaults
+from earl_jax.runs.former import CHANGED
 
 SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
@@ -208,7 +208,7 @@ def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -
     An option with its default value is not named, so a run with the defaults has the bare name. An option whose default
     has changed since some runs were made is named for every run without today's.
     """
-    changed = former_defaults(algo, 1)
+    changed = CHANGED.get(algo, {})
     named = [key for key in sorted(options) if key in changed or any(other.get(key) != options[key] for other in peers)]
     text = ", ".join(f"{key}={options[key]}" for key in named)
     return f"{algo} ({text})" if text else algo

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax import assets
 from earl_jax.metrics.continuing import DIVERGED, diverged_text
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
@@ -19,6 +18,7 @@ from earl_jax.report.published import (
     LEVELS,
     PublishedScore,
     crossings_beside,
+    curve_beside,
     published_beside,
     published_fault,
 )
@@ -96,17 +96,16 @@ def speeds(lines: Sequence[Line]) -> list[dict[str, Any]]:
 
 
 def _speed(line: Line) -> dict[str, Any]:
-    curves, env, algo = line.curves, line.group.env, line.group.algo
+    curves = line.curves
     ours = row_of(curves, 1, "")
     crossings = crossings_beside(curves)
-    published = assets.published_row("crossings", env=env, algo=algo) if curves.comparable else {}
     mean_heights = deployed_area(curves.steps, curves.metrics[curves.deployed_metric])
     return {
         "line": line,
         "levels": [(steps_text(ours[f"steps_to_{level}"]), steps_text(crossings.get(level))) for level in LEVELS],
         "deployed_area": f"{number_text(mean_heights.mean(), 3)} ({number_text(float(stderr(mean_heights)), 3)})",
         "steps_per_reward": number_text(ours["steps_per_reward"], 1),
-        "published_steps_per_reward": published.get("steps_per_reward") or "–",
+        "published_steps_per_reward": curve_beside(curves).get("steps_per_reward") or "–",
     }
 
 
