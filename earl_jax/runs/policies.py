@@ -55,15 +55,20 @@ def obs_size(path: Path) -> int | None:
 def load_policies(path: Path, like: Any) -> Any:
     """Return the actors at `path` as a tree of NumPy arrays in the structure of `like`, whose leaves have shapes.
 
+    A file may store its actors in float16; they are returned in the dtypes of `like`.
+
     Raises:
         ValueError: the file is damaged or has arrays of other shapes; the message names it.
     """
     expected = _named(like)
     arrays = _read(path, list(expected))
     for name, leaf in expected.items():
-        if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype != leaf.dtype:
+        dtypes = (leaf.dtype, np.float16)  # half the size, for runs that are kept
+        if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype not in dtypes:
             raise InputError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
-    return jax.tree.unflatten(jax.tree.structure(like), [arrays[name] for name in expected])
+    return jax.tree.unflatten(
+        jax.tree.structure(like), [arrays[name].astype(leaf.dtype) for name, leaf in expected.items()]
+    )
 
 
 def load_visits(path: Path, seeds: int) -> np.ndarray | None:

@@ -42,6 +42,12 @@ def test_pickled_arrays_are_not_read(file):
         policies_step(file)
 
 
+def test_actors_stored_in_half_precision_are_read_in_the_dtype_of_the_learner(tmp_path):
+    half = jax.tree.map(np.float16, ACTORS)
+    save_policies(tmp_path / "policies.npz", half, step=40, seeds=(3, 7), obs_size=3, action_size=1)
+    assert_equal_trees(load_policies(tmp_path / "policies.npz", jax.eval_shape(lambda: ACTORS)), ACTORS)
+
+
 @pytest.mark.parametrize("like", [np.zeros((2, 3, 3), np.float32), np.zeros((2, 3, 2), np.float64)])
 def test_policies_of_another_run_are_refused(file, like):
     with pytest.raises(ValueError, match=r"does not belong to this run: actor\['params'\]"):
