@@ -87,6 +87,7 @@ DIFFERENCES = (
         Pair((SHORTER,), (BIASED,)), Pair((SHORTER,), (BOOTSTRAPPED,)),
     )),
     Difference("4", "the peg's oracle without layer norm: reward scale, layer norm", (
+        Pair((f"{PEG}/oracle/scale_10-seeds_20_to_29",), (f"{PEG}/oracle/scale_1-seeds_20_to_29",)),
         Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE, (f"{PEG}/oracle/layer_norm",)),
     )),
     Difference("5, 6", "VaPRL as it was: new goals that are met already, and the highest value where none reaches epsilon", tuple(
@@ -101,6 +102,9 @@ DIFFERENCES = (
         Pair((f"{env}/{algo}{ours}",), (f"{env}/{algo}/demo_file_recorded{recorded}",))
         for env in (TABLETOP, DOOR, PEG)
         for algo, ours, recorded in (("vaprl", f"/{FORMER_VAPRL}", f"-{FORMER_VAPRL}"), ("fbrl", "", ""))
+    )),
+    Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps", (
+        Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
     )),
 )  # fmt: skip
 
