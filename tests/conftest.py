@@ -36,7 +36,7 @@ LONGEST = [
     "physics/test_engines.py", "training/test_loop.py", "training/test_api.py", "paper/test_reproduce.py",
     "training/test_mjx.py", "cli/test_cli.py", "training/test_dense_tasks.py", "algos/learner/test_sac.py",
     "training/test_resume.py", "sweeps/test_worker.py", "training/test_devices.py", "training/test_program_cache.py",
-    "training/test_lifetime.py", "sweeps/test_launcher.py", "algos/test_mixed.py", "adapters/test_gymnasium.py",
+    "training/test_lifetime.py", "sweeps/test_launcher.py", "adapters/test_gymnasium.py",
     "runs/test_checkpoint.py", "training/test_faults.py",
 ]  # fmt: skip
 """The files that take longest, relative to this folder; those that compile programs of others stand before them."""

@@ -46,7 +46,7 @@ REPLACED = {
     "Helped": "HelpBudget",
     "settled": "split_setting",
     "packs": "program groups",
-    "form": "program_signature",
+    "form": "program_structure",
     "Cell": "RunSpec",
     "Exhibit": "PaperResult",
     "Cast": "Actor",

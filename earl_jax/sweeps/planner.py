@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.algos import method_for
-from earl_jax.algos.mixed import program_signature
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -16,6 +15,7 @@ from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
 from earl_jax.training.demo_rows import demo_rows
+from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run
 from earl_jax.training.state import Problem
 
@@ -44,7 +44,7 @@ class PlannedRun:
         lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
         lengths += (self.run.protocol.alive_steps,)
         task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
-        return task, lengths, program_signature(self.run.method)
+        return task, lengths, program_structure(self.run.method)
 
     def replay_bytes(self) -> int:
         """Return the bytes of the replay buffers of all lanes."""

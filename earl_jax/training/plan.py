@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -101,3 +102,22 @@ def per_lane(method: Method, lanes: int) -> Method:
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 
     return jax.tree.map(broadcast, method)
+
+
+def program_structure(method: Method) -> Hashable:
+    """Return what all methods of one program have in common: the class, and the values of all but float and bool options."""
+    return type(method), jax.tree.structure(method)
+
+
+def join_lanes(methods: Sequence[Method]) -> Method:
+    """Return one method for the lanes of all `methods`, in their order; every leaf has a leading lane axis.
+
+    Raises:
+        ValueError: the methods differ in their class or in an option that is fixed when a program is compiled.
+    """
+    if len(set(map(program_structure, methods))) > 1:
+        names = ", ".join(sorted({method.name for method in methods}))
+        raise InputError(
+            f"the lanes of a program have one method, which differs in float and bool options alone: {names}"
+        )
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *methods)

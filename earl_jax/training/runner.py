@@ -15,7 +15,6 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
-from earl_jax.algos.mixed import mix_methods
 from earl_jax.envs import Env, plain_task
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
@@ -29,7 +28,7 @@ from earl_jax.time_limit import TimeLimit
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
-from earl_jax.training.plan import Plan, per_lane, prepare
+from earl_jax.training.plan import Plan, join_lanes, per_lane, prepare
 from earl_jax.training.policy import plain_actor
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
@@ -126,12 +125,12 @@ def _evaluate(
 def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
     """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
 
-    The runs must have the same env, lengths, `program_signature` of their methods and step of their newest checkpoint.
+    The runs must have the same env, lengths, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
     problem = Problem(first.env.for_lanes(lanes), first.protocol)
-    return prepare(problem, mix_methods([run.method for run in runs]), lanes, first.config.steps, devices)
+    return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
 def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: TimeLimit | None = None) -> TrainState:
@@ -144,7 +143,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
         Stopped: SIGINT or SIGTERM arrived; the runs with a folder have a checkpoint of the last complete chunk.
     """
     keep_programs()
-    method = placed(mix_methods([run.method for run in runs]), plan.mesh)
+    method = placed(join_lanes([run.method for run in runs]), plan.mesh)
     with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
         for run in runs:
             if run.folder and first_host():
@@ -254,9 +253,8 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
 
 def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
     config = runs[0].config
-    algos = "+".join(dict.fromkeys(run.config.algo for run in runs))
     return Progress(
-        label=f"{algos} x {plan.lanes} on {config.env}",
+        label=f"{config.algo} x {plan.lanes} on {config.env}",
         steps=plan.steps,
         metric=deployed_metric(plan.problem.env),
         show=show and first_host(),

@@ -13,8 +13,7 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.fbrl import FBRL
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner import sac
-from earl_jax.algos.method import RETURN, TASK
-from earl_jax.algos.mixed import mix_methods
+from earl_jax.algos.method import TASK
 from earl_jax.training.plan import per_lane
 from tests.conftest import make_train_state, run_whole, tiny_method, tiny_train, without_shares
 
@@ -121,13 +120,6 @@ def test_time_outs_are_bootstrapped_by_default_and_random_steps_are_the_released
     assert method.sac.timeout_bootstrap is True
     assert method.sac.random_steps == 10_000
     assert make_algo("risc", timeout_bootstrap=False).sac.timeout_bootstrap is False
-
-
-def test_each_lane_of_a_shared_program_switches_by_its_own_method(env):
-    methods = [tiny_method("fbrl", 1, controllers=1), per_lane(Impatient(tiny_method("fbrl").sac), 2)]
-    mixed = mix_methods(methods)
-    ends = jax.vmap(lambda m: m.switches(KEYS[0], env, None, OBS, RETURN, jnp.asarray(7), ()))(mixed)
-    np.testing.assert_array_equal(ends, [False, True, True])
 
 
 def test_risc_trains_by_name_and_fills_one_replay_from_both_phases(env):

@@ -1,4 +1,4 @@
-"""Shared by the tests of sweeps: a grid of two methods that share one program."""
+"""Shared by the tests of sweeps: a grid of two runs that share one program."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from tests.sweeps.fake_gpus import FakeGpus, add_to_path
 
 GRID = """
 envs = ["tabletop_organization"]
-algos = ["naive", "oracle"]
+algos = ["oracle"]
 seeds = 2
 steps = 120
 eval_every = 40
@@ -18,9 +18,10 @@ hidden_sizes = [[16]]
 batch_size = 16
 random_steps = 20
 eval_horizon = 30
+reward_scale = [1, 10]
 """
 OPTIONS = "batch_size=16,eval_horizon=30,hidden_sizes=16,random_steps=20"
-NAMES = [f"tabletop_organization/{algo}/{OPTIONS}" for algo in ("naive", "oracle")]
+NAMES = [f"tabletop_organization/oracle/{OPTIONS},reward_scale={scale}" for scale in (1, 10)]
 LENGTHS = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
 
 

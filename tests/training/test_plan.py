@@ -3,10 +3,11 @@
 import dataclasses
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
-from earl_jax.training.plan import Span, per_lane, prepare
+from earl_jax.training.plan import Span, join_lanes, per_lane, prepare, program_structure
 from tests.conftest import tiny_method
 
 
@@ -37,3 +38,24 @@ def test_integer_leaves_become_floats_and_flags_stay_flags():
     assert method.sac.reward_scale.dtype == jnp.float32
     assert method.sac.timeout_bootstrap.dtype == bool
     assert method.sac.discount.shape == (3,)
+
+
+def test_lanes_of_one_method_are_joined_in_their_order():
+    joined = join_lanes([tiny_method("vaprl", epsilon=0.1), tiny_method("vaprl", lanes=1, epsilon=0.3)])
+    np.testing.assert_allclose(joined.epsilon, [0.1, 0.1, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("algo", "options", "is_shared"),
+    [
+        ("naive", {"reward_scale": 1.0, "timeout_bootstrap": True}, True),
+        ("naive", {"batch_size": 8}, False),
+        ("oracle", {}, False),
+    ],
+)
+def test_methods_share_a_program_if_they_differ_in_floats_and_flags_alone(algo, options, is_shared):
+    naive, other = tiny_method("naive"), tiny_method(algo, lanes=3, **options)
+    assert (program_structure(other) == program_structure(naive)) == is_shared
+    if not is_shared:
+        with pytest.raises(ValueError, match=f"the lanes of a program have one method.*: .*{algo}"):
+            join_lanes([naive, other])
