@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import assets
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
-from earl_jax.envs.sawyer.door_arms import drawn_arm
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import State, tree_where
 from earl_jax.physics import EngineCost
@@ -148,3 +148,12 @@ def handle_at(angle: jax.Array) -> jax.Array:
     x = HINGE[0] + cos * HANDLE[0] - sin * HANDLE[1]
     y = HINGE[1] + sin * HANDLE[0] + cos * HANDLE[1]
     return jnp.stack([x, y, jnp.full_like(x, HEIGHT)])
+
+
+def drawn_arm(key: jax.Array, name: str) -> Pose:
+    """Return one of the poses of task `name`, at rest with an open gripper; its fields are arrays."""
+    table = assets.starts(name)
+    index = jax.random.randint(key, (), 0, len(table["qpos"]))
+    arm = {field: jnp.asarray(values)[index] for field, values in table.items()}
+    still = jnp.zeros_like(arm["qpos"])
+    return Pose(arm["target"], arm["qpos"], still, still, arm["hand"], 1.0)

@@ -4,17 +4,13 @@
 """
 
 import sys
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
-from earl_jax.envs.sawyer.base import REACH, Pose
-
-if TYPE_CHECKING:
-    from earl_jax.envs.sawyer.door import SawyerDoor
+from earl_jax.envs.sawyer.base import REACH
+from earl_jax.envs.sawyer.door import SawyerDoor
 
 TARGETS = np.array(
     [
@@ -31,7 +27,7 @@ RISING, CROSSING, SETTLING = 40, 100, 600
 """Control steps in which the hand goes up, goes across, and goes down and comes to rest."""
 
 
-def settle(env: "SawyerDoor") -> dict[str, np.ndarray]:
+def settle(env: SawyerDoor) -> dict[str, np.ndarray]:
     """Return the arm at rest at `TARGETS`, float32: `qpos [n, 9]`, mocap `target [n, 3]` and observed `hand [n, 3]`."""
 
     def to_rest(target):
@@ -49,16 +45,5 @@ def settle(env: "SawyerDoor") -> dict[str, np.ndarray]:
     return {name: np.asarray(values, np.float32) for name, values in fields.items()}
 
 
-def drawn_arm(key: jax.Array, name: str) -> Pose:
-    """Return one of the poses of task `name`, at rest with an open gripper; its fields are arrays."""
-    table = assets.starts(name)
-    index = jax.random.randint(key, (), 0, len(table["qpos"]))
-    arm = {field: jnp.asarray(values)[index] for field, values in table.items()}
-    still = jnp.zeros_like(arm["qpos"])
-    return Pose(arm["target"], arm["qpos"], still, still, arm["hand"], 1.0)
-
-
 if __name__ == "__main__":
-    from earl_jax.envs.sawyer.door import SawyerDoor
-
     np.savez_compressed(sys.argv[1], **settle(SawyerDoor(engine="c")))  # pyright: ignore[reportArgumentType]
