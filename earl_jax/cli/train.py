@@ -70,31 +70,13 @@ def train(
     from earl_jax.training import api
 
     join_hosts(hosts)
-    given = {
-        "algo": algo,
-        "steps": steps,
-        "eval_every": eval_every,
-        "eval_episodes": eval_episodes,
-        "checkpoint_every": checkpoint_every,
-        "preset": preset,
-        "setting": setting,
-        "set": set,
-    }
+    every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
+    given = {"algo": algo, "steps": steps, **every, "preset": preset, "setting": setting, "set": set}
     task, values = _objects_by_name(env, given) if config is None else _objects_of_run(config, env, given)
     if seeds is not None:
         values["seeds"] = parse_seeds(seeds, SEEDS)
-    result = api.train(
-        task,
-        values.pop("algo"),
-        engine=engine,
-        **values,
-        out=out,
-        logs=log,
-        overwrite=overwrite,
-        progress=True,
-        devices=devices,
-        minutes=limit,
-    )
+    values |= {"engine": engine, "out": out, "logs": log, "overwrite": overwrite, "devices": devices}
+    result = api.train(task, **values, progress=True, minutes=limit)
     _emit_result(result, out, json)
 
 

@@ -74,23 +74,19 @@ def train(
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     limit = TimeLimit.of(minutes)
-    task = make(env) if isinstance(env, str) else env
-    task, method, resolved = _resolve_objects(with_engine(task, engine), algo, setting, options)
-    config = RunConfig.from_objects(
-        task,
-        method,
-        resolved,
-        seeds=seed_list(seeds),
-        steps=steps,
-        eval_every=eval_every,
-        eval_episodes=eval_episodes,
-        checkpoint_every=checkpoint_every,
-    )
-    run = Run.resolve(config, task, method, resolved)
+    task = with_engine(make(env) if isinstance(env, str) else env, engine)
+    every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
+    run = _new_run(task, algo, setting, options, seeds=seed_list(seeds), steps=steps, **every)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
+
+
+def _new_run(env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any], **lengths: Any) -> Run:
+    """Return the run of `algo` on `env`, with the seeds and `lengths` of its config. Errors as `train`."""
+    task, method, resolved = _resolve_objects(env, algo, setting, options)
+    return Run.resolve(RunConfig.from_objects(task, method, resolved, **lengths), task, method, resolved)
 
 
 def _resolve_objects(
