@@ -1,7 +1,6 @@
 """Commands that train one run: train, resume."""
 
 import inspect
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -120,7 +119,6 @@ def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple
 def resume(
     folder: Positional[Path],
     steps: int | None = None,
-    seeds: Seeds = None,
     devices: Devices = None,
     hosts: Hosts = None,
     minutes: Minutes = None,
@@ -131,32 +129,27 @@ def resume(
     Args:
         folder: Run folder.
         steps: New length of the run. By default the run keeps its length.
-        seeds: Seeds that the finished run shall have, as --seeds of train: those that it lacks are trained from step 0 to its
-            end and added to its files. By default it keeps its seeds.
     """
     limit = parse_minutes(minutes)
-    from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    wanted = None if seeds is None else parse_seeds(seeds, SEEDS)
-    result = api.resume(folder, steps=steps, seeds=wanted, progress=True, devices=devices, minutes=limit)
-    is_part = result.seeds != RunFolder.open(folder).config.seeds
-    _emit_result(result, folder, json, result.seeds if is_part else ())
+    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit)
+    _emit_result(result, folder, json)
 
 
-def _emit_result(result: Any, out: Path, as_json: bool, added: Sequence[int] = ()) -> None:
+def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     """Print the deployed score of `result` over its seeds, and how to continue it after a time limit.
 
-    Before the first evaluation there is no score. `added` are the seeds to be added to a run, if the result is theirs.
+    Before the first evaluation there is no score.
     """
     from earl_jax.training.stopping import resume_command
 
     values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
     values = {"out": str(out), "engine": result.engine, **values, "stopped": not result.finished}
     if not result.finished:
-        command = resume_command(out, added)
+        command = resume_command(out)
         values |= {"step": result.step, "resume": command}
         text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
         text += f"continue with: {command}"

@@ -16,17 +16,13 @@ from earl_jax.protocol import Deployment
 from earl_jax.report.life_columns import LATER_METRICS
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, NEW_SEEDS
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.former import CHANGED
 
 SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
-
-
-INSIDE = {CHECKPOINTS, NEW_SEEDS, MERGED}
-"""Folders in a run folder, which hold no other run."""
 
 
 class Curves(NamedTuple):
@@ -129,7 +125,7 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
 
 def _runs_below(folder: Path) -> Iterator[Path]:
     for path, folders, files in os.walk(folder):
-        folders[:] = sorted(set(folders) - INSIDE)
+        folders[:] = sorted(set(folders) - {CHECKPOINTS})
         if "config.json" in files or "metrics.csv" in files:
             yield Path(path)
 

@@ -12,12 +12,10 @@ from earl_jax.runs.table import complete_lines, table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 TENSORBOARD, WANDB = "tensorboard", "wandb"
-NEW_SEEDS, MERGED = "new_seeds", "merged_seeds"
-"""Folders in a run folder while seeds are added to it."""
 FILES = (CONFIG, METRICS, POLICIES)
 EVENTS = "events.out.tfevents."
 """What the names of TensorBoard's files start with."""
-REMOVED = (CHECKPOINTS, NEW_SEEDS, MERGED, TENSORBOARD, POLICIES, METRICS)
+REMOVED = (CHECKPOINTS, TENSORBOARD, POLICIES, METRICS)
 """What a new run in the place of an earlier one removes, in an order in which a kill leaves no half run."""
 
 
@@ -44,8 +42,6 @@ def _unknown(path: Path) -> Iterator[Path]:
             yield entry
         elif entry.name == CHECKPOINTS and entry.is_dir():
             yield from _unknown_checkpoints(entry)
-        elif entry.name in (NEW_SEEDS, MERGED) and entry.is_dir():
-            yield from _unknown(entry)
         elif entry.name == TENSORBOARD and entry.is_dir():
             yield from (file for file in _entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
         elif entry.name not in known:

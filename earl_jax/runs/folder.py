@@ -14,7 +14,7 @@ from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.contents import CHECKPOINTS, CONFIG, MERGED, METRICS, POLICIES
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
 from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
 from earl_jax.runs.former import FORMAT, current_values
 from earl_jax.runs.hosts import first_host
@@ -101,12 +101,9 @@ class RunFolder:
         """Return the run folder at `path`.
 
         Raises:
-            ValueError: its config is missing or invalid, a path in the folder points outside it, or a kill stopped the
-                merging of new seeds into it.
+            ValueError: its config is missing or invalid, or a path in the folder points outside it.
         """
         file = path / CONFIG
-        if (path / MERGED).is_dir():
-            raise InputError(f"new seeds are being merged into {path}; if that was killed: earl-jax resume {path}")
         if not file.is_file():
             raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
         for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):

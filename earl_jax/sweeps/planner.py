@@ -141,8 +141,6 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
         remedy = "choose another --out, or change the grid to match"
-        if differing == ["seeds"] and set(existing["seeds"]) < set(wanted["seeds"]):
-            remedy = f"add them with: earl-jax resume {path} --seeds {' '.join(map(str, wanted['seeds']))}"
         raise InputError(f"{path} holds a run that differs ({differences}); {remedy}")
     folder.require_rows()
     return dataclasses.replace(folder, config=config)

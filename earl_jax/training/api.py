@@ -13,16 +13,13 @@ from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.growth import finish_merge
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.logging import Log, check_logs, require_libraries
 from earl_jax.seeds import seed_list
 from earl_jax.time_limit import TimeLimit
-from earl_jax.training.more_seeds import add_seeds
 from earl_jax.training.plan import Plan
 from earl_jax.training.result import Result
 from earl_jax.training.runner import Run, plan_runs, run_program
-from earl_jax.training.state import TrainState
 
 
 def train(
@@ -106,7 +103,6 @@ def resume(
     env: Env | None = None,
     algo: Method | None = None,
     steps: int | None = None,
-    seeds: int | str | Sequence[int] | None = None,
     progress: bool = False,
     devices: int | None = None,
     minutes: float | TimeLimit | None = None,
@@ -121,23 +117,15 @@ def resume(
         env: the task, for a run that was trained on an object of a class that is not registered.
         algo: the method, likewise.
         steps: a new length of the run.
-        seeds: seeds that the finished run shall have: as in `train`. Those that it lacks are trained from
-            step 0 to its end, and then its files hold all of them. `steps` counts after that. Where a time limit ends it
-            earlier, the result is that of the new seeds; the same call continues.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
         minutes: a limit of wall-clock time, as in `train`; it counts from this call on.
 
     Raises:
-        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, the run's objects
-            must be registered or passed, or `seeds` are to be added to a run that is not finished.
+        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
+            objects must be registered or passed.
     """
     limit = TimeLimit.of(minutes)
-    finish_merge(Path(folder))
-    if seeds is not None:
-        partial = add_seeds(Path(folder), seed_list(seeds), env, algo, progress, devices, limit)
-        if partial is not None:
-            return _result(*partial)
     opened = RunFolder.open(Path(folder))
     opened.require_rows()  # rather than after the training
     check_logs(opened.logs)
@@ -153,10 +141,6 @@ def resume(
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
         train_state = run_program(plan, [run], progress, limit)
-    return _result(plan, run, train_state)
-
-
-def _result(plan: Plan, run: Run, train_state: TrainState) -> Result:
     steps, metrics = run.config.curves(run.rows)
     return Result(
         config=run.config,

@@ -16,22 +16,18 @@ from earl_jax.runs.hosts import of_first_host
 from earl_jax.time_limit import TimeLimit
 
 
-def resume_command(folder: Path, seeds: Sequence[int] = ()) -> str:
-    """Return the command that continues the run in `folder`, or the training of further `seeds` for it."""
-    more = ["--seeds", *map(str, seeds)] if seeds else []
-    return shlex.join(["earl-jax", "resume", str(folder), *more])
+def resume_command(folder: Path) -> str:
+    """Return the command that continues the run in `folder`."""
+    return shlex.join(["earl-jax", "resume", str(folder)])
 
 
 class Stopped(KeyboardInterrupt):
-    """Training was stopped by the signal `number` at `step`; its state is saved in `folders`.
+    """Training was stopped by the signal `number` at `step`; its state is saved in `folders`."""
 
-    `seeds` are those that were being added to a finished run.
-    """
-
-    def __init__(self, number: int, step: int, folders: Sequence[Path], seeds: Sequence[int] = ()):
+    def __init__(self, number: int, step: int, folders: Sequence[Path]):
         self.number, self.step, self.folders = number, step, list(folders)
         name = signal.Signals(number).name
-        remedy = "".join(f"; resume with: {resume_command(folder, seeds)}" for folder in folders[:1])
+        remedy = "".join(f"; resume with: {resume_command(folder)}" for folder in folders[:1])
         super().__init__(f"stopped at step {step} by {name}{remedy}")
 
     @property

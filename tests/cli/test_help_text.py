@@ -34,7 +34,7 @@ def test_help_names_values_without_nested_brackets(page):
             "[TASK]",
             ["--algo METHOD", "--seeds SEEDS", "--set NAME=VALUE ...", "--log {tensorboard,wandb} ..."],
         ),
-        ("resume", "RUN", ["--seeds SEEDS", "--steps INT"]),
+        ("resume", "RUN", ["--steps INT"]),
         ("plot", "FOLDER ...", ["--labels NAME ...", "--metric COLUMN", "--out PATH", "--size {screen,column,page}"]),
         ("table", "FOLDER ...", ["--labels NAME ..."]),
         ("sweep", "FILE", ["--slurm NAME=VALUE ...", "--per-device INT|auto", "--minutes MINUTES"]),

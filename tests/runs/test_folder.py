@@ -223,19 +223,6 @@ def test_overwriting_names_what_it_removes_and_keeps_the_runs_of_wandb(folder, c
     assert sorted(path.name for path in folder.path.iterdir()) == [".lock", "config.json", "wandb"]
 
 
-def test_overwriting_removes_seeds_that_were_being_added_but_no_other_files_there(folder):
-    fill(folder)
-    added = folder.path / "new_seeds"
-    added.mkdir()
-    (added / "config.json").write_text("{}")
-    (added / "thesis.tex").write_text("all of it")
-    with pytest.raises(ValueError, match=r"it holds new_seeds/thesis\.tex"):
-        create(folder, overwrite=True)
-    (added / "thesis.tex").unlink()
-    create(folder, overwrite=True)
-    assert not added.exists()
-
-
 UNKNOWN = ["thesis.tex", "checkpoints/thesis.tex", "checkpoints/000000040/thesis.tex", "tensorboard/thesis.tex"]
 
 

@@ -15,9 +15,8 @@ def test_folders_are_found_once_however_they_are_given(tmp_path):
     nested, deep = tmp_path / "a" / "b", tmp_path / "a" / "c" / "d"
     write_page_run(nested, "fbrl", rising(1, 1))
     write_page_run(deep, "naive", rising(1, 1))
-    for name in ("checkpoints", "new_seeds", "merged_seeds"):
-        (nested / name).mkdir()
-        (nested / name / "config.json").write_text("{}")
+    (nested / "checkpoints").mkdir()
+    (nested / "checkpoints" / "config.json").write_text("{}")
     assert find_runs([tmp_path, tmp_path / "a" / "c" / ".." / "b"]) == [nested, deep]
     assert find_runs([deep]) == [deep]
 
