@@ -18,8 +18,8 @@ from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD
-from earl_jax.report.comparison import recent_scores
 from earl_jax.report.runs import Curves, read
+from earl_jax.report.scores import recent_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 RESULTS = Path(__file__).parent / "results"

@@ -12,7 +12,8 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves
-from earl_jax.report.tables import row_of, trailing, write
+from earl_jax.report.scores import row_of, trailing
+from earl_jax.report.tables import write
 from earl_jax.training import resume, train
 
 LEVELS = ("0.5", "0.9")

@@ -18,7 +18,7 @@ from benchmarks.curves import advance, command_line, markdown, split, write_curv
 from earl_jax import assets
 from earl_jax.metrics.statistics import bootstrap, iqm
 from earl_jax.report.runs import Curves, read
-from earl_jax.report.tables import row_of, trailing
+from earl_jax.report.scores import row_of, trailing
 
 TASKS = {"kitchen": "franka_kitchen", "dhand": "dhand_lightbulb", "minitaur": "minitaur_pen"}
 ALGOS = ("oracle", "naive", "fbrl", "r3l")

@@ -71,17 +71,16 @@ def table(
     """
     from earl_jax.report import tables
     from earl_jax.report.plots import checked_labels
-    from earl_jax.report.terminal import shown_table, terminal_width, wrapped
 
-    rows = tables.tabulate(folders, last) if metric is None else tables.tabulate_metric(folders, metric, last)
+    rows = tables.tabulate(folders, last, metric)
     for row, name in zip(rows, checked_labels(labels, [row["algo"] for row in rows]), strict=True):
         row["algo"] = name
     if out:
         with replacing(out):
             tables.write(rows, out)
-    width = terminal_width()
-    text = shown_table(tables.header_of(rows), tables.lines_of(rows), width)
-    notes = "\n".join(wrapped(note, width) for note in tables.notes_of(rows))
+    width = tables.terminal_width()
+    text = tables.shown_table(tables.header_of(rows), tables.lines_of(rows), width)
+    notes = "\n".join(tables.wrapped(note, width) for note in tables.notes_of(rows))
     emit({"rows": rows}, json, f"{text}\n\n{notes}")
 
 
@@ -100,7 +99,7 @@ def best(
     """
     from earl_jax.report.best import best as best_runs
     from earl_jax.report.best import best_text
-    from earl_jax.report.terminal import terminal_width
+    from earl_jax.report.tables import terminal_width
 
     rows = best_runs(folders, test)
     emit({"rows": rows}, json, best_text(rows, test, top, terminal_width()))
@@ -122,14 +121,10 @@ def compare(
     """
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import terminal_text, write_comparison
-    from earl_jax.report.html.comparison import write_comparison_page
-    from earl_jax.report.terminal import terminal_width
+    from earl_jax.report.tables import terminal_width
 
     rows = compare_runs(folders, against, metric)
     for path in out:
         with replacing(path):
-            if path.suffix == ".html":
-                write_comparison_page(rows, folders, against, path)
-            else:
-                write_comparison(rows, path)
+            write_comparison(rows, path)
     emit({"rows": rows}, json, terminal_text(rows, terminal_width()))

@@ -12,8 +12,9 @@ from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.published import LEVELS, crossings_beside, published_beside
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
+from earl_jax.report.scores import trailing
 from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
-from earl_jax.report.tables import markdown_table, millions, step_interval, trailing, write
+from earl_jax.report.tables import markdown_table, millions, step_interval, write
 
 CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
 SMOOTH = " (trailing 10)"

@@ -19,8 +19,9 @@ from earl_jax.paper.figure2_picture import draw
 from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
+from earl_jax.report.scores import WINDOW
 from earl_jax.report.style import ordered, save
-from earl_jax.report.tables import WINDOW, markdown_table, write
+from earl_jax.report.tables import markdown_table, write
 from earl_jax.runs.config import RunConfig
 
 UPDATES = {True: "without the biased update", False: "with the biased update"}

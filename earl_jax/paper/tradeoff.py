@@ -17,8 +17,9 @@ from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.runs import Curves, read_all
+from earl_jax.report.scores import WINDOW
 from earl_jax.report.style import colours, method_order, new_figure, save, task_order, task_title
-from earl_jax.report.tables import WINDOW, markdown_table, write
+from earl_jax.report.tables import markdown_table, write
 
 KINDS = {"epsilon": "o-", "budget": "s--"}
 """The two ways in which interventions are given, and their lines."""

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import LEVEL, Sample, holm, mean_interval, permutation, verdict, welch
-from earl_jax.report.comparison import recent_scores
+from earl_jax.metrics.comparison import LEVEL, Sample, holm, mean_interval, permutation, smallest_p, verdict, welch
 from earl_jax.report.runs import Curves, MethodRuns, options_text, read_methods
+from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import task_order
-from earl_jax.report.tables import interval_text
-from earl_jax.report.terminal import shown_table, wrapped
+from earl_jax.report.tables import interval_text, number_text, shown_table, wrapped
 
 Row = dict[str, Any]
 Test = Literal["permutation", "welch"]
@@ -49,13 +48,13 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     if len({group.curves.deployed_metric for group in groups}) > 1:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
     longest = max(_last(group.curves) for group in groups)
-    groups = sorted(groups, key=lambda group: (_last(group.curves) < longest, -_scores(group.curves).mean()))
-    leader = _scores(groups[0].curves)
+    groups = sorted(groups, key=lambda group: (_last(group.curves) < longest, -recent_scores(group.curves).mean()))
+    leader = recent_scores(groups[0].curves)
     rows = [_row(rank, group) for rank, group in enumerate(groups, 1)]
     rows[0]["verdict"] = "best"
     tested = [(row, group) for row, group in zip(rows[1:], groups[1:], strict=True) if row["steps"] == longest]
     for row, group in tested:
-        scores = _scores(group.curves)
+        scores = recent_scores(group.curves)
         result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), Sample.of(scores))
         row |= {
             "difference": result.difference,
@@ -71,7 +70,7 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
 
 
 def _row(rank: int, group: MethodRuns) -> Row:
-    scores = _scores(group.curves)
+    scores = recent_scores(group.curves)
     interval = mean_interval(scores)
     return {
         "env": group.env, "rank": rank, "method": group.algo, "label": group.label,
@@ -82,35 +81,27 @@ def _row(rank: int, group: MethodRuns) -> Row:
     }  # fmt: skip
 
 
-def _scores(curves: Curves) -> Any:
-    return recent_scores(curves, _last(curves))
-
-
 def _last(curves: Curves) -> int:
     return int(curves.steps[-1])
 
 
 def _least_p(first: int, second: int, test: Test) -> float:
-    """Return the smallest p of `first` against `second` seeds: both tails of the permutation test, or none for Welch's."""
+    """Return the smallest p that the test of `first` against `second` seeds can give; Welch's has no such limit."""
     if min(first, second) < 2:
         return math.nan
-    return (1 + (first == second)) / math.comb(first + second, first) if test == "permutation" else 0.0
+    return smallest_p(first, second) if test == "permutation" else 0.0
 
 
 def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, width: int | None = None) -> str:
     """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule."""
-    parts = []
+    parts: list[str] = []
     for env in dict.fromkeys(row["env"] for row in rows):
         of_task = [row for row in rows if row["env"] == env]
         parts += [f"{env}, {of_task[0]['metric']}", shown_table(HEADER, [_cells(row) for row in of_task[:top]], width)]
-        hidden = len(of_task) - top
-        parts.append(
-            wrapped(
-                " ".join([*([f"{hidden} more are not shown."] if hidden > 0 else []), _verdict_text(of_task)]), width
-            )
-        )
-    parts += [wrapped(RULE.format(test=TESTS[test]), width)]
-    return "\n\n".join([*parts, *([wrapped(OPTIMISM, width)] if len(rows) > 1 else [])])
+        hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
+        parts.append(wrapped(hidden + _verdict_text(of_task), width))
+    notes = [RULE.format(test=TESTS[test]), *([OPTIMISM] if len(rows) > 1 else [])]
+    return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
 
 def _verdict_text(rows: Sequence[Row]) -> str:
@@ -133,13 +124,8 @@ def _verdict_text(rows: Sequence[Row]) -> str:
 
 
 def _cells(row: Row) -> list[str]:
-    def number(value: float) -> str:
-        return "-" if math.isnan(value) else f"{value:.3g}"
-
-    difference = "-"
-    if not math.isnan(row["difference"]):
-        difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
+    difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
     return [
         str(row["rank"]), row["label"], str(row["seeds"]), f"{row['steps']:,}",
-        interval_text(row["score"], row["low"], row["high"]), difference, number(row["p_holm"]), row["verdict"],
+        interval_text(row["score"], row["low"], row["high"]), difference, number_text(row["p_holm"]), row["verdict"],
     ]  # fmt: skip

@@ -1,5 +1,8 @@
 """Comparisons of runs with each other and with the published scores, as rows, tables and a figure."""
 
+import base64
+import html
+import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -9,7 +12,6 @@ from typing import Any, Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import (
     Comparison,
     Sample,
@@ -21,21 +23,48 @@ from earl_jax.metrics.comparison import (
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.report.published import RECONSTRUCTED, published_score, published_steps, share_text
-from earl_jax.report.runs import Curves, MethodRuns, read_methods
+from earl_jax.report.runs import MethodRuns, read_methods
+from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import PICTURES, new_figure, save
-from earl_jax.report.tables import file_table, markdown_table, millions, seeds_text, write
-from earl_jax.report.terminal import shown_table, wrapped
+from earl_jax.report.tables import (
+    file_table,
+    html_table,
+    interval_text,
+    markdown_table,
+    millions,
+    number_text,
+    seeds_text,
+    shown_table,
+    wrapped,
+    write,
+)
 
 Row = dict[str, Any]
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
-TABLES = (".md", ".tex", ".csv")
+TABLES = (".md", ".tex", ".csv", ".html")
 RULE = (
     "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
     "95 %: Student's for a mean, Welch's for a difference. p: the permutation test between runs, Welch's test against the "
     "paper's five seeds; adjusted by Holm over this table. Detectable: the difference that the test would find with a "
     "probability of 80 %."
 )
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
+<title>Comparison of runs</title>
+<style>
+body {{ font: 15px/1.5 sans-serif; margin: 2em; }} img {{ max-width: 100%; }} main {{ overflow-x: auto; }}
+td, th {{ padding: 4px 10px; border-bottom: 1px solid #ccc; text-align: left; }}
+</style>
+<h1>Comparison of runs</h1>
+<main>{picture}
+{table}</main>
+<p>{rule}</p>
+</html>
+"""
 HEADER = (
     "task",
     "first",
@@ -79,21 +108,6 @@ def with_verdicts(rows: list[Row]) -> list[Row]:
         row["p_holm"] = float(adjusted)
         row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
     return rows
-
-
-def recent_scores(curves: Curves, step: int, metric: str | None = None) -> np.ndarray:
-    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer.
-
-    `metric` is by default the deployed one.
-
-    Raises:
-        ValueError: the run has no such metric, or it has no value at some evaluation.
-    """
-    until = curves.steps <= step
-    scores = curves.metrics[metric or curves.deployed_metric][:, until]
-    if metric and not np.isfinite(scores).all():
-        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
-    return crossings.recent_scores(curves.steps[until], scores)
 
 
 def _pair_rows(groups: Sequence[MethodRuns], metric: str | None) -> list[Row]:
@@ -170,22 +184,35 @@ def terminal_text(rows: Sequence[Row], width: int | None) -> str:
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
-    """Write the rows of `compare` to `path`, a table (.md, .tex, .csv) or a figure (.png, .pdf, .svg), and return it.
+    """Write the rows of `compare` to `path`, and return it.
+
+    It is a table (.md, .tex, .csv), a figure (.png, .pdf, .svg), or a page of both that loads nothing else (.html).
 
     Raises:
         ValueError: `path` has another suffix, or matplotlib is not installed.
     """
     if path.suffix not in TABLES + PICTURES:
-        raise InputError(
-            f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}, or as .html by the command"
-        )
+        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
     if path.suffix in PICTURES:
         return save(_draw(rows), path)
-    if path.suffix == ".csv":
+    if path.suffix == ".html":
+        path.write_text(_page(rows))
+    elif path.suffix == ".csv":
         write(list(rows), path)
     else:
         path.write_text(file_table(path, HEADER, cells(rows), RULE))
     return path
+
+
+def _page(rows: Sequence[Row]) -> str:
+    """Return an HTML page of the table, with the figure above it if a difference has an interval."""
+    picture = ""
+    if not all(math.isnan(row["low"]) for row in rows):
+        drawing = io.BytesIO()
+        _draw(rows).savefig(drawing, format="svg")
+        data = base64.b64encode(drawing.getvalue()).decode()
+        picture = f'<img src="data:image/svg+xml;base64,{data}" alt="differences of means with 95 % intervals">'
+    return PAGE.format(picture=picture, table=html_table(HEADER, cells(rows)), rule=html.escape(RULE))
 
 
 def cells(rows: Sequence[Row]) -> list[list[str]]:
@@ -193,20 +220,12 @@ def cells(rows: Sequence[Row]) -> list[list[str]]:
     return [
         [
             row["env"], f"{row['first']}, {seeds_text(row['seeds'])}", f"{row['second']}, {seeds_text(row['other_seeds'])}",
-            millions(row["steps"]), _interval(row["mean"], row["mean_low"], row["mean_high"]), _number(row["other_mean"]),
-            _interval(row["difference"], row["low"], row["high"]), _number(row["p"]), _number(row["p_holm"]),
-            row["verdict"], _number(row["detectable"]),
+            millions(row["steps"]), interval_text(row["mean"], row["mean_low"], row["mean_high"], ".3g"),
+            number_text(row["other_mean"]), interval_text(row["difference"], row["low"], row["high"], ".3g"),
+            number_text(row["p"]), number_text(row["p_holm"]), row["verdict"], number_text(row["detectable"]),
         ]
         for row in rows
     ]  # fmt: skip
-
-
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3g}"
-
-
-def _interval(value: float, low: float, high: float) -> str:
-    return _number(value) if math.isnan(low) else f"{_number(value)} [{_number(low)}, {_number(high)}]"
 
 
 def _draw(rows: Sequence[Row]) -> Any:

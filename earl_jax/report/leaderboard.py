@@ -4,7 +4,6 @@ The file has the published scores and the runs of this repository; `python -m be
 docs/leaderboard.md from the same rows.
 """
 
-import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -13,11 +12,10 @@ from earl_jax.envs import make
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE
-from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.comparison import recent_scores
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, MethodRuns
-from earl_jax.report.tables import interval_text, millions, row_of, step_interval
+from earl_jax.report.scores import level_crossings, recent_scores
+from earl_jax.report.tables import interval_text, millions, step_interval
 from earl_jax.runs.provenance import short_commit
 
 TABLE = "leaderboard"
@@ -94,38 +92,31 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
     """Return the row of a run: scores over the last 100,000 steps, each with Student's 95 % interval over seeds."""
-    curves, step = group.curves, int(group.curves.steps[-1])
-    deployed, wide = (_score(curves, step, metric) for metric in (curves.deployed_metric, WIDE))
-    crossings = row_of(curves, 1, "")
+    curves = group.curves
+    deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
     alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
     return Row(
         env=group.env,
         method=group.label,
         source=source,
         seeds=curves.seeds,
-        steps=step,
+        steps=int(curves.steps[-1]),
         deployed=deployed,
         wide=wide,
         continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
         alive="-" if alive is None else f"{alive:.0%}",
-        crossings=tuple(_crossing(crossings, level) for level in LEVELS),
+        crossings=tuple(map(step_interval, level_crossings(curves).values())),
         commit=short_commit(commit) or "-",
-        score=float(recent_scores(curves, step).mean()),
+        score=float(recent_scores(curves).mean()),
     )
 
 
 def score_text(env: str, value: float, low: float, high: float) -> str:
     """Return a deployed score of the task `env` with its interval, without it if that is nan."""
-    digits = 3 if make(env).sparse else 1
-    return f"{value:.{digits}f}" + ("" if math.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]")
+    return interval_text(value, low, high, ".3f" if make(env).sparse else ".1f")
 
 
-def _score(curves: Curves, step: int, metric: str) -> str:
+def _score(curves: Curves, metric: str) -> str:
     if metric not in curves.metrics:
         return "-"
-    return score_text(curves.config.env, *mean_interval(recent_scores(curves, step, metric)))
-
-
-def _crossing(row: dict[str, Any], level: float) -> str:
-    names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
-    return step_interval(Estimate(*(float("nan") if row[name] is None else row[name] for name in names)))
+    return score_text(curves.config.env, *mean_interval(recent_scores(curves, metric=metric)))

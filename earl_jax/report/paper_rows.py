@@ -12,9 +12,10 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.metrics.comparison import Sample, mean_interval, welch
 from earl_jax.metrics.statistics import stderr
-from earl_jax.report.comparison import comparison_columns, recent_scores, with_verdicts
-from earl_jax.report.published import curve_beside, published_beside, published_score, published_steps, share_text
+from earl_jax.report.comparison import comparison_columns, with_verdicts
+from earl_jax.report.published import published_beside, published_score, published_steps, row_beside, share_text
 from earl_jax.report.runs import MethodRuns, options_text
+from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import method_order, task_order
 
 HEADINGS = {
@@ -67,7 +68,9 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         result = welch(Sample.of(scores), score.sample)
         row |= comparison_columns(scores, score.sample, result, "difference_")
     if number == 1:
-        curve = curve_beside(group.curves) if group else assets.published_row("crossings", env=env, algo=algo)
+        curve = (
+            row_beside("crossings", group.curves) if group else assets.published_row("crossings", env=env, algo=algo)
+        )
         row["published_last10"] = curve.get("last10") or None
     return row
 
@@ -75,7 +78,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
 def _tested_scores(number: int, group: MethodRuns) -> np.ndarray:
     """Return the scores [N] to test: of the last 100,000 steps for table 1, over the lifetime for table 2."""
     curves = group.curves
-    return recent_scores(curves, int(curves.steps[-1])) if number == 1 else curves.metrics["continuing/reward"][:, -1]
+    return recent_scores(curves) if number == 1 else curves.metrics["continuing/reward"][:, -1]
 
 
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.life_columns import SHARES
 from earl_jax.report.runs import Curves, labels, read_all
+from earl_jax.report.scores import trailing
 from earl_jax.report.style import LINE_STYLES, PICTURES, new_figure, save, task_order, text_size
-from earl_jax.report.tables import seeds_text, trailing
+from earl_jax.report.tables import seeds_text, steps_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
@@ -158,14 +159,9 @@ def _draw_panel(axis: Any, lines: Sequence[Drawn], panel: str, smooth: int, env:
     axis.set(title=title, ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
     if metric in SHARES:
         axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
-    axis.xaxis.set_major_formatter(_steps)
+    axis.xaxis.set_major_formatter(lambda step, _: steps_text(step))
     axis.locator_params(axis="x", nbins=6)
     axis.grid(alpha=0.3)
-
-
-def _steps(step: float, _: int) -> str:
-    """Return a number of steps as the text of a tick."""
-    return f"{step / 1e6:g}M" if step >= 1e6 else f"{step / 1e3:g}k" if step >= 1e3 else f"{step:g}"
 
 
 def _draw(axis: Any, line: Drawn, values: np.ndarray) -> None:

@@ -85,35 +85,32 @@ def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
     return PublishedScore(row["mean"], row["stderr"]) if row else None
 
 
-def published_beside(table: str, curves: Curves) -> PublishedScore | None:
-    """Return the score to set beside a run in `table1` or `table2`.
+def row_beside(table: str, curves: Curves) -> dict[str, str]:
+    """Return the published row to set beside a run, in `table1`, `table2` or `crossings`.
 
-    It is None if the paper has none, if the run's reward or setting differ from the paper's, or if the task is our
+    It is empty if the paper has none, if the run's reward or setting differ from the paper's, or if the task is our
     reconstruction.
     """
-    env = curves.config.env
-    if env in RECONSTRUCTED or not curves.comparable:
-        return None
-    return published_score(table, env, curves.config.algo)
+    config = curves.config
+    if config.env in RECONSTRUCTED or not curves.comparable:
+        return {}
+    return assets.published_row(table, env=config.env, algo=config.algo)
+
+
+def published_beside(table: str, curves: Curves) -> PublishedScore | None:
+    """Return the score to set beside a run in `table1` or `table2`, by `row_beside`."""
+    row = row_beside(table, curves)
+    return PublishedScore(row["mean"], row["stderr"]) if row else None
+
+
+def crossings_beside(curves: Curves) -> dict[float, int]:
+    """Return the published crossings to set beside a run, by `row_beside`."""
+    return _crossings(row_beside("crossings", curves))
 
 
 def published_crossings(env: str, algo: str) -> dict[float, int]:
     """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
     return _crossings(assets.published_row("crossings", env=env, algo=algo))
-
-
-def curve_beside(curves: Curves) -> dict[str, str]:
-    """Return what the released mean curve of a run's task and method shows, by column of `crossings`.
-
-    It is empty if none was released, or if the run's reward or setting differ from the paper's.
-    """
-    config = curves.config
-    return assets.published_row("crossings", env=config.env, algo=config.algo) if curves.comparable else {}
-
-
-def crossings_beside(curves: Curves) -> dict[float, int]:
-    """Return the published crossings to set beside a run, from its `curve_beside`."""
-    return _crossings(curve_beside(curves))
 
 
 def _crossings(row: dict[str, str]) -> dict[float, int]:

@@ -148,7 +148,7 @@ def read_all(folders: Sequence[Path]) -> list[Curves]:
         key = pooling_key(curves.config)
         groups.setdefault(key, []).append(curves)
         paths.setdefault(key, path)
-    return [_pooled(paths[key], group) for key, group in groups.items()]
+    return [pooled(paths[key], group) for key, group in groups.items()]
 
 
 def _read_below(folders: Sequence[Path]) -> Iterator[tuple[Path, Curves]]:
@@ -174,7 +174,7 @@ def pooling_key(config: RunConfig) -> str:
     return json.dumps(values, sort_keys=True, default=repr)
 
 
-def _pooled(path: Path, group: list[Curves]) -> Curves:
+def pooled(path: Path, group: list[Curves]) -> Curves:
     """Return the pooled curves of `group`, of which `path` is the first folder."""
     steps = group[0].steps
     for other in group[1:]:

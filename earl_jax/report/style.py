@@ -12,6 +12,8 @@ COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#C
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
 LINE_STYLES = ("-", "--", ":", "-.")
+LEAST_BRIGHTNESS = 160
+"""Least brightness of a colour on a dark page, 0 to 255."""
 PICTURES = (".png", ".pdf", ".svg")
 """The suffixes of files that `save` writes."""
 
@@ -73,6 +75,26 @@ def colours(algos: Iterable[str]) -> dict[str, str]:
     names = method_order(algos)
     others = [name for name in names if name not in COLOURS]
     return {name: COLOURS.get(name) or OTHER_COLOURS[others.index(name) % len(OTHER_COLOURS)] for name in names}
+
+
+def mixed(colour: str, other: str, share: float) -> str:
+    """Return `colour` (#RRGGBB) moved by `share` of the way to `other`."""
+    pairs = [(int(colour[i : i + 2], 16), int(other[i : i + 2], 16)) for i in (1, 3, 5)]
+    return "#" + "".join(f"{round(a + share * (b - a)):02X}" for a, b in pairs)
+
+
+def lightened(colour: str) -> str:
+    """Return `colour`, lightened if necessary so that it can be seen on black."""
+    brightness = sum(int(colour[i : i + 2], 16) for i in (1, 3, 5)) / 3
+    return mixed(colour, "#FFFFFF", max(0.0, LEAST_BRIGHTNESS - brightness) / (255 - brightness))
+
+
+def shaded(colour: str, shade: int, count: int) -> str:
+    """Return number `shade` of `count` shades of a colour, from dark to light; a single shade is the colour."""
+    if count == 1:
+        return colour
+    share = shade / (count - 1)
+    return mixed(colour, "#000000" if share < 0.5 else "#FFFFFF", 0.55 * abs(2 * share - 1))
 
 
 def step_axis(axis: Any, label: str) -> None:

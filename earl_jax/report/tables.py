@@ -1,26 +1,27 @@
-"""The paper's two tables made from run folders, beside the published scores."""
+"""Tables: the rows of run folders, and any rows as markdown, LaTeX, csv or text for a terminal, with their numbers as text."""
 
 import csv
+import html
 import math
 import re
+import shutil
+import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.metrics.crossings import crossing
-from earl_jax.metrics.statistics import Estimate, stderr
-from earl_jax.report.life_columns import life_headings, life_texts, life_values
-from earl_jax.report.published import LEVELS, published_beside
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.life_columns import life_headings, life_texts
+from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, labels, options_text, read_all
+from earl_jax.report.scores import last_mean, row_of
 
-WINDOW = 10
-"""Evaluations in the trailing mean of drawn curves."""
+GAP = "  "
+EMPTY = {"", "-"}
 HEADER = (
     "env",
     "algo",
@@ -35,103 +36,32 @@ HEADER = (
     "to 0.9 [95 %]",
     "steps/reward",
 )
-CONVERGED = 0.25
-"""Share of a run, at its end, over which the converged reward rate is measured."""
 
 
-def tabulate(folders: Sequence[Path], last: int = 1) -> list[dict[str, Any]]:
+def tabulate(folders: Sequence[Path], last: int = 1, metric: str | None = None) -> list[dict[str, Any]]:
     """Return one row per method: deployed and continuing scores over seeds, crossings, and the published scores.
 
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
         last: evaluations averaged at the end of a run; the paper's table 1 uses 1.
+        metric: a column of metrics.csv, of which alone a row then has the mean and its interval.
 
     Raises:
-        ValueError: `last` is below 1, or a folder cannot be read.
+        ValueError: `last` is below 1, a folder cannot be read, or a run has no column `metric`.
     """
     if last < 1:
         raise InputError(f"last must be at least 1, not {last}")
     runs = read_all(folders)
-    return [row_of(curves, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
-
-
-def tabulate_metric(folders: Sequence[Path], metric: str, last: int = 1) -> list[dict[str, Any]]:
-    """Return one row per method with the column `metric` of metrics.csv, averaged over the last evaluations.
-
-    Raises:
-        ValueError: as `tabulate`, or a run has no such column; the message names those that it has.
-    """
-    if last < 1:
-        raise InputError(f"last must be at least 1, not {last}")
-    runs = read_all(folders)
-    return [_metric_row(curves, metric, last, name) for curves, name in zip(runs, labels(runs), strict=True)]
+    named = zip(runs, labels(runs), strict=True)
+    return [_metric_row(curves, metric, last, name) if metric else row_of(curves, last, name) for curves, name in named]
 
 
 def _metric_row(curves: Curves, metric: str, last: int, name: str) -> dict[str, Any]:
-    interval = mean_interval(curves.metrics[metric][:, -last:].mean(axis=1))
+    interval = mean_interval(last_mean(curves.metrics[metric], last))
     return {
         "env": curves.config.env, "algo": name, "options": options_text(curves.options), "seeds": curves.seeds,
         "steps": int(curves.steps[-1]), "metric": metric, "mean": interval.value, "low": interval.low, "high": interval.high,
     }  # fmt: skip
-
-
-def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
-    """Return the row of one method under `name`, as `tabulate` describes it."""
-    scores = curves.metrics[curves.deployed_metric]
-    deployed, continuing = scores[:, -last:].mean(axis=1), curves.metrics["continuing/reward"][:, -1]
-    interval, rates = mean_interval(deployed), curves.deployed_metric == "deployed/success"
-    return {
-        "env": curves.config.env,
-        "algo": name,
-        "options": options_text(curves.options),
-        "seeds": len(deployed),
-        "diverged": curves.diverged,
-        "steps": int(curves.steps[-1]),
-        "deployed": interval.value,
-        "deployed_stderr": float(stderr(deployed)),
-        "deployed_low": interval.low,
-        "deployed_high": interval.high,
-        "seeds_above_half": float((deployed > 0.5).mean()) if rates else None,
-        "published_deployed": _published("table1", curves),
-        "continuing": float(continuing.mean()),
-        "continuing_stderr": float(stderr(continuing)),
-        "published_continuing": _published("table2", curves),
-        **life_values(curves.metrics, last),
-        **_crossings(curves),
-        "steps_per_reward": steps_per_reward(curves) if rates else None,
-    }
-
-
-def _crossings(curves: Curves) -> dict[str, float | None]:
-    """Return `steps_to_LEVEL` of both levels with the ends of its interval; None for what was not reached."""
-    row: dict[str, float | None] = {}
-    for level in LEVELS:
-        names = (f"steps_to_{level}", f"steps_to_{level}_low", f"steps_to_{level}_high")
-        row |= dict.fromkeys(names)
-        if curves.deployed_metric == "deployed/success":
-            estimate = crossing(curves.steps, curves.metrics[curves.deployed_metric], level)
-            row |= {
-                name: None if math.isnan(value) else int(value) for name, value in zip(names, estimate, strict=True)
-            }
-    return row
-
-
-def trailing(curve: np.ndarray, window: int = WINDOW) -> np.ndarray:
-    """Return the mean of the last `window` evaluations, or of all so far if fewer, at each evaluation of `curve [..., E]`."""
-    ends = range(1, curve.shape[-1] + 1)
-    return np.stack([curve[..., max(0, end - window) : end].mean(axis=-1) for end in ends], axis=-1)
-
-
-def steps_per_reward(curves: Curves) -> float | None:
-    """Return steps per +1 of task reward in the last quarter of the run, the median over seeds that earn there."""
-    recent = curves.metrics["continuing/recent"]
-    rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
-    return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
-
-
-def _published(table: str, curves: Curves) -> str | None:
-    score = published_beside(table, curves)
-    return f"{score.mean} ({score.stderr})" if score else None
 
 
 def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
@@ -145,6 +75,15 @@ def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
     rows = [" & ".join(map(_latex_text, line)) + r" \\" for line in (header, *lines)]
     rows = [r"\begin{tabular}{" + "l" * len(header) + "}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
+
+
+def html_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
+    """Return an HTML table, all texts escaped."""
+    rows = [
+        "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in line)
+        for tag, line in (("th", header), *(("td", line) for line in lines))
+    ]
+    return "<table>" + "\n".join(f"<tr>{row}</tr>" for row in rows) + "</table>"
 
 
 def _latex_text(value: Any) -> str:
@@ -176,21 +115,11 @@ def lines_of(rows: list[dict[str, Any]]) -> list[list[Any]]:
     """Return the cells of rows of `tabulate` or of `tabulate_metric`, as text."""
     if "metric" not in rows[0]:
         return _lines(rows)
+    means = [interval_text(row["mean"], row["low"], row["high"], ".4g") for row in rows]
     return [
-        [
-            row["env"],
-            row["algo"],
-            row["seeds"],
-            f"{row['steps']:,}",
-            _interval_of_any(row["mean"], row["low"], row["high"]),
-        ]
-        for row in rows
+        [row["env"], row["algo"], row["seeds"], f"{row['steps']:,}", mean]
+        for row, mean in zip(rows, means, strict=True)
     ]
-
-
-def _interval_of_any(value: float, low: float, high: float) -> str:
-    """Return `value [low, high]` of a number of any size."""
-    return f"{value:.4g}" + ("" if math.isnan(low) else f" [{low:.4g}, {high:.4g}]")
 
 
 def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
@@ -219,9 +148,16 @@ def _reached(row: dict[str, Any], level: float) -> str:
     return step_interval(Estimate(*(math.nan if row[name] is None else row[name] for name in names)))
 
 
-def interval_text(value: float, low: float, high: float) -> str:
-    """Return `value [low, high]` with three digits, without the interval if it is nan."""
-    return f"{value:.3f}" + ("" if math.isnan(low) else f" [{low:.3f}, {high:.3f}]")
+def interval_text(value: float, low: float, high: float, style: str = ".3f") -> str:
+    """Return `value [low, high]` in a format, without the interval if it is nan; `-` without a value."""
+    if math.isnan(low):
+        return "-" if math.isnan(value) else format(value, style)
+    return f"{value:{style}} [{low:{style}}, {high:{style}}]"
+
+
+def number_text(value: float) -> str:
+    """Return a number with three digits, `-` for nan."""
+    return "-" if math.isnan(value) else f"{value:.3g}"
 
 
 def seeds_text(count: int) -> str:
@@ -232,6 +168,13 @@ def seeds_text(count: int) -> str:
 def millions(step: float | None) -> str:
     """Return a number of steps in millions, such as `2.50M`, and `-` for None and nan."""
     return "-" if step is None or math.isnan(step) else f"{step / 1e6:.2f}M"
+
+
+def steps_text(steps: float | None) -> str:
+    """Return a number of steps in short, such as 500, 20k or 2.5M; `–` for None and nan."""
+    if steps is None or math.isnan(steps):
+        return "–"
+    return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k" if steps >= 1e3 else f"{steps:g}"
 
 
 def step_interval(estimate: Estimate) -> str:
@@ -256,3 +199,40 @@ def write(rows: list[dict[str, Any]], path: Path) -> None:
             writer.writerows(rows)
     else:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
+
+
+def terminal_width() -> int | None:
+    """Return the number of columns of the terminal that stdout is, or None if it is none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def shown_table(header: Sequence[str], lines: Sequence[Sequence[Any]], width: int | None) -> str:
+    """Return a table for a terminal of `width` columns, or a markdown table without a width.
+
+    Where the columns are too wide together, each row is a block with a line for each of its cells.
+    """
+    if width is None:
+        return markdown_table(header, lines)
+    rows = [[str(cell) for cell in line] for line in lines]
+    kept = [i for i in range(len(header)) if i == 0 or any(row[i] not in EMPTY for row in rows)]
+    names, rows = [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
+    sizes = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    if sum(sizes) + len(GAP) * (len(sizes) - 1) > width:
+        return "\n\n".join(_block(names, row, width) for row in rows)
+    return "\n".join(GAP.join(map(str.ljust, line, sizes)).rstrip() for line in (names, *rows))
+
+
+def wrapped(text: str, width: int | None) -> str:
+    """Return the paragraphs of `text` in lines of at most `width` columns, or as they are without a width."""
+    return text if width is None else "\n".join(textwrap.fill(line, width) for line in text.splitlines())
+
+
+def _block(names: Sequence[str], row: Sequence[str], width: int) -> str:
+    """Return a row as lines of name and cell, without empty cells."""
+    indent = min(max(map(len, names)) + len(GAP), width // 2)
+    lines = []
+    for name, cell in zip(names, row, strict=True):
+        if cell not in EMPTY:
+            start = f"{name[: indent - 1]:<{indent}}"
+            lines += textwrap.wrap(cell, width, initial_indent=start, subsequent_indent=" " * indent)
+    return "\n".join(lines)

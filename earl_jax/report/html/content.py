@@ -6,19 +6,20 @@ from typing import Any
 
 from earl_jax.report.html.curves import POINTS, panels
 from earl_jax.report.html.leaderboard import leaderboard
+from earl_jax.report.html.lines import Line
 from earl_jax.report.html.media import VideoEmbedder, maps
-from earl_jax.report.html.origin import changed_options, date_range, origins, run_card, values_of
+from earl_jax.report.html.origin import changed_options, date_range, date_text, origins, run_card, values_of
+from earl_jax.report.html.page_tables import paper_table, seed_table, speeds
 from earl_jax.report.html.policy_videos import PolicyVideos
-from earl_jax.report.html.runs import Line, Run
-from earl_jax.report.html.tables import STRIP_WIDTH, paper_table, seed_table, speeds, strips
-from earl_jax.report.html.text import date_text, steps_text
 from earl_jax.report.published import INTERVAL_RULE
+from earl_jax.report.scores import WINDOW
 from earl_jax.report.style import task_order, task_title
-from earl_jax.report.tables import WINDOW
+from earl_jax.report.tables import steps_text
+from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 
 CROWD = 6
-"""Above this number of lines, a task's bands are hidden at first, and notes count lines instead of naming them."""
+"""Above this number of lines, a task's bands are hidden at first."""
 
 
 def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) -> dict[str, Any]:
@@ -40,7 +41,6 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "cards": [run_card(line, run) for line in lines for run in line.runs],
         "origins": origins(runs),
         "window": WINDOW,
-        "strip_width": STRIP_WIDTH,
     }
 
 
@@ -56,7 +56,7 @@ def plot_numbers(content: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _facts(lines: Sequence[Line], runs: Sequence[Run]) -> list[tuple[str, str]]:
+def _facts(lines: Sequence[Line], runs: Sequence[RunFolder]) -> list[tuple[str, str]]:
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
     versions = {"earl-jax": "earl-jax", "jax": "jax", "Python": "python"}
@@ -102,7 +102,6 @@ def _task_section(key: str, title: str, lines: Sequence[Line], embedder: VideoEm
         "crossed": any(curve["published"]["crossings"] for curve in curves if curve["published"]),
         "crowded": len(lines) > CROWD,
         "thinned": (POINTS, longest) if longest > POINTS else None,
-        "strips": strips(lines),
         "seeds": seed_table(lines),
         "maps": visit_maps,
         "map_notes": map_notes,
@@ -114,15 +113,10 @@ def _task_section(key: str, title: str, lines: Sequence[Line], embedder: VideoEm
 def _notes(lines: Sequence[Line]) -> list[str]:
     """Return notes on one task's runs: unfinished ones, and seeds that count twice."""
     notes: list[str] = []
-    unfinished: dict[str, list[str]] = {}
     for line in lines:
         trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.runs)
         if trained < planned:
-            unfinished.setdefault(f"{trained:,} of {planned:,} steps trained", []).append(line.group.label)
-    for progress, names in unfinished.items():
-        subject = ", ".join(names) if len(names) < CROWD else f"{len(names)} lines"
-        notes.append(f"{'Each line' if len(names) == len(lines) > 1 else subject}: {progress}.")
-    for line in lines:
+            notes.append(f"{line.group.label}: {trained:,} of {planned:,} steps trained.")
         repeated = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)
         if repeated:
             notes.append(f"{line.group.label}: seed {repeated} was trained in several runs, and each of them counts.")

@@ -8,10 +8,10 @@ import numpy as np
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
-from earl_jax.report.html.runs import Line
+from earl_jax.report.html.lines import Line
 from earl_jax.report.life_columns import SHARES
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
-from earl_jax.report.tables import WINDOW, trailing
+from earl_jax.report.scores import WINDOW, trailing
 
 POINTS = 250
 """Most evaluations drawn of a line; more would only make the page larger."""
@@ -108,15 +108,14 @@ def _plain(values: np.ndarray | None) -> Any:
 
 def _published(line: Line, metric: str) -> dict[str, Any] | None:
     """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
-    group = line.group
     tables = {line.curves.deployed_metric: "table1", "continuing/reward": "table2"}
     if metric not in tables:
         return None
-    steps_by_level = crossings_beside(line.curves) if metric == "deployed/success" else {}
-    crossings = [[step, level] for level, step in steps_by_level.items()]
+    published = crossings_beside(line.curves) if metric == "deployed/success" else {}
+    crossings = [[step, level] for level, step in published.items()]
     score = published_beside(tables[metric], line.curves)
     if score is None or score.interval is None:
         return {"final": None, "crossings": crossings} if crossings else None
-    steps = published_steps(group.env)
+    steps = published_steps(line.group.env)
     text = score.text + (f" after {steps[0]:,} steps" if steps else "")
     return {"final": [score.value, *score.interval, text], "crossings": crossings}

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from earl_jax.report.html.runs import Line
+from earl_jax.report.html.lines import Line
+from earl_jax.report.html.origin import UNKNOWN, provenance
 from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.runs import label
 from earl_jax.report.style import task_order, task_title
@@ -11,9 +12,6 @@ from earl_jax.report.style import task_order, task_title
 HERE = "this page"
 """Where a row of the page's own runs comes from."""
 SEVERAL = "several"
-DEPLOYED = 4
-ORDER = (DEPLOYED, *(number for number in range(1, len(HEADER)) if number != DEPLOYED))
-"""The columns after the method: the deployed score stands first, where a phone shows it."""
 
 
 def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
@@ -32,19 +30,21 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
         {
             "title": task_title(env),
             "env": env,
-            "rows": [{"line": own.get(row), "name": _name(row), "texts": _ordered(row.texts)} for row in rows[env]],
+            "rows": [{"line": own.get(row), "name": _name(row), "texts": row.texts[1:]} for row in rows[env]],
         }
         for env in task_order(line.group.env for line in lines)
         if env in known
     ]
     left_out = [line for line in lines if line not in fitting and line.group.env in known]
-    return {"head": _ordered(HEADER), "groups": groups, "left_out": left_out}
+    return {"head": HEADER[1:], "groups": groups, "left_out": left_out}
 
 
 def _row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
     group = line.group
-    return run_row(group._replace(label=label(group.algo, line.curves.options, [{}])), _commit(line), HERE)
+    commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
+    named = group._replace(label=label(group.algo, line.curves.options, [{}]))
+    return run_row(named, commits.pop() if len(commits) == 1 else SEVERAL, HERE)
 
 
 def _name(row: Row) -> tuple[str, str]:
@@ -56,13 +56,3 @@ def _name(row: Row) -> tuple[str, str]:
 def _identity(row: Row) -> tuple[object, ...]:
     """Return what tells the runs of two rows apart: a name can have more or fewer of the options."""
     return (row.env, _name(row)[0], *row[Row._fields.index("seeds") : Row._fields.index("score")])
-
-
-def _ordered(texts: Sequence[str]) -> list[str]:
-    return [texts[number] for number in ORDER]
-
-
-def _commit(line: Line) -> str:
-    """Return the commit of the runs of `line`; an empty text where it is not recorded."""
-    commits = {str((run.config_json.get("provenance") or {}).get("commit") or "") for run in line.runs}
-    return commits.pop() if len(commits) == 1 else SEVERAL

@@ -1,6 +1,5 @@
 """Where the numbers of a page come from: options, commands that repeat a run, versions and machines."""
 
-import dataclasses
 import datetime
 import json
 import shlex
@@ -8,20 +7,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import make
+import numpy as np
+
 from earl_jax.protocol import Deployment
-from earl_jax.report.html.runs import Line, Run
-from earl_jax.report.html.text import date_text, option_text, steps_text
+from earl_jax.report.html.lines import Line, recorded
+from earl_jax.report.tables import steps_text
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.folder import RunFolder
 
 MACHINE = ("python", "backend", "device", "commit")
 """Names in the provenance besides versions of packages."""
 UNKNOWN = "unknown"
 
 
-def run_card(line: Line, run: Run) -> dict[str, Any]:
+def run_card(line: Line, run: RunFolder) -> dict[str, Any]:
     """Return the card of one run: its length, its options, the command that repeats it, its whole config."""
-    config = run.config
+    config, whole = run.config, recorded(run)
     return {
         "line": line,
         "path": str(run.path),
@@ -29,10 +30,9 @@ def run_card(line: Line, run: Run) -> dict[str, Any]:
         "seeds": len(config.seeds),
         "steps": steps_text(config.steps),
         "changed": changed_options(line),
-        "settings": settings(config),
         "command": command(config),
-        "config": json.dumps(run.config_json, indent=2, ensure_ascii=False),
-        "engine": str(run.config_json.get("engine", UNKNOWN)),
+        "config": json.dumps(whole, indent=2, ensure_ascii=False),
+        "engine": str(whole.get("engine", UNKNOWN)),
         "device": provenance(run)["device"],
     }
 
@@ -40,24 +40,6 @@ def run_card(line: Line, run: Run) -> dict[str, Any]:
 def changed_options(line: Line) -> list[tuple[str, str]]:
     """Return the options of a line that differ from the defaults, by name."""
     return [(name, option_text(value)) for name, value in sorted(line.curves.options.items())]
-
-
-def settings(config: RunConfig) -> list[dict[str, Any]]:
-    """Return every setting of a run, changed ones first: `of` which part, `name`, `value`, whether `changed`."""
-    method = config.build_method()
-    parts = {
-        "task": (make(config.env, **config.env_options), config.env_options),
-        "setting": (config.build_setting(), config.setting),
-        "method": (method, config.options),
-        "learner": (method.sac, config.options),
-    }
-    rows = []
-    for kind, (part, changed) in parts.items():
-        for field in dataclasses.fields(part):
-            if field.name != "sac":
-                value = option_text(getattr(part, field.name))
-                rows.append({"of": kind, "name": field.name, "value": value, "changed": field.name in changed})
-    return sorted(rows, key=lambda row: not row["changed"])
 
 
 def command(config: RunConfig) -> str:
@@ -78,19 +60,18 @@ def command(config: RunConfig) -> str:
     return shlex.join([*words, "--out", f"runs/{config.env}/{config.algo}"])
 
 
-def provenance(run: Run) -> dict[str, str]:
+def provenance(run: RunFolder) -> dict[str, str]:
     """Return the machine and the version of each package from a run's config, as texts; `unknown` for what it lacks."""
-    recorded = run.config_json.get("provenance")
-    recorded = recorded if isinstance(recorded, dict) else {}
-    versions = recorded.get("versions")
-    versions = versions if isinstance(versions, dict) else {}
-    values = {name: recorded.get(name) for name in MACHINE} | versions
+    known = recorded(run).get("provenance")
+    known = known if isinstance(known, dict) else {}
+    versions = known.get("versions")
+    values = {name: known.get(name) for name in MACHINE} | (versions if isinstance(versions, dict) else {})
     return {str(name): UNKNOWN if value is None else str(value) for name, value in values.items()}
 
 
-def origins(runs: Sequence[Run]) -> dict[str, Any]:
+def origins(runs: Sequence[RunFolder]) -> dict[str, Any]:
     """Return the distinct origins of `runs`: a column per origin, a row per name, and the names that differ."""
-    groups: dict[tuple[tuple[str, str], ...], list[Run]] = {}
+    groups: dict[tuple[tuple[str, str], ...], list[RunFolder]] = {}
     for run in runs:
         groups.setdefault(tuple(sorted(provenance(run).items())), []).append(run)
     columns = [(dict(key), members) for key, members in groups.items()]
@@ -103,24 +84,24 @@ def origins(runs: Sequence[Run]) -> dict[str, Any]:
     return {"heads": heads, "rows": rows, "differing": [row["name"] for row in rows if row["differs"]]}
 
 
-def values_of(runs: Sequence[Run], name: str, text: Callable[[str], str] = str) -> str:
+def values_of(runs: Sequence[RunFolder], name: str, text: Callable[[str], str] = str) -> str:
     """Return the distinct values of `name` in the provenance of `runs`, each as its `text`, in one line."""
     return ", ".join(dict.fromkeys(text(provenance(run).get(name, UNKNOWN)) for run in runs))
 
 
-def date_range(runs: Sequence[Run]) -> str:
+def date_range(runs: Sequence[RunFolder]) -> str:
     """Return the days, in UTC, of the first start of `runs` and of their last evaluation."""
-    moments = [moment for run in runs for moment in (_created(run), _modified(run.path / "metrics.csv"))]
+    moments = [moment for run in runs for moment in (_created(run), _modified(run.metrics))]
     first, last = date_text(min(moments)), date_text(max(moments))
     return first if first == last else f"{first} to {last}"
 
 
-def _created(run: Run) -> datetime.datetime:
+def _created(run: RunFolder) -> datetime.datetime:
     """Return when the run was created: by its config, or else by the time of that file."""
     try:
-        return datetime.datetime.fromisoformat(run.config_json["provenance"]["created"]).astimezone(datetime.UTC)
+        return datetime.datetime.fromisoformat(recorded(run)["provenance"]["created"]).astimezone(datetime.UTC)
     except (KeyError, TypeError, ValueError):
-        return _modified(run.path / "config.json")
+        return _modified(run.config_file)
 
 
 def _modified(path: Path) -> datetime.datetime:
@@ -130,3 +111,15 @@ def _modified(path: Path) -> datetime.datetime:
 def report_command(folders: Sequence[Path], out: Path, videos: bool) -> str:
     """Return the command that makes the page again."""
     return shlex.join(["earl-jax", "report", *map(str, folders), "--out", str(out), *["--videos"] * videos])
+
+
+def option_text(value: Any) -> str:
+    """Return the value of an option as JSON, a string without its quotes."""
+    if isinstance(value, str):
+        return value
+    return json.dumps(np.asarray(value).tolist() if hasattr(value, "shape") else value, default=str)
+
+
+def date_text(moment: datetime.datetime) -> str:
+    """Return a date such as 3 May 2026."""
+    return f"{moment.day} {moment:%B %Y}"

@@ -4,7 +4,6 @@ import base64
 import gzip
 import hashlib
 import json
-import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +11,9 @@ from typing import Any
 
 from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
+from earl_jax.report.html.lines import gather
 from earl_jax.report.html.origin import report_command
 from earl_jax.report.html.policy_videos import PolicyVideos
-from earl_jax.report.html.runs import gather
 from earl_jax.report.runs import find_runs
 from earl_jax.runs.files import RunWarning, write_atomically
 
@@ -47,17 +46,12 @@ def write_page(
         left_out=left_out,
         reload_seconds=reload_seconds,
         report_command=report_command(folders, out, policies is not None),
-        style=raw(style),
-        script=raw(script),
+        style=style,
+        script=script,
         plotly=packed(plotly),
         numbers=packed(json.dumps(plot_numbers(content), allow_nan=False)),
         hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
     )
-    return write_ascii(page, out)
-
-
-def write_ascii(page: str, out: Path) -> Path:
-    """Write a page to `out` in ASCII, which reads the same in every encoding, and return the path."""
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(out, page.encode("ascii", "xmlcharrefreplace").decode())
     return out
@@ -71,49 +65,17 @@ def require_writable(out: Path) -> tuple[Any, str]:
     """
     if out.suffix != ".html" or out.is_dir():
         raise InputError(f"{out}: a report is written as an .html file")
-    return template_environment(), _plotly()
-
-
-def template_environment() -> Any:
-    """Return jinja2's environment of the templates, which escapes every text.
-
-    Raises:
-        ValueError: jinja2 is not installed.
-    """
     try:
         import jinja2
+        from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise InputError("reports need jinja2: pip install 'earl-jax[report]'") from error
+        raise InputError("reports need jinja2 and plotly: pip install 'earl-jax[report]'") from error
     loader = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["backticks"] = _backticks
     environment.filters["plural"] = lambda count, word: f"{count:,} {word}{'s' * (count != 1)}"
-    return environment
-
-
-def _backticks(text: str) -> Any:
-    """Return `text` as HTML, with the parts between backticks as code."""
-    from markupsafe import Markup, escape
-
-    return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text))))
-
-
-def _plotly() -> str:
-    """Return plotly.js from its Python package."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise InputError("reports need plotly: pip install 'earl-jax[report]'") from error
-    return get_plotlyjs()
-
-
-def raw(text: str) -> Any:
-    """Return `text` as HTML that a template does not escape."""
-    from markupsafe import Markup
-
-    return Markup(text)
+    return environment, get_plotlyjs()
 
 
 def packed(text: str) -> str:

@@ -5,7 +5,7 @@ import shutil
 
 from benchmarks import leaderboard as committed
 from earl_jax.report.html.leaderboard import HERE, leaderboard
-from earl_jax.report.html.runs import gather
+from earl_jax.report.html.lines import gather
 from earl_jax.report.leaderboard import shipped_rows
 from tests.report.run_files import DOOR, TABLETOP, constant, write_page_run
 
@@ -29,7 +29,7 @@ def test_a_run_stands_in_its_place_among_the_rows_that_ship(tmp_path):
     assert group["rows"][place]["name"] == ("fbrl", "layer_norm=True")
     assert cells["deployed [95 %]"].startswith("0.600 [")
     assert (cells["from"], cells["seeds"], cells["commit"]) == (HERE, "2", "012345678")
-    scores = [float(row["texts"][0].split()[0]) for row in group["rows"]]
+    scores = [float(row["texts"][3].split()[0]) for row in group["rows"]]
     assert scores == sorted(scores, reverse=True)
 
 
@@ -47,5 +47,5 @@ def test_a_run_of_another_task_or_with_other_options_is_not_ranked(tmp_path):
 def test_a_run_of_the_repository_is_shown_once(tmp_path):
     folder = next(path for path in committed.folders() if path.parts[-2:] == (DOOR, "r3l"))
     [group] = table(shutil.copytree(folder, tmp_path / "copy"))["groups"]
-    rows = [(row["texts"][1], bool(row["line"])) for row in group["rows"] if row["name"][0] == "r3l"]
+    rows = [(row["texts"][0], bool(row["line"])) for row in group["rows"] if row["name"][0] == "r3l"]
     assert sorted(rows) == [("EARL, 2022", False), (HERE, True)]

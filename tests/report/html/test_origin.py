@@ -1,4 +1,4 @@
-"""Commands, settings and versions of the runs of a page."""
+"""Commands and versions of the runs of a page."""
 
 import dataclasses
 import json
@@ -9,8 +9,8 @@ import pytest
 from earl_jax.cli.main import main
 from earl_jax.protocol import Continuing, Deployment
 from earl_jax.report.html.content import _facts
-from earl_jax.report.html.origin import command, settings
-from earl_jax.report.html.runs import gather
+from earl_jax.report.html.lines import gather
+from earl_jax.report.html.origin import command
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api
@@ -65,11 +65,3 @@ def test_a_page_shows_which_commits_had_changes(tmp_path):
         file.write_text(json.dumps({**values, "provenance": {"commit": commit}}))
     runs = [run for name in ("clean", "changed", "unrecorded") for run in gather([tmp_path / name])[0][0].runs]
     assert dict(_facts([], runs))["Commit"] == "aaaaaaaaa, aaaaaaaaa-dirty, unknown"
-
-
-def test_changed_settings_come_first(tmp_path):
-    rows = settings(write_config(tmp_path / "run"))
-    changed = [row["name"] for row in rows if row["changed"]]
-    assert set(changed) == {"wide", *OPTIONS}
-    assert [row["name"] for row in rows[: len(changed)]] == changed
-    assert len(rows) > 2 * len(changed)

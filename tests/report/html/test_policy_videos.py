@@ -7,9 +7,9 @@ from earl_jax import rendering
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.report.html import policy_videos
+from earl_jax.report.html.lines import gather
 from earl_jax.report.html.media import VideoEmbedder
 from earl_jax.report.html.policy_videos import PolicyVideos, median_lane
-from earl_jax.report.html.runs import gather
 from tests.report.html.test_media import VIDEO
 from tests.report.run_files import TABLETOP, rising, write_page_run
 

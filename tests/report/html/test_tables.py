@@ -3,8 +3,8 @@
 import pytest
 
 from earl_jax.report.html.curves import panels
-from earl_jax.report.html.runs import gather
-from earl_jax.report.html.tables import paper_table, seed_table, speeds, strips
+from earl_jax.report.html.lines import gather
+from earl_jax.report.html.page_tables import paper_table, seed_table, speeds
 from earl_jax.report.runs import find_runs
 from tests.report.run_files import constant, write_page_run
 
@@ -40,12 +40,6 @@ def test_speeds_have_our_crossings_beside_the_published(lines, tmp_path):
     write_page_run(tmp_path / "fbrl", "fbrl", constant(0.6, 0.8), steps=[200_000, 400_000])
     [row] = speeds(gather(find_runs([tmp_path]))[0])[0]["rows"]
     assert row["levels"] == [("200k", "860k"), ("–", "2.07M")]
-
-
-def test_the_strip_of_seeds_has_a_dot_for_each_by_value(fbrl):
-    [strip] = strips(fbrl)["rows"]
-    assert [dot["text"] for dot in strip["dots"]] == ["seed 2: 0.800", "seed 1: 0.900", "seed 0: 1.000"]
-    assert strip["dots"][0]["x"] < strip["dots"][-1]["x"]
 
 
 def test_the_seed_table_has_the_final_values_of_every_seed(fbrl):

@@ -14,10 +14,9 @@ def pages(monkeypatch):
     pytest.importorskip("jinja2", reason="reports need the extra 'report'")
     pytest.importorskip("plotly", reason="reports need the extra 'report'")
     written = []
-    real = writing.gather
 
     def write_page(folders, out, reload_seconds=None, policies=None):
-        lines, _ = real(writing.find_runs(folders))
+        lines, _ = writing.gather(writing.find_runs(folders))
         if not lines:
             raise watching.InputError("none of the runs can be shown:\n  young: no evaluation yet")
         written.append((len(lines), reload_seconds))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from earl_jax.cli.report import report
+from earl_jax.report.html.lines import gather
 from earl_jax.report.html.origin import origins
-from earl_jax.report.html.runs import gather
 from earl_jax.report.html.writing import write_page
 from earl_jax.report.runs import find_runs
 from tests.conftest import tiny_train
@@ -30,8 +30,8 @@ def page(written):
 def test_a_page_has_all_its_parts(page):
     assert {"table", "figure", "svg", "button", "details", "img"} <= set(page.tags)
     parts = (
-        "Table 1", "Table 2", "Speed of learning", "Leaderboard", "Final score of each seed",
-        "Final values of every seed", "Videos", "Visited positions", "Runs", "Versions", "Left out", "All settings",
+        "Table 1", "Table 2", "Speed of learning", "Leaderboard",
+        "Final values of every seed", "Videos", "Visited positions", "Runs", "Versions", "Left out",
         "config.json", "Tabletop organization", "Sawyer door", "Requested help",
     )  # fmt: skip
     for part in parts:

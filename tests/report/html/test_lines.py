@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from earl_jax.report.html.line_style import lightened, shaded
-from earl_jax.report.html.runs import gather
+from earl_jax.report.html.lines import gather
 from earl_jax.report.html.writing import write_page
 from earl_jax.report.runs import find_runs
 from tests.report.run_files import TABLETOP, rising, write_page_run
@@ -38,28 +37,14 @@ def test_a_run_with_other_metrics_is_left_out_of_its_pool(tmp_path):
     assert "reached" in left_out[0].cause
 
 
-def test_a_line_names_the_options_of_its_variant(tmp_path):
-    write_page_run(tmp_path / "a", "fbrl", rising(1, 1))
-    write_page_run(tmp_path / "b", "fbrl", rising(1, 1), reward_scale=3.0)
+def test_variants_of_a_method_have_names_shades_and_dashes_of_their_own(tmp_path):
+    for scale in (3.0, 20.0):
+        write_page_run(tmp_path / str(scale), "fbrl", rising(1, 1), reward_scale=scale)
     lines, _ = gather(find_runs([tmp_path]))
-    assert sorted(line.variant for line in lines) == ["", "reward_scale=3.0"]
+    assert sorted(line.variant for line in lines) == ["reward_scale=20.0", "reward_scale=3.0"]
     assert {(line.group.env, line.group.algo) for line in lines} == {(TABLETOP, "fbrl")}
-
-
-def test_variants_of_a_method_differ_in_shade_and_dash(tmp_path):
-    for number, (scale, layer_norm) in enumerate([(3.0, True), (20.0, False), (3.0, False), (20.0, True)]):
-        options = {"reward_scale": scale, "layer_norm": layer_norm}
-        write_page_run(tmp_path / str(number), "fbrl", rising(1, 1), **options)
-    lines, _ = gather(find_runs([tmp_path]))
-    assert [line.curves.options["reward_scale"] for line in lines] == [3, 20, 3, 20]
-    assert [line.dash for line in lines] == ["solid", "solid", "dash", "dash"]
-    assert lines[0].light == lines[2].light != lines[1].light == lines[3].light
-
-
-def test_shades_go_from_dark_to_light():
-    assert shaded("#808080", 0, 1) == "#808080"
-    assert shaded("#808080", 0, 2) < "#808080" < shaded("#808080", 1, 2)
-    assert lightened("#333333") == "#A0A0A0"
+    assert [line.dash for line in lines] == ["solid", "dash"]
+    assert lines[0].light != lines[1].light
 
 
 @pytest.mark.parametrize(

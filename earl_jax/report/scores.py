@@ -1,0 +1,100 @@
+"""The scores of runs: means over windows of evaluations, crossings, and the row of a method that tables show."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from earl_jax.errors import InputError
+from earl_jax.metrics import crossings
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.report.life_columns import life_values
+from earl_jax.report.published import LEVELS, published_beside
+from earl_jax.report.runs import Curves, options_text
+
+WINDOW = 10
+"""Evaluations in the trailing mean of drawn curves, and in the final score of a seed."""
+CONVERGED = 0.25
+"""Share of a run, at its end, over which the converged reward rate is measured."""
+
+
+def recent_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
+    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer.
+
+    `step` is by default the last one, `metric` the deployed one.
+
+    Raises:
+        ValueError: the run has no such metric, or it has no value at some evaluation.
+    """
+    until = curves.steps <= (curves.steps[-1] if step is None else step)
+    scores = curves.metrics[metric or curves.deployed_metric][:, until]
+    if metric and not np.isfinite(scores).all():
+        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
+    return crossings.recent_scores(curves.steps[until], scores)
+
+
+def last_mean(scores: np.ndarray, count: int = WINDOW) -> np.ndarray:
+    """Return the mean [...] of the last `count` evaluations of `scores [..., E]`."""
+    return scores[..., -count:].mean(axis=-1)
+
+
+def trailing(curve: np.ndarray, window: int = WINDOW) -> np.ndarray:
+    """Return the mean of the last `window` evaluations, or of all so far if fewer, at each evaluation of `curve [..., E]`."""
+    ends = range(1, curve.shape[-1] + 1)
+    return np.stack([curve[..., max(0, end - window) : end].mean(axis=-1) for end in ends], axis=-1)
+
+
+def level_crossings(curves: Curves) -> dict[float, Estimate]:
+    """Return the first step at which the mean success reached each of `LEVELS`; nan for what was not reached."""
+    if curves.deployed_metric != "deployed/success":
+        return dict.fromkeys(LEVELS, Estimate(math.nan, math.nan, math.nan))
+    return {level: crossings.crossing(curves.steps, curves.metrics[curves.deployed_metric], level) for level in LEVELS}
+
+
+def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
+    """Return the row of one method under `name`, as `tabulate` describes it."""
+    scores = curves.metrics[curves.deployed_metric]
+    deployed, continuing = last_mean(scores, last), curves.metrics["continuing/reward"][:, -1]
+    interval, rates = mean_interval(deployed), curves.deployed_metric == "deployed/success"
+    return {
+        "env": curves.config.env,
+        "algo": name,
+        "options": options_text(curves.options),
+        "seeds": len(deployed),
+        "diverged": curves.diverged,
+        "steps": int(curves.steps[-1]),
+        "deployed": interval.value,
+        "deployed_stderr": float(stderr(deployed)),
+        "deployed_low": interval.low,
+        "deployed_high": interval.high,
+        "seeds_above_half": float((deployed > 0.5).mean()) if rates else None,
+        "published_deployed": _published("table1", curves),
+        "continuing": float(continuing.mean()),
+        "continuing_stderr": float(stderr(continuing)),
+        "published_continuing": _published("table2", curves),
+        **life_values(curves.metrics, last),
+        **_crossing_columns(curves),
+        "steps_per_reward": steps_per_reward(curves) if rates else None,
+    }
+
+
+def _crossing_columns(curves: Curves) -> dict[str, int | None]:
+    """Return `steps_to_LEVEL` of both levels with the ends of its interval; None for what was not reached."""
+    return {
+        f"steps_to_{level}{end}": None if math.isnan(value) else int(value)
+        for level, estimate in level_crossings(curves).items()
+        for end, value in zip(("", "_low", "_high"), estimate, strict=True)
+    }
+
+
+def steps_per_reward(curves: Curves) -> float | None:
+    """Return steps per +1 of task reward in the last quarter of the run, the median over seeds that earn there."""
+    recent = curves.metrics["continuing/recent"]
+    rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
+    return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
+
+
+def _published(table: str, curves: Curves) -> str | None:
+    score = published_beside(table, curves)
+    return f"{score.mean} ({score.stderr})" if score else None
