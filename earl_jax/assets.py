@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.arrays import npz
-from earl_jax.arrays.content import read_bytes
+from earl_jax.arrays import load_npz, read_bytes
 from earl_jax.errors import InputError
 
 DIRECTIONS = ("forward", "backward")
@@ -96,7 +95,7 @@ def demo_directions(name: str) -> tuple[str, ...]:
 def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return those arrays of an npz file that have one of `names`; the file can be a user's own."""
     try:
-        return npz.load(read_bytes(path), names)
+        return load_npz(read_bytes(path), names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

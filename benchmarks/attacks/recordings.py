@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.attacks.case import Case, Failure, refused, require
 from benchmarks.attacks.place import Place
-from tests.demos.attack_files import ATTACKS
+from tests.demos.test_importer import HOSTILE as ATTACKS
 
 SECONDS, MEMORY_MB = 30.0, 1500.0
 NAMES = ("observations", "actions", "rewards", "next_observations", "terminals")

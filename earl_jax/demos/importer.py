@@ -1,15 +1,20 @@
 """Import of recorded demonstrations of the original benchmark: untrusted pickles of numpy arrays, or npz files."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from earl_jax.arrays import npz
-from earl_jax.arrays.content import MAX_BYTES, read_bytes
+from earl_jax.arrays import MAX_BYTES, load_npz, read_bytes, shortened
 from earl_jax.assets import DIRECTIONS, Demos
-from earl_jax.demos import pickled
 from earl_jax.errors import InputError
+
+UNPICKLE = Path(__file__).with_name("unpickle.py")
+LONGEST = 180
+"""Seconds after which the reading of a pickle is stopped, where the system has no limit of its own."""
 
 
 class Recording(NamedTuple):
@@ -54,12 +59,26 @@ def read(path: Path) -> Recording:
     """
     try:
         data = read_bytes(path)
-        is_zip = data.startswith(npz.SIGNATURE)
-        return _checked(npz.load(data, Recording._fields) if is_zip else pickled.load(data))
+        is_zip = data.startswith(b"PK\3\4")
+        return _checked(load_npz(data if is_zip else _unpickled(data), Recording._fields))
     except MemoryError as error:
         raise InputError(f"{path}: reading it takes more memory than there is") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _unpickled(data: bytes) -> bytes:
+    """Return the npz of the arrays in a pickle, made by the program `unpickle` in a process with limits."""
+    command = [sys.executable, "-P", "-W", "ignore", str(UNPICKLE), *Recording._fields]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # each thread of NumPy would take memory below the limit
+    try:
+        done = subprocess.run(command, input=data, capture_output=True, timeout=LONGEST, env=environment)
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"not a pickle of numpy arrays: reading it takes more than {LONGEST} s") from error
+    if done.returncode:
+        cause = shortened(done.stderr.decode(errors="replace").strip()) if done.returncode == 1 else ""
+        raise InputError(f"not a pickle of numpy arrays: {cause or 'it crashes the reader, or takes too long'}")
+    return done.stdout
 
 
 def _checked(arrays: dict[str, np.ndarray]) -> Recording:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from earl_jax.arrays import content
+from earl_jax import arrays
 from earl_jax.errors import InputError
 
 T = TypeVar("T")
@@ -179,7 +179,7 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
         ValueError: it is not a regular file, or has more than `limit` bytes.
     """
     try:
-        return read_again(lambda: content.read_bytes(path, limit))
+        return read_again(lambda: arrays.read_bytes(path, limit))
     except InputError as error:
         raise InputError(f"{path} is {error}") from error
 

@@ -13,8 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from earl_jax.arrays import npz
-from earl_jax.arrays.content import read_bytes
+from earl_jax.arrays import load_npz, read_bytes
 from earl_jax.errors import InputError
 from earl_jax.runs.files import write_atomically
 
@@ -93,7 +92,7 @@ def _named(actors: Any) -> dict[str, Any]:
 def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the array `step` and the arrays `names`, as far as the file has them."""
     try:
-        arrays = npz.load(read_bytes(path), ["step", *names])
+        arrays = load_npz(read_bytes(path), ["step", *names])
         if "step" not in arrays or arrays["step"].shape or arrays["step"].dtype.kind not in "iu":
             raise InputError("it has no step")
     except (OSError, InputError) as error:

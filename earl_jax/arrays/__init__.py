@@ -1,1 +1,0 @@
-"""Arrays of numbers from untrusted files."""
