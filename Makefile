@@ -97,8 +97,8 @@ notebooks: $(MORE)
 
 demos: $(STAMP)
 	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz
-	$(BIN)/earl-jax demos sawyer_door --physics c --out assets/demos/sawyer_door.npz
-	$(BIN)/earl-jax demos sawyer_peg --physics c --out assets/demos/sawyer_peg.npz
+	$(BIN)/earl-jax demos sawyer_door --engine c --out assets/demos/sawyer_door.npz
+	$(BIN)/earl-jax demos sawyer_peg --engine c --out assets/demos/sawyer_peg.npz
 
 clean:
 	rm -rf $(VENV) $(NEWEST) $(DOCS) .cache site

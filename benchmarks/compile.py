@@ -29,7 +29,7 @@ from earl_jax.training.state import seed_keys
 task, engine = sys.argv[1:]
 steps_traced, step = [], mjx.step
 mjx.step = lambda *arguments: steps_traced.append(0) or step(*arguments)
-env = dataclasses.replace(earl_jax.make(task, physics=engine), eval_horizon=4)  # physics: also of earlier versions
+env = dataclasses.replace(earl_jax.make(task, engine=engine), eval_horizon=4)
 protocol = earl_jax.Protocol(env.train_horizon, 4, eval_every=4, eval_episodes=2)
 problem = earl_jax.Problem(env, protocol)
 method = earl_jax.make_algo("naive", hidden_sizes=(16,), batch_size=16, random_steps=2)

@@ -86,7 +86,7 @@ VARIANTS = {
 def load(task: str, name: str) -> tuple[Any, Any]:
     """Return the task on engine `c` and the model of the variant `name`."""
     variant = VARIANTS[name]
-    env = make(task, physics="c", **({"substeps": variant.substeps} if variant.substeps else {}))
+    env = make(task, engine="c", **({"substeps": variant.substeps} if variant.substeps else {}))
     model = physics.load_model(task, env.control_step / env.substeps) if variant.adapted else physics.load_model(task)
     model = _bare(task, model) if name.startswith("no visual") else copy.copy(model)
     model.opt.timestep = env.control_step / env.substeps
@@ -105,7 +105,7 @@ def _bare(task: str, full: Any) -> Any:
 
 def record(task: str, lanes: int) -> tuple[Any, np.ndarray]:
     """Return the physics states and commands [RECORDED, lanes, ...] at the starts of control steps."""
-    env = make(task, physics="c")
+    env = make(task, engine="c")
     actions = jnp.asarray(safety.make_actions(10 * RECORDED, lanes, env.action_size))
 
     def step(state: Any, action: jax.Array) -> tuple[Any, Any]:
@@ -161,7 +161,7 @@ _SOFT = (*(f"j{number}" for number in range(8)), "TF_ADB")
 
 def check_kitchen(substeps: int, original: Path | None) -> dict[str, Any]:
     """Return the error of the free arm's tip on the documented paths, and the largest remaining distance of a script."""
-    env, row = make("franka_kitchen", physics="c", substeps=substeps, noise=False), {}
+    env, row = make("franka_kitchen", engine="c", substeps=substeps, noise=False), {}
     if original is not None:
         paths, arm = kitchen.paths(), kitchen.original_arm(original)
         tips = kitchen.follow_ours(env, np.array(list(paths.values())))

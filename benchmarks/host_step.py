@@ -165,7 +165,7 @@ def alternate(steps: dict[str, Advance], rows: np.ndarray, repeats: int, pause: 
 
 def measure(name: str, lanes: int, repeats: int, pause: float) -> list[dict[str, Any]]:
     """Return a row of the table for each variant of one task and number of lanes."""
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     rows = rows_of(env, lanes)
     host = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size)
     steps = variants(host, rows)

@@ -109,7 +109,7 @@ def play(env: FrankaKitchen, script: Script) -> tuple[jax.Array, State]:
 
 def scripts() -> list[dict[str, Any]]:
     """Return one row per script, on engine c: the final position of its object, and the distance to its goal."""
-    env, rows = make("franka_kitchen", physics="c"), []
+    env, rows = make("franka_kitchen", engine="c"), []
     for name, script in SCRIPTS.items():
         moved, state = jax.jit(lambda script=script: play(env, script))()
         end = float(moved[-1])
@@ -237,7 +237,7 @@ def motion(file: Path) -> list[dict[str, Any]]:
     for old_weld in (True, False):
         theirs = {name: follow(original_arm(file, old_weld), path) for name, path in named_paths.items()}
         for substeps in (12, 40):
-            env = make("franka_kitchen", physics="c", substeps=substeps, noise=False)
+            env = make("franka_kitchen", engine="c", substeps=substeps, noise=False)
             ours = follow_ours(env, np.array(list(named_paths.values())))
             for name, tips in zip(named_paths, ours, strict=True):
                 error = 1e3 * np.linalg.norm(tips - theirs[name], axis=1)

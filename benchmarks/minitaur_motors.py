@@ -164,7 +164,7 @@ def numba_motors(simulations: Simulations, threads: int) -> Advance:
 
 def measure(lanes: int, repeats: int, pause: float) -> list[dict[str, Any]]:
     """Return a row of the table for each variant."""
-    env = make(NAME, physics="c", randomize=False)
+    env = make(NAME, engine="c", randomize=False)
     rows = rows_of(env, lanes)
     host = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size)
     threads = c.WorkerPool(host, len(own_cores()))._threads(lanes)

@@ -68,7 +68,7 @@ VARIANTS: dict[str, tuple[int, Callable[[Any], None]]] = {
 
 def relative_time(substeps: int, model: Any) -> float:
     """Return the time of a control step of `model` relative to the shipped one."""
-    env = make(NAME, physics="c", randomize=False)
+    env = make(NAME, engine="c", randomize=False)
     simulations = c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size).simulations(LANES, 1)
     rows = rows_of(env, LANES)
     for part, columns in simulations.inputs:
@@ -88,7 +88,7 @@ def relative_time(substeps: int, model: Any) -> float:
 def try_variant(file: Path, variant: str) -> dict[str, Any]:
     """Return fidelity and time of `variant`. It changes the model of this process, so call it in a new one."""
     substeps, change = VARIANTS[variant]
-    model = physics.load_model(NAME, make(NAME, physics="c", substeps=substeps).simulator.timestep)
+    model = physics.load_model(NAME, make(NAME, engine="c", substeps=substeps).simulator.timestep)
     change(model)
     report = minitaur_trots.report(file, "c", substeps)
     return {

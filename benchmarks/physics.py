@@ -129,7 +129,7 @@ def _seven_boxes(spec: Any) -> list[str]:
 
 def one_core(name: str, scene: str, model: mujoco.MjModel, substeps: int = 5, seconds: float = 4.0) -> dict[str, Any]:
     """Return the rate of a Python loop over MuJoCo C on one core, with `model` of task `name`."""
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     start, data = jax.device_get(env.reset(jax.random.key(0)).data), mujoco.MjData(model)
     rng, steps = np.random.default_rng(0), 0
     began = time.perf_counter()

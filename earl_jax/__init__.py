@@ -57,8 +57,6 @@ _HOME = {
     "select_seed": "training",
     "train": "training",
 }
-_RENAMED = {"Helped": "HelpBudget"}
-"""Earlier names, which still work."""
 __all__ = [
     "Continuing",
     "Deployment",
@@ -93,7 +91,6 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    name = _RENAMED.get(name, name)
     if name in _HOME:
         return getattr(importlib.import_module(f"earl_jax.{_HOME[name]}"), name)
     raise AttributeError(f"module 'earl_jax' has no attribute {name!r}")

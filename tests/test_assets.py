@@ -37,7 +37,7 @@ def test_demos_command_reproduces_the_shipped_file(env):
 
 
 def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
-    env = make("dhand_lightbulb", physics="c")
+    env = make("dhand_lightbulb", engine="c")
     assert not env.has_demos
     start = env.reset(jax.random.key(0))
     rows, last = scripted.record(env, start, np.random.default_rng(0), steps=120)

@@ -61,7 +61,7 @@ def test_an_attempt_at_the_numpy_tabletop_times_out():
 
 
 def test_the_original_door_starts_where_ours_does_and_moves():
-    door, env = Door(), make(DOOR, physics="c")
+    door, env = Door(), make(DOOR, engine="c")
     first = door.reset()
     np.testing.assert_allclose(first, env.reset(jax.random.key(0)).obs, atol=0.02)
     for _ in range(10):

@@ -34,10 +34,6 @@ def test_every_public_name_is_documented():
         _ = earl_jax.nonsense
 
 
-def test_earlier_names_still_work():
-    assert earl_jax.Helped is earl_jax.HelpBudget
-
-
 class ExternalTask(TabletopOrganization):
     """A task of another package."""
 

@@ -20,7 +20,7 @@ class Door:
     """The door with the geoms and collisions of the original: `obs [14]`, `action [4]`, 5 substeps per control step."""
 
     def __init__(self):
-        task: Any = make(DOOR, physics="c")
+        task: Any = make(DOOR, engine="c")
         self.model, self.substeps, self.horizon = original_style(DOOR), task.substeps, task.eval_horizon
         self.data, self.radius = mujoco.MjData(self.model), task.radius[task.variant]
         self.start, self.goal = jax.device_get(task.reset(jax.random.key(0)).data), np.asarray(task.goal_states[0])

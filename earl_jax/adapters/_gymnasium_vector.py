@@ -10,13 +10,13 @@ from gymnasium.vector.utils import batch_space
 
 from earl_jax.adapters._camera import Camera
 from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
-from earl_jax.adapters._session import EarlierNames, Session, checked_array, jitted
+from earl_jax.adapters._session import Session, checked_array, jitted
 from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
 
-class ResetFreeVectorEnv(EarlierNames, VectorEnv):
+class ResetFreeVectorEnv(VectorEnv):
     """Many lanes of a task in one jitted program; lane i of a seed equals `ResetFreeEnv` with `seed + i` step by step.
 
     Lifetimes are never reset automatically (`AutoresetMode.DISABLED`). `autoreset_mode` says when episodes are: in the

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.adapters._session_state import SessionState, StepResult
-from earl_jax.envs import Env, State, current_options, make, start_of
+from earl_jax.envs import Env, State, make, start_of
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
@@ -33,8 +33,6 @@ from earl_jax.protocol import (
 MODES = ("train", "eval")
 ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
-RENAMED_ATTRIBUTES = {"life": "state", "lives": "states", "world": "session"}
-"""Earlier names of attributes of the adapters' environments."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,15 +227,6 @@ class Session:
         return state, self.reset_result(state)
 
 
-class EarlierNames:
-    """Keeps the earlier names of attributes for scripts that use them."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name in RENAMED_ATTRIBUTES:
-            return getattr(self, RENAMED_ATTRIBUTES[name])
-        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-
-
 def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     if isinstance(task, Env):
         if options:
@@ -245,7 +234,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
                 f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
             )
         return task
-    known, options = [field.name for field in dataclasses.fields(make(task))], current_options(task, options)
+    known, options = [field.name for field in dataclasses.fields(make(task))], dict(options)
     for option in options:
         if option not in known:
             choices = ", ".join(["mode", "setting", "attempt_steps", "starts", *known])

@@ -14,7 +14,7 @@ from brax.envs.base import Env as BraxEnv
 from brax.envs.base import State as BraxState
 from brax.envs.wrappers import training
 
-from earl_jax.adapters._session import EarlierNames, Session
+from earl_jax.adapters._session import Session
 from earl_jax.adapters._session_state import StepResult
 from earl_jax.envs import Env
 
@@ -47,7 +47,7 @@ def wrap_for_training(
     return training.wrap(env, NO_TIME_LIMIT if is_lifetime else episode_length, action_repeat, randomization_fn)
 
 
-class ResetFreeEnv(EarlierNames, BraxEnv):
+class ResetFreeEnv(BraxEnv):
     """A `Session` with its whole state in `pipeline_state`, so that a wrapper that restores it restores the goal too.
 
     brax's `AutoResetWrapper` returns a lane to its very first state: the same start, goal and randomness each time.
@@ -102,10 +102,6 @@ class ResetFreeEnv(EarlierNames, BraxEnv):
     def backend(self) -> str:
         """The physics engine's name, or `kinematic`."""
         return self.session.env.resolved_engine
-
-
-LifeEnv = ResetFreeEnv
-"""The earlier name of the class."""
 
 
 def _metrics(result: StepResult, interventions_before: jax.Array) -> dict[str, jax.Array]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from earl_jax.adapters._camera import Camera
 from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
-from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv
-from earl_jax.adapters._session import EarlierNames, Session, checked_array, jitted
+from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv  # noqa: F401
+from earl_jax.adapters._session import Session, checked_array, jitted
 from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env, list_envs
 from earl_jax.errors import InputError
@@ -36,7 +36,7 @@ def register_envs(names: Iterable[str] | None = None) -> None:
             gymnasium.register(env_id(name), single, kwargs={"task": name}, vector_entry_point=vector)
 
 
-class ResetFreeEnv(EarlierNames, gymnasium.Env):
+class ResetFreeEnv(gymnasium.Env):
     """A task as one reset-free lifetime (`mode="train"`) or as evaluation episodes (`mode="eval"`).
 
     A lifetime is never truncated. It terminates only when a budget for help is spent. Hard interventions happen inside
@@ -136,9 +136,5 @@ class ResetFreeEnv(EarlierNames, gymnasium.Env):
         """Release the resources of the pictures."""
         self._camera.close()
 
-
-LifeEnv = ResetFreeEnv
-LifeVectorEnv = ResetFreeVectorEnv
-"""Earlier names of the two classes."""
 
 register_envs()

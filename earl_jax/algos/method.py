@@ -1,6 +1,5 @@
 """The base class of methods: a few pure functions that the training loop calls. The defaults are naive RL's."""
 
-import inspect
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -18,10 +17,6 @@ from earl_jax.errors import InputError
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
-RENAMED_HOOKS = {"init_extra": "init_state", "learn_extra": "update_state"}
-"""Former and current names of hooks; a subclass that defines a former one is refused."""
-EXTENDED_HOOKS = ("relabel", "reward", "terminal", "update_state", "refresh")
-"""Hooks that had fewer parameters; a subclass that defines one with another number is refused."""
 
 
 class DemoList(NamedTuple):
@@ -57,13 +52,6 @@ class Method(struct.PyTreeNode):
     """Mean number of steps to the states `later` that `relabel` receives; 0 for none."""
     own_rows: ClassVar[int] = 0
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
-
-    def __init_subclass__(cls, **options: Any):
-        super().__init_subclass__(**options)
-        for name in RENAMED_HOOKS.keys() & vars(cls).keys():
-            raise TypeError(f"{cls.__name__}.{name} is called {RENAMED_HOOKS[name]} now; rename it")
-        for name in vars(cls).keys() & set(EXTENDED_HOOKS):
-            _require_parameters(cls, name)
 
     def directions(self, env: Env) -> tuple[str, ...]:
         """Return the directions of the demonstrations in the initial replay on `env`, by default `demo_directions`."""
@@ -219,20 +207,3 @@ class Method(struct.PyTreeNode):
         """
         del key, env, goals, agent, own
         return method_state
-
-
-def _require_parameters(cls: type, name: str) -> None:
-    """Raise a TypeError if the hook `name` of `cls` takes another number of arguments than that of `Method`."""
-    required = inspect.signature(getattr(Method, name)).parameters
-    actual = inspect.signature(vars(cls)[name]).parameters
-    if len(actual) != len(required) and all(p.kind is not p.VAR_POSITIONAL for p in actual.values()):
-        raise TypeError(
-            f"{cls.__name__}.{name}({', '.join(actual)}) has the parameters of an earlier version; the hook is "
-            f"{name}({', '.join(required)}) now"
-        )
-
-
-def __getattr__(name: str) -> Any:
-    if name == "Commands":  # the earlier name of GoalIndices
-        return GoalIndices
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

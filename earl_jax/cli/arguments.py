@@ -19,8 +19,6 @@ JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
 Engine = Annotated[
     str | None,
     tyro.conf.arg(
-        name="physics",  # the older word; the parser names aliases first
-        aliases=["--engine"],
         help="Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
     ),
 ]

@@ -6,8 +6,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from earl_jax.runs.former import current_values
-
 DIRECTIONS = ("forward", "backward")
 DESCRIBED = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 
@@ -36,7 +34,7 @@ def _policies() -> dict[tuple[str, str], dict[str, Any]]:
     policies = {}
     for path in _files("pretrained/*/*.json"):
         info = json.loads(path.read_text())
-        config = current_values(info["config"])
+        config = info["config"]
         options = {**config["env_options"], **config["options"]}
         policies[path.parent.name, path.stem] = {**{name: info[name] for name in DESCRIBED}, "options": options}
     return policies

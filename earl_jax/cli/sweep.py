@@ -1,7 +1,7 @@
 """The command that trains a grid of runs: sweep."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from earl_jax.cli.arguments import (
     JSON,
@@ -44,7 +44,7 @@ def sweep(
 
     if dry_run:
         plan = launchers.plan_sweep(grid, out, max_lanes)
-        emit(_with_earlier_keys(plan), json, launchers.describe(plan))
+        emit(plan, json, launchers.describe(plan))
         return
     lines: list[str] = []
     outcome = launchers.sweep(
@@ -66,10 +66,3 @@ def sweep(
         emit(values, json, "")
     if outcome.failed:
         raise SystemExit(1)
-
-
-def _with_earlier_keys(plan: dict[str, Any]) -> dict[str, Any]:
-    """Return `plan` with its earlier keys `cells`, `packs` and `experiment` in addition to the present ones."""
-    runs = {name: {**run, "experiment": run["config"]} for name, run in plan["runs"].items()}
-    groups = [{**group, "cells": group["runs"]} for group in plan["groups"]]
-    return {**plan, "cells": runs, "packs": groups}

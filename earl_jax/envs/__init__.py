@@ -28,7 +28,6 @@ __all__ = [
     "HelpBudget",
     "MujocoEnv",
     "State",
-    "current_options",
     "env_class",
     "list_envs",
     "locate_env",
@@ -56,8 +55,6 @@ PAPER_TASKS = (
     "minitaur_pen",
 )
 """The six tasks of the paper, in its order."""
-FORMER_OPTIONS = {"physics": "engine"}
-"""Earlier names of options of tasks, which still work."""
 
 _ENVS = Registry(
     "env",
@@ -108,23 +105,7 @@ def make(name: str, **options) -> Env:
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
-    return _ENVS.build(name, current_options(name, options))
-
-
-def current_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return `options` of the task `name`, with the names of earlier versions (`FORMER_OPTIONS`) replaced.
-
-    Raises:
-        ValueError: an option is given under both names, or the task as in `env_class`.
-    """
-    fields = {field.name for field in dataclasses.fields(env_class(name))}
-    renamed = {
-        old: new for old, new in FORMER_OPTIONS.items() if old in options and old not in fields and new in fields
-    }
-    for old, new in renamed.items():
-        if new in options:
-            raise InputError(f"{old} is the earlier name of {new}: pass {new} alone")
-    return {renamed.get(option, option): value for option, value in options.items()}
+    return _ENVS.build(name, options)
 
 
 def with_engine(env: Env, engine: str | None) -> Env:
@@ -145,14 +126,7 @@ def with_engine(env: Env, engine: str | None) -> Env:
     return dataclasses.replace(env, **{"engine": engine})
 
 
-_RENAMED = {"Helped": "HelpBudget", "with_physics": "with_engine"}
-"""Earlier names, which still work."""
-
-
 def __getattr__(name: str) -> Any:
-    name = _RENAMED.get(name, name)
     if name in _HOME:
         return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    if name in _RENAMED.values():
-        return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -44,11 +44,6 @@ class MujocoEnv(Env):
         return resolve_engine(self.engine)
 
     @property
-    def physics(self) -> str:
-        """The earlier name of `engine`."""
-        return self.engine
-
-    @property
     def step_seconds(self) -> float:
         return self.control_step
 

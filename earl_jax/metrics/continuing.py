@@ -17,7 +17,7 @@ DIVERGED = "diverged"
 def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
     """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
 
-    Runs of earlier versions show it by their loss alone.
+    Published runs without the metric `diverged` show it by their loss alone.
     """
     marks = [metrics[DIVERGED][:, -1] > 0] if DIVERGED in metrics else []
     marks += [~np.isfinite(metrics["critic_loss"][:, -1])] if "critic_loss" in metrics else []

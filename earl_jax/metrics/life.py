@@ -40,12 +40,6 @@ def init_life(env: Env, env_state: State) -> Life:
     return Life(none, none, jnp.zeros((2, 2), jnp.int32), none, jnp.zeros((), jnp.int32), rest)
 
 
-def counts_from(life: Life, step: int) -> Life:
-    """Return counts of the same shape, [N, ...], that begin at `step`, for lanes of earlier versions without any."""
-    fresh = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), life)
-    return fresh.replace(reached_at=fresh.reached_at + step, moved_at=fresh.moved_at + step)
-
-
 def advance_life(
     life: Life, env: Env, env_state: State, is_task: jax.Array, over: jax.Array, reached: jax.Array, step: jax.Array
 ) -> Life:

@@ -10,8 +10,8 @@ from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, LIFE_METRICS, STILL
 
-LATER_METRICS = frozenset({DIVERGED, WIDE, *LIFE_METRICS})
-"""Metrics that runs of earlier versions do not have."""
+OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *LIFE_METRICS})
+"""Metrics that some runs do not have."""
 SHARES = frozenset({"deployed/success", WIDE, FORWARD, BACK, ALIVE})
 """Metrics that are shares, from 0 to 1."""
 MEANS = {

@@ -13,15 +13,14 @@ from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import count_diverged
 from earl_jax.protocol import Deployment
-from earl_jax.report.life_columns import LATER_METRICS
+from earl_jax.report.life_columns import OPTIONAL_METRICS
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.former import CHANGED
 
-SAME_TASK = frozenset({"physics", "demo_file", "variant", "reward_type"})
+SAME_TASK = frozenset({"engine", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
 
 
@@ -185,7 +184,7 @@ def pooled(path: Path, group: list[Curves]) -> Curves:
     metrics = {
         name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])
         for name in group[0].metrics
-        if name not in LATER_METRICS or all(name in part.metrics for part in group)  # earlier versions did not write it
+        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in group)
     }
     return Curves(group[0].config, steps, Columns(path, metrics))
 
@@ -201,11 +200,9 @@ def labels(runs: Sequence[Curves]) -> list[str]:
 def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
     """Return the name of a method with those of its changed `options` in which its `peers` differ.
 
-    An option with its default value is not named, so a run with the defaults has the bare name. An option whose default
-    has changed since some runs were made is named for every run without today's.
+    An option with its default value is not named, so a run with the defaults has the bare name.
     """
-    changed = CHANGED.get(algo, {})
-    named = [key for key in sorted(options) if key in changed or any(other.get(key) != options[key] for other in peers)]
+    named = [key for key in sorted(options) if any(other.get(key) != options[key] for other in peers)]
     text = ", ".join(f"{key}={options[key]}" for key in named)
     return f"{algo} ({text})" if text else algo
 

@@ -24,7 +24,7 @@ from earl_jax.errors import InputError
 from earl_jax.runs.files import DamagedWarning, OpenFolder, opened
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.manifest import MANIFEST, DamagedError, checksums, manifest_text, verified
-from earl_jax.runs.snapshot import filled, plain, spread, typed, with_life, without_life
+from earl_jax.runs.snapshot import filled, plain, spread, typed
 
 PARTS = ("lanes", "replay", MANIFEST)
 """What is in a checkpoint."""
@@ -184,11 +184,10 @@ def _read_replay(paths: Sequence[Path], sizes: Sequence[int], like: Any) -> Any:
 def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> Any:
     """Return the `size` lanes of the checkpoint at `path`."""
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like.lanes)
-    for layout in (shapes, without_life(shapes)):
-        expected = plain(layout)
-        if manifest["lanes"] == _described(expected):
-            return with_life(typed(_read(path / "lanes", expected), layout), shapes, int(path.name))
-    raise InputError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
+    expected = plain(shapes)
+    if manifest["lanes"] != _described(expected):
+        raise InputError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
+    return typed(_read(path / "lanes", expected), shapes)
 
 
 def _checkpoints(folder: Path) -> list[Path]:

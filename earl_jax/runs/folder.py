@@ -9,18 +9,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import current_options
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
 from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
-from earl_jax.runs.former import FORMAT, current_values
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
 
+FORMAT = 2
+"""The format of config.json, which the file names."""
 LARGEST_CONFIG = 1 << 24
 """Bytes of a config.json."""
 
@@ -61,11 +61,6 @@ class RunFolder:
         if not isinstance(identifier, str):
             raise InputError(f"{self.config_file} is damaged: it has no id")
         return identifier
-
-    @property
-    def engine(self) -> str | None:
-        """The physics engine that trained the run, as config.json has it; None in folders of earlier versions."""
-        return self._config_values().get("engine")
 
     @classmethod
     def create(
@@ -256,7 +251,10 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         ValueError: the file is invalid; the message gives the cause.
     """
     try:
-        values = _with_current_names(current_values(json.loads(read_bytes(file, LARGEST_CONFIG))))
+        values = json.loads(read_bytes(file, LARGEST_CONFIG))
+        if values.get("format", ...) != FORMAT:
+            found = f"its format is {brief(values['format'])}" if "format" in values else "it names no format"
+            raise InputError(f"{found}, and this version of earl_jax reads {FORMAT}")
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")
@@ -268,14 +266,6 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         cause = str(error) if isinstance(error, InputError) else repr(error)
         raise InputError(f"{file} is damaged: {cause}") from error
-
-
-def _with_current_names(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of config.json with the current names of options; a task that is not registered keeps its own."""
-    try:
-        return {**values, "env_options": current_options(values["env"], values["env_options"])}
-    except (KeyError, TypeError, ValueError):
-        return values
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:

@@ -2,7 +2,7 @@
 
 It holds `step`, `seeds` [N], `obs_size`, `action_size` (those of the task without help), the leaves of the actors
 [N, ...], named by their paths in the tree, such as `actor['params']['hidden_0']['kernel']`, and, where the task has a
-map, `visits` [N, B, B], int32. Files of earlier versions have no `visits`, and the sizes with help.
+map, `visits` [N, B, B], int32, which a file that is published can lack.
 """
 
 import io
@@ -43,12 +43,6 @@ def save_policies(
 def policies_step(path: Path) -> int:
     """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
     return int(_read(path, [])["step"]) if path.exists() else 0
-
-
-def obs_size(path: Path) -> int | None:
-    """Return the length of the observations of the policies at `path`, or None if the file has none."""
-    size = _read(path, ["obs_size"]).get("obs_size")
-    return None if size is None or size.shape else int(size)
 
 
 def load_policies(path: Path, like: Any) -> Any:

@@ -8,11 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos.learner.replay import Replay
-from earl_jax.metrics.life import Life, counts_from
 from earl_jax.runs.hosts import gathered
 
-EARLIER_NAMES = {"flags": "marks"}
-"""Names of arrays in earlier checkpoints, which can still be read."""
 PIECE = 1 << 28
 """Bytes of the replay that are copied from a device at a time."""
 
@@ -44,25 +41,6 @@ def typed(leaves: dict[str, Any], like: Any) -> Any:
         return jax.random.wrap_key_data(leaf) if _is_key(shape) else jnp.asarray(leaf)
 
     return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(shapes)])
-
-
-def without_life(lanes: Any) -> Any:
-    """Return `lanes` as versions saved them that had no `Life`."""
-    return jax.tree.map(lambda part: None if isinstance(part, Life) else part, lanes, is_leaf=_is_life)
-
-
-def with_life(lanes: Any, like: Any, step: int) -> Any:
-    """Return `lanes` with the `Life` of `like` where they have none; its counts begin at `step`."""
-    return jax.tree.map(
-        lambda shape, part: counts_from(shape, step) if isinstance(shape, Life) and part is None else part,
-        like,
-        lanes,
-        is_leaf=_is_life,
-    )
-
-
-def _is_life(part: Any) -> bool:
-    return isinstance(part, Life)
 
 
 def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
@@ -119,13 +97,12 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
         buffers["counts"][span] = saved["counts"]
         buffers["oldest"][span] = saved.get("oldest", 0)
         for name in names[:4]:
-            rows = saved.get(name, saved.get(EARLIER_NAMES.get(name, name)))
+            rows = saved.get(name)
             if rows is not None:
                 buffers[name][: len(rows), span] = rows
         for name, target in targets.items():
             if name in saved:
                 rows = saved[name] if name == "mine" else saved[name][::-1]
                 target[: len(rows), span] = rows
-    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row")}}
-    arrays["first_row"] = parts[0].get("first_row", np.zeros((), np.int32))
+    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row", "first_row")}}
     return Replay(**arrays)

@@ -12,7 +12,6 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import locked, write_atomically
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.former import FORMAT, former_defaults
 from earl_jax.sweeps.grid import RunSpec, read_space
 from earl_jax.sweeps.planner import planned_run
 from earl_jax.sweeps.study import Trial, optuna, propose, to_prune
@@ -192,11 +191,6 @@ def _read(out: Path, plan: Plan) -> list[Trial]:
             raise InputError(
                 f"{path} is of a search with other values; choose another --out, or the file, rungs and seed it had"
             )
-        former = former_defaults(plan.base.algo, values.get("format", 1))
-        if former.keys() - plan.base.options.keys() - plan.distributions.keys():
-            raise InputError(
-                f"{path} began with other defaults of {plan.base.algo}: {_text(former)}; choose another --out"
-            )
         return [
             Trial(trial["options"], {int(step): score for step, score in trial["scores"].items()}, trial["state"])
             for trial in values["trials"]
@@ -208,7 +202,7 @@ def _read(out: Path, plan: Plan) -> list[Trial]:
 
 
 def _write(out: Path, plan: Plan, history: Sequence[Trial]) -> None:
-    values = {"format": FORMAT, "search": plan.identity, "trials": [trial._asdict() for trial in history]}
+    values = {"search": plan.identity, "trials": [trial._asdict() for trial in history]}
     write_atomically(out / TRIALS, json.dumps(values, indent=2) + "\n")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.algos import Method, method_for
-from earl_jax.envs import Env, current_options, make, with_engine
+from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
@@ -177,7 +177,7 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     Raises:
         ValueError: the task or the setting is unknown, or one of their options is invalid.
     """
-    rest = current_options(env, options)
+    rest = dict(options)
     name = rest.pop("setting", Deployment.name)
     known = {field.name for field in dataclasses.fields(setting_of(name))}
     fields = {field.name for field in dataclasses.fields(make(env))}

@@ -46,12 +46,10 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
         env, method, lanes = load_lanes(folder)
         return plain_task(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
-    plain, to_plain = plain_task(env), functools.partial(plain_actor, env)
+    plain = plain_task(env)
     like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.deployed_actor)
-    if plain is not env and policies.obs_size(folder.policies) == env.obs_size:  # a file of an earlier version
-        actor = to_plain(policies.load_policies(folder.policies, like))
-    else:
-        actor = policies.load_policies(folder.policies, jax.eval_shape(to_plain, like))
+    like = jax.eval_shape(functools.partial(plain_actor, env), like)
+    actor = policies.load_policies(folder.policies, like)
     return plain, Policy(method.sac, actor, plain.obs_size, plain.action_size)
 
 
@@ -72,7 +70,7 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
         if visits is not None:
             return env, visits
         if not checkpoint:
-            raise InputError(f"{folder.policies} of an earlier version has no map of visits, and no checkpoint is left")
+            raise InputError(f"{folder.policies} has no map of visits, and no checkpoint is left")
     return env, np.asarray(load_lanes(folder)[2].visits)
 
 

@@ -14,7 +14,6 @@ from earl_jax import assets
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.former import current_values
 from earl_jax.training.policy import Policy
 
 Arrays = dict[str, np.ndarray]
@@ -52,8 +51,7 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
     the float16 actors; `run`, the mean of the last `evaluations` evaluations of every seed of the run. Errors as
     `pretrained`.
     """
-    info = copy.deepcopy(assets.pretrained(task, method)[0])
-    return {**info, "config": current_values(info["config"])}
+    return copy.deepcopy(assets.pretrained(task, method)[0])
 
 
 def list_pretrained() -> dict[str, list[str]]:

@@ -15,9 +15,6 @@ from earl_jax.runs.hosts import gathered
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import TrainState
 
-RENAMED_RESULTS = {"lives": "train_state", "judgement": "scores", "experiment": "config"}
-"""Former names of the fields of a `Result`."""
-
 
 @dataclasses.dataclass
 class Result:
@@ -35,11 +32,6 @@ class Result:
     metrics: dict[str, np.ndarray]
     train_state: TrainState
     engine: str
-
-    def __getattr__(self, name: str) -> Any:
-        if name in RENAMED_RESULTS:
-            return getattr(self, RENAMED_RESULTS[name])
-        raise AttributeError(f"Result has no attribute {name!r}")
 
     @property
     def step(self) -> int:

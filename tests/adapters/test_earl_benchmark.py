@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from earl_jax.adapters import earl, earl_benchmark
+from earl_jax.adapters import earl_benchmark
 from earl_jax.envs import make
 
 HOLD = np.array([0.0, 0.0, -1.0])
@@ -180,8 +180,3 @@ def test_unsupported_options_are_refused():
         make("sawyer_peg", reward_type="dense")
         == earl_benchmark.EARLEnvs("sawyer_peg", "dense", wide_init_distr=True)._task
     )
-
-
-def test_the_earlier_module_name_still_works():
-    assert earl.EARLEnvs is earl_benchmark.EARLEnvs
-    assert earl.PersistentEnv is earl_benchmark.PersistentEnv

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from earl_jax.adapters.gymnasium import LifeEnv, LifeVectorEnv, ResetFreeEnv, ResetFreeVectorEnv, env_id, register_envs
+from earl_jax.adapters.gymnasium import ResetFreeEnv, ResetFreeVectorEnv, env_id, register_envs
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import list_envs, make, register_env
 from earl_jax.envs.tabletop import COASTERS, TabletopOrganization
@@ -275,18 +275,6 @@ def test_invalid_arguments_are_refused():
         lanes.reset(options={"reset_mask": np.array([1, 0, 1])})
     with pytest.raises(ValueError, match="no option goal"):
         lanes.reset(options={"goal": 1})
-
-
-def test_earlier_names_still_work():
-    assert (LifeEnv, LifeVectorEnv) == (ResetFreeEnv, ResetFreeVectorEnv)
-    env, lanes = LifeEnv(TABLETOP), LifeVectorEnv(TABLETOP, 2)
-    assert (env.world, lanes.world) == (env.session, lanes.session)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        _ = lanes.lives
-    env.reset(seed=0)
-    assert env.life is env.state
-    with pytest.raises(AttributeError, match="ResetFreeEnv has no attribute 'lifes'"):
-        _ = env.lifes
 
 
 def test_gymnasiums_videos_of_episodes_and_of_a_lifetime(tmp_path):

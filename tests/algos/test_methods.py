@@ -250,17 +250,3 @@ def test_time_outs_are_terminal_unless_bootstrapped(env):
     np.testing.assert_array_equal(make_algo("naive").terminal(batch, TASK), [True, True, True, False])
     bootstrapped = make_algo("naive", timeout_bootstrap=True).terminal(batch, TASK)
     np.testing.assert_array_equal(bootstrapped, [True, False, True, False])
-
-
-@pytest.mark.parametrize(("old", "new"), [("init_extra", "init_state"), ("learn_extra", "update_state")])
-def test_a_hook_under_its_old_name_is_an_error_that_gives_the_new_one(old, new):
-    with pytest.raises(TypeError, match=rf"Mine\.{old} is called {new} now; rename it"):
-        type("Mine", (Method,), {"name": "mine", old: lambda self: None})
-
-
-def test_a_hook_with_the_parameters_of_an_earlier_version_is_an_error_that_gives_the_current_ones():
-    with pytest.raises(
-        TypeError, match=r"Mine\.relabel\(self, key, env, goals, batch\) has .*goals, batch, phase\) now"
-    ):
-        type("Mine", (Method,), {"name": "mine", "relabel": lambda self, key, env, goals, batch: batch})
-    type("Mine", (Method,), {"name": "mine", "terminal": lambda self, *rest: None})

@@ -39,7 +39,7 @@ def test_help_names_values_without_nested_brackets(page):
         ("table", "FOLDER ...", ["--labels NAME ..."]),
         ("sweep", "FILE", ["--slurm NAME=VALUE ...", "--per-device INT|auto", "--minutes MINUTES"]),
         ("list", "[NAME]", []),
-        ("demos", "TASK", ["--engine ENGINE, --physics ENGINE"]),
+        ("demos", "TASK", ["--engine ENGINE"]),
     ],
 )
 def test_values_have_the_names_of_what_they_are(command, usage, options, monkeypatch):

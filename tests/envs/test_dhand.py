@@ -20,7 +20,7 @@ from tests.conftest import assert_all_finite, take_lane
 
 @pytest.fixture(scope="module")
 def env():
-    return make("dhand_lightbulb", physics="c")
+    return make("dhand_lightbulb", engine="c")
 
 
 @pytest.fixture(scope="module")

@@ -28,12 +28,12 @@ OPTIONS = """timestep integrator solver iterations tolerance ls_iterations ls_to
 
 @pytest.fixture(scope="module")
 def cheetah():
-    return make("cheetah_run", physics="c")
+    return make("cheetah_run", engine="c")
 
 
 @pytest.fixture(scope="module")
 def fish():
-    return make("fish_swim", physics="c")
+    return make("fish_swim", engine="c")
 
 
 def reset_lanes(env, count):
@@ -184,7 +184,7 @@ def test_fish_goals_cover_the_box_of_the_suite_and_initial_states_cover_the_star
 
 @EVERY_TASK
 def test_states_that_are_not_finite_or_impossible_are_faults(name):
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     state = jax.jit(env.reset)(jax.random.key(0))
     data, fault = state.data, jax.jit(env.fault)
     assert not bool(fault(state))
@@ -198,7 +198,7 @@ def test_states_that_are_not_finite_or_impossible_are_faults(name):
 
 @EVERY_TASK
 def test_saturated_actions_cause_no_fault(name):
-    env = make(name, physics="c")
+    env = make(name, engine="c")
 
     def step(carry, key):
         states, held = carry
@@ -268,7 +268,7 @@ def test_a_hundred_steps_equal_those_of_dm_control(suite, name, seed):
     From the original's own state, a step differs by one rounding to float32: 1e-6 of the fastest joint. Over the run (1 s or
     4 s), contacts amplify rounding errors. The largest error seen is 4e-6; 1e-5 leaves room for other compilers.
     """
-    env, original = make(name, physics="c"), load_original(suite, name, seed)
+    env, original = make(name, engine="c"), load_original(suite, name, seed)
     data, start = original.physics.data, env.reset(jax.random.key(seed))
     if name == "fish_swim":
         start = env.with_goal(start, jnp.asarray(original.physics.named.model.geom_pos["target"], jnp.float32))

@@ -38,7 +38,7 @@ MODEL = physics.load_model("franka_kitchen")
 
 @pytest.fixture(scope="module")
 def env():
-    return make("franka_kitchen", physics="c")
+    return make("franka_kitchen", engine="c")
 
 
 @pytest.fixture(scope="module")

@@ -22,12 +22,12 @@ REFERENCE = Path(__file__).parents[3] / "shared" / "specs" / "data" / "minitaur_
 
 @pytest.fixture(scope="module")
 def env():
-    return make("minitaur_pen", physics="c")
+    return make("minitaur_pen", engine="c")
 
 
 @pytest.fixture(scope="module")
 def nominal_env():
-    return make("minitaur_pen", physics="c", randomize=False)
+    return make("minitaur_pen", engine="c", randomize=False)
 
 
 def play(env, state, actions):

@@ -26,12 +26,12 @@ EVERY_TASK = pytest.mark.parametrize("name", TASKS)
 
 @pytest.fixture(scope="module")
 def door():
-    return make("sawyer_door", physics="c")
+    return make("sawyer_door", engine="c")
 
 
 @pytest.fixture(scope="module")
 def peg():
-    return make("sawyer_peg", physics="c")
+    return make("sawyer_peg", engine="c")
 
 
 def starts(env, count=300):
@@ -114,7 +114,7 @@ def test_the_experts_of_the_papers_variant(door, peg):
 @pytest.mark.parametrize("grip", [1.0, -1.0, 0.5])
 def test_the_grippers_action_is_a_normalized_force_to_within_16_newtons(name, grip):
     """The paper's text calls it a torque; the released actuators set a position, and a finger moves by 4 cm at most."""
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     model = physics.load_model(name)
     state = env.reset(jax.random.key(0))
     data = physics.mujoco_data(name, state.data)
@@ -197,7 +197,7 @@ def test_shipped_demonstrations_end_in_success(name, direction):
 
 @EVERY_TASK
 def test_the_demonstration_script_reproduces_the_shipped_demonstrations(name):
-    recorded = scripted.make(make(name, physics="c"))
+    recorded = scripted.make(make(name, engine="c"))
     for direction, demos in recorded.items():
         shipped = assets.demos(name, direction)
         assert demos.ends.sum() == shipped.ends.sum()
@@ -296,7 +296,7 @@ def test_the_arm_of_a_replay_is_moved_with_its_target(door):
 
 @EVERY_TASK
 def test_leaving_the_workspace_is_a_fault(name):
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     state = env.reset(jax.random.key(0))
     assert not bool(env.fault(state))
     assert bool(env.fault(state.replace(obs=state.obs.at[5].set(2.0))))

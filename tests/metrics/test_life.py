@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL, advance_life, counts_from, init_life, life_metrics
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL, advance_life, init_life, life_metrics
 
 FORWARD_PHASE, BACK_PHASE = True, False
 
@@ -65,10 +65,3 @@ def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(env, advance
     creeping = [(0.006 * number, FORWARD_PHASE, False, False) for number in range(1, 4)]
     assert values(after(env, advance, *creeping), 3)[1][STILL] == 1, "slow movements add up"
     assert values(after(env, advance, (0.0, FORWARD_PHASE, False, False)), 1)[1][STILL] == 1
-
-
-def test_counts_of_earlier_checkpoints_begin_at_their_step(env):
-    life = jax.tree.map(lambda leaf: leaf[None], init_life(env, mug_at(env, 0.0)))
-    fresh = jax.tree.map(lambda leaf: leaf[0], counts_from(life, 5000))
-    assert values(fresh, 5000)[1][ALIVE] == 1
-    assert values(fresh, 5000)[1][STILL] == 0

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from earl_jax.envs import HelpBudget, current_options, make, with_engine, with_physics
+from earl_jax.envs import make, with_engine
 from earl_jax.physics import EngineCost, engine_choice, fastest_engine
 
 
@@ -50,13 +50,3 @@ def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(mon
 def test_auto_takes_the_default_engine_without_a_cost_of_the_device(monkeypatch, cost):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert fastest_engine(cost, 10_000) == engine_choice.DEFAULT_ENGINES["gpu"]
-
-
-def test_the_earlier_name_of_the_option_still_works():
-    door = make("sawyer_door", physics="mjx")
-    assert door == make("sawyer_door", engine="mjx") == with_physics(make("sawyer_door"), "mjx")
-    assert door.physics == "mjx"
-    assert HelpBudget(door, budget=1.0).resolved_engine == "mjx"
-    assert current_options("tabletop_organization", {"physics": "mjx"}) == {"physics": "mjx"}, "it has no engine"
-    with pytest.raises(ValueError, match="physics is the earlier name of engine: pass engine alone"):
-        make("sawyer_door", physics="mjx", engine="mjx")

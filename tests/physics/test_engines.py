@@ -36,7 +36,7 @@ def reset_lanes(env, count):
 
 def observe_demonstrations(name, engine, episodes=2, steps=60):
     """Return the observed states [episodes, steps, 7] when `engine` plays the first shipped demonstrations."""
-    env, demos = make(name, physics=engine), assets.demos(name, "forward")
+    env, demos = make(name, engine=engine), assets.demos(name, "forward")
     firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
     actions = jnp.asarray(np.stack([demos.actions[first : first + steps] for first in firsts]))
 
@@ -87,7 +87,7 @@ STEPS = 15
 
 def joint_positions(name, engine, lanes=2):
     """Return joint positions [lanes, STEPS, nq] under slow sines, with a phase and a speed for each action."""
-    env = make(name, physics=engine)
+    env = make(name, engine=engine)
     time, number = np.arange(STEPS)[:, None], np.arange(env.action_size)
     actions = jnp.asarray(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number), jnp.float32)
 
@@ -119,7 +119,7 @@ def test_warp_and_c_move_the_joints_of_the_other_tasks_alike(name):
 
 @EVERY_SAWYER
 def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
-    env = make(name, physics="c")
+    env = make(name, engine="c")
     host, row_counts = c.host_of(env.simulator, 0), []
 
     def count_rows(rows, stream):
@@ -137,7 +137,7 @@ def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
 
 
 def test_the_sensors_lag_the_state_by_one_substep():
-    env = make("sawyer_door", physics="c", substeps=1)
+    env = make("sawyer_door", engine="c", substeps=1)
     state = jax.jit(env.reset)(jax.random.key(0))
     after = jax.jit(env.step)(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
     np.testing.assert_allclose(after.obs[:3], state.obs[:3], atol=1e-6)
@@ -145,7 +145,7 @@ def test_the_sensors_lag_the_state_by_one_substep():
 
 
 def test_a_broken_lane_on_c_does_not_change_the_others():
-    env = make("sawyer_peg", physics="c")
+    env = make("sawyer_peg", engine="c")
     states = reset_lanes(env, 3)
     broken = states.replace(data=states.data.replace(qvel=states.data.qvel.at[1].set(jnp.nan)))
     step = jax.jit(jax.vmap(lambda s: env.step(s, jnp.ones(4))))
@@ -156,12 +156,12 @@ def test_a_broken_lane_on_c_does_not_change_the_others():
 
 
 def test_few_rows_use_few_threads():
-    worker_pool = c.WorkerPool(c.host_of(make("sawyer_door", physics="c").simulator, 0), 16)
+    worker_pool = c.WorkerPool(c.host_of(make("sawyer_door", engine="c").simulator, 0), 16)
     assert [worker_pool._threads(rows) for rows in (1, 5, 16, 50, 64, 65)] == [1, 5, 8, 12, 12, 16]
 
 
 def test_a_worker_pool_keeps_the_simulations_of_a_few_numbers_of_rows():
-    simulator = make("cheetah_run", physics="c").simulator
+    simulator = make("cheetah_run", engine="c").simulator
     worker_pool = c.WorkerPool(c.host_of(simulator, 0), 1)
     width = sum(part.shape[1] for part in worker_pool.host.simulations(1, 1).outputs) + simulator.mujoco_model().nv
     for count in range(1, c.ROW_COUNTS + 3):
@@ -180,7 +180,7 @@ class Unbound:
 
 
 def test_c_calls_an_actuator_that_cannot_be_bound_before_every_substep():
-    env = make("minitaur_pen", physics="c")
+    env = make("minitaur_pen", engine="c")
     state, command = jax.jit(env.reset)(jax.random.key(0)).data, jnp.linspace(0, 2, 8)
     unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
     (actual, _), (expected, _) = jax.jit(unbound.step)(state, command), jax.jit(env.simulator.step)(state, command)

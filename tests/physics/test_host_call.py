@@ -79,7 +79,7 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
 from earl_jax.envs import make
-env = make("sawyer_door", physics="c")
+env = make("sawyer_door", engine="c")
 state = jax.jit(env.reset)(jax.random.key(0))
 hits.clear()
 state = jax.jit(env.step)(state, jax.numpy.ones(4))

@@ -9,7 +9,7 @@ from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, spli
 
 
 def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
-    door = make("sawyer_door", physics="c")
+    door = make("sawyer_door", engine="c")
     assert Deployment().protocol(door) == Protocol(200_000, 300)
     assert Continuing().protocol(door) == Protocol(50_000, 300, goal_change=600)
     assert Continuing().protocol(dataclasses.replace(door, train_horizon=700)).train_horizon == 700
@@ -20,13 +20,13 @@ def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
 
 @pytest.mark.parametrize("setting", [Deployment, Continuing])
 def test_full_autonomy_is_a_task_without_h_t_and_the_other_extreme_a_reset_at_every_step(setting):
-    never = setting().protocol(make("sawyer_peg", physics="c", train_horizon=0)).rules
+    never = setting().protocol(make("sawyer_peg", engine="c", train_horizon=0)).rules
     assert (int(never.horizon), float(never.chance)) == (0, 0.0)
     assert float(setting(intervention_chance=1.0).protocol(make("tabletop_organization")).rules.chance) == 1.0
 
 
 def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
-    peg = make("sawyer_peg", physics="c")
+    peg = make("sawyer_peg", engine="c")
     assert Continuing().protocol(peg).train_horizon == 50_000
     assert Continuing(train_horizon=100_000).protocol(peg).train_horizon == 100_000
     assert Continuing(train_horizon=0).protocol(HelpBudget(peg, 1.0)).train_horizon == 0

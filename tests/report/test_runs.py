@@ -1,12 +1,11 @@
 """Curves read from run folders, pooled and ordered."""
 
-import json
 import shutil
 
 import numpy as np
 import pytest
 
-from earl_jax.report.runs import by_method, label, read, read_all, read_methods
+from earl_jax.report.runs import by_method, label, read, read_all
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
@@ -20,18 +19,6 @@ def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
     pooled, other = read_all(paths)
     assert pooled.metrics["deployed/success"].shape == (5, 3)
     assert other.metrics["deployed/success"].shape == (2, 3)
-
-
-def test_an_earlier_vaprl_is_pooled_with_new_seeds_of_its_defaults_and_never_has_the_bare_name(tmp_path):
-    old = write_run(tmp_path / "old", TABLETOP, "vaprl", rising(2, 3), precision="bf16")
-    values = json.loads((old / "config.json").read_text())
-    (old / "config.json").write_text(json.dumps({name: value for name, value in values.items() if name != "format"}))
-    former = {"precision": "bf16", "nearest_fallback": False, "unmet_goals": False}
-    more = write_run(tmp_path / "more", TABLETOP, "vaprl", rising(3, 3), seeds=(2, 3, 4), **former)
-    [group] = read_methods([old, more])
-    assert (group.label, group.curves.seeds) == ("vaprl (nearest_fallback=False, unmet_goals=False)", 5)
-    today = write_run(tmp_path / "today", TABLETOP, "vaprl", rising(2, 3), precision="bf16")
-    assert [group.label for group in read_methods([today])] == ["vaprl"]
 
 
 def test_pooled_runs_have_the_later_metrics_that_all_of_them_have(tmp_path):

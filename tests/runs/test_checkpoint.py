@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from earl_jax.runs import checkpoint, manifest, snapshot
+from earl_jax.runs import checkpoint, manifest
 from earl_jax.runs.files import DamagedWarning
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
@@ -47,23 +47,6 @@ def test_a_saved_state_is_restored(tmp_path, state):
     assert_equal_trees(restored.lanes, state.lanes)
     assert_equal_trees(written_rows(restored.replay), written_rows(state.replay))
     assert int(restored.step) == 40
-
-
-def test_a_replay_of_an_earlier_release_is_restored(state):
-    saved = snapshot.filled(state.replay, slice(None))
-    saved["marks"] = saved.pop("flags")
-    restored = snapshot.spread([saved], [2], state.replay)
-    assert_equal_trees(written_rows(restored), written_rows(state.replay))
-    assert np.asarray(restored.flags).any()
-
-
-def test_lanes_of_a_version_without_counts_of_the_life_are_restored(tmp_path, state):
-    lanes = state.lanes.replace(counters=state.lanes.counters.replace(life=None))
-    checkpoint.save(tmp_path, state.replace(lanes=lanes))
-    restored = checkpoint.restore(tmp_path, jax.eval_shape(lambda: state))
-    assert_equal_trees(snapshot.without_life(restored.lanes), lanes)
-    assert restored.lanes.counters.life.moved_at.tolist() == [40, 40]
-    assert_equal_trees(jax.tree.map(jnp.shape, restored.lanes), jax.tree.map(jnp.shape, state.lanes))
 
 
 def test_a_larger_buffer_keeps_both_ends_of_the_index(tmp_path, problem, state):

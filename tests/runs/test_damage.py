@@ -122,7 +122,7 @@ def test_other_line_ends_are_read_and_replaced(finished, kind):
     assert (finished / "metrics.csv").read_bytes() == text
 
 
-def test_rows_of_an_earlier_release_keep_their_columns(originals, tmp_path):
+def test_further_rows_keep_the_columns_of_the_file(originals, tmp_path):
     folder = RunFolder.open(shutil.copytree(originals["running"], tmp_path / "run"))
     folder.rows_until(80)
     scores = {name: float(number) for number, name in enumerate(sorted(COLUMNS, reverse=True))}

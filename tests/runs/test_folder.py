@@ -255,20 +255,20 @@ def test_a_folder_that_another_process_took_over_is_not_used(folder):
         pass
 
 
-def test_a_run_of_an_earlier_version_keeps_its_engine_and_the_one_that_trains_is_recorded(tmp_path):
-    config = RunConfig.from_objects(
-        make("sawyer_door", engine="mjx"), make_algo("naive"), Deployment(),
-        seeds=(0,), steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40,
-    )  # fmt: skip
-    folder = RunFolder.create(tmp_path / "run", config, "c")
-    values = json.loads(folder.config_file.read_text())
-    assert (values["env_options"], values["engine"]) == ({"engine": "mjx"}, "c")
-    folder.config_file.write_text(json.dumps({**values, "env_options": {"physics": "mjx"}}))
-    folder = RunFolder.open(folder.path)
-    assert folder.config == config
-    assert folder.config.build_env().engine == "mjx"
+def test_the_engine_that_trains_is_recorded(folder):
     folder.record_engine("mjx")
     assert json.loads(folder.config_file.read_text())["engine"] == "mjx"
     written = folder.config_file.stat().st_mtime_ns
     folder.record_engine("mjx")
     assert folder.config_file.stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize("number", [0, 3, "2", None, [2]])
+def test_another_format_is_an_error_of_one_line(folder, number):
+    values = json.loads(folder.config_file.read_text())
+    for change, cause in (({**values, "format": number}, "its format is"), ({**values}, "it names no format")):
+        if cause == "it names no format":
+            del change["format"]
+        folder.config_file.write_text(json.dumps(change))
+        with pytest.raises(ValueError, match=rf"{cause}.*, and this version of earl_jax reads 2$"):
+            RunFolder.open(folder.path)

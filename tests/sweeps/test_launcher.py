@@ -142,14 +142,13 @@ def test_a_failed_sweep_exits_with_code_1(grid, tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("fake_worker")
-def test_json_of_a_dry_run_keeps_its_earlier_keys(grid, tmp_path, capsys):
+def test_json_of_a_dry_run_has_the_runs_and_groups(grid, tmp_path, capsys):
     cli.main(["sweep", str(grid), "--out", str(tmp_path), "--dry-run", "--json"])
     plan = json.loads(capsys.readouterr().out)
     assert plan["out"] == str(tmp_path)
-    assert list(plan["runs"]) == list(plan["cells"]) == list("abcdef")
-    assert plan["cells"]["a"] == {"step": 0, "config": {}, "experiment": {}}
-    assert [pack["cells"] for pack in plan["packs"]] == [group["runs"] for group in plan["groups"]]
-    assert plan["packs"][0]["lanes"] == 1
+    assert list(plan["runs"]) == list("abcdef")
+    assert plan["runs"]["a"] == {"step": 0, "config": {}}
+    assert plan["groups"][0]["lanes"] == 1
 
 
 @pytest.mark.usefixtures("fake_worker")

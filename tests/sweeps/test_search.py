@@ -97,17 +97,6 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
         search(space, tmp_path / "out", rungs=3)
 
 
-def test_a_search_that_began_with_other_defaults_is_refused(tmp_path, batches):
-    space, out = tmp_path / "vaprl.toml", tmp_path / "out"
-    space.write_text(SPACE.replace("naive", "vaprl"))
-    search(space, out, trials=2, batch=2, rungs=1, emit=lambda line: None)
-    values = json.loads((out / "search.json").read_text())
-    del values["format"]
-    (out / "search.json").write_text(json.dumps(values))
-    with pytest.raises(ValueError, match=r"other defaults of vaprl: nearest_fallback=False, unmet_goals=False"):
-        search(space, out, trials=4, batch=2, rungs=1)
-
-
 def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, batches, monkeypatch):
     train = module.work
 

@@ -47,7 +47,7 @@ def return_rewards(problem, states):
 
 @pytest.mark.parametrize(("task", "algo"), PAIRS)
 def test_methods_train_on_dense_rewards(task, algo):
-    problem = make_problem(make(task, physics="c", eval_horizon=EVAL_HORIZON), eval_every=40, eval_episodes=2)
+    problem = make_problem(make(task, engine="c", eval_horizon=EVAL_HORIZON), eval_every=40, eval_episodes=2)
     states = train_states(problem, tiny_method(algo, 2), 24)
     last = states[-1]
     assert_all_finite((last.replay, last.lanes.agent, last.lanes.counters))

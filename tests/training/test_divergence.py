@@ -56,7 +56,7 @@ def test_progress_says_how_many_lanes_have_diverged(capfd):
 
 @pytest.mark.parametrize("name", list_envs())
 def test_an_action_that_is_not_finite_is_a_fault_on_every_task(name):
-    env = make(name) if name == "tabletop_organization" else make(name, physics="c")
+    env = make(name) if name == "tabletop_organization" else make(name, engine="c")
 
     @jax.jit
     def fault_after(state, action):

@@ -13,7 +13,7 @@ from tests.conftest import advance, assert_all_finite, make_problem, make_train_
 
 @pytest.fixture(scope="module")
 def door():
-    return make_problem(make("sawyer_door", physics="c"), eval_every=40, eval_episodes=2)
+    return make_problem(make("sawyer_door", engine="c"), eval_every=40, eval_episodes=2)
 
 
 def break_lane(state, lane, fault):

@@ -71,10 +71,10 @@ def test_the_maps_of_a_newer_checkpoint_or_beside_an_older_file_are_those_of_the
     others = {"seeds": [3, 7], "obs_size": 12, "action_size": 3}
     policies.save_policies(folder.policies, actors, step=80, visits=visits + 1, **others)
     np.testing.assert_array_equal(load_visits(folder)[1], visits)
-    policies.save_policies(folder.policies, actors, step=120, **others)  # as earlier versions wrote it
+    policies.save_policies(folder.policies, actors, step=120, **others)
     np.testing.assert_array_equal(load_visits(folder)[1], visits)
     shutil.rmtree(folder.checkpoints)
-    with pytest.raises(ValueError, match=r"policies\.npz of an earlier version has no map of visits"):
+    with pytest.raises(ValueError, match=r"policies\.npz has no map of visits"):
         load_visits(folder)
     folder.policies.unlink()
     with pytest.raises(ValueError, match="has no checkpoint yet"):

@@ -185,7 +185,7 @@ class LatestRow(Method):
 
 
 def test_a_batch_holds_transitions_stored_before_its_step():
-    problem = make_problem(make("cheetah_run", physics="c"))
+    problem = make_problem(make("cheetah_run", engine="c"))
     method = per_lane(LatestRow(SAC(hidden_sizes=(8,), batch_size=64)), 2)
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), 3, explore=True)
     for step in (3, 4, 5):
@@ -194,7 +194,7 @@ def test_a_batch_holds_transitions_stored_before_its_step():
 
 
 def test_a_step_started_on_the_host_and_finished_later_equals_a_whole_step(monkeypatch):
-    problem = make_problem(make("sawyer_door", physics="c"))
+    problem = make_problem(make("sawyer_door", engine="c"))
     method = tiny_method("naive", demo_share=0.5)
     start = make_train_state(problem, method, [0, 1], steps=60)
     whole = run_whole(problem, method, start, 20)

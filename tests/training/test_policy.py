@@ -11,7 +11,6 @@ import pytest
 from earl_jax.algos.learner import sac
 from earl_jax.envs import HelpBudget, make
 from earl_jax.protocol import Deployment, Protocol
-from earl_jax.runs import policies
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_policies, runner, select_seed
@@ -108,9 +107,3 @@ def test_policies_npz_and_the_policy_hold_the_averaged_actor_where_there_is_one(
     lane = types.SimpleNamespace(agent=jax.tree.map(lambda leaf: leaf[0], agent))
     obs = jnp.full(12, 0.3)
     np.testing.assert_allclose(Policy.of(HELPED, select_seed(METHOD, 0), lane)(obs), expected_action(obs), atol=1e-6)
-
-
-def test_policies_npz_of_an_earlier_version_has_the_sizes_with_help_and_loads_as_well(run):
-    actors = jax.tree.map(lambda leaf: np.asarray(leaf[:, 0]), agents(HELPED).actor)
-    policies.save_policies(run.folder.policies, actors, step=40, seeds=(0, 1), obs_size=13, action_size=4)
-    assert_loads_the_plain_policies(run.folder)

@@ -82,5 +82,5 @@ def test_the_map_counts_every_step(problem):
 
 
 def test_a_task_without_a_map_counts_no_visits(problem):
-    cheetah = Problem(make("cheetah_run", physics="c"), problem.protocol)
+    cheetah = Problem(make("cheetah_run", engine="c"), problem.protocol)
     assert make_train_state(cheetah, tiny_method("naive"), [0, 1]).lanes.visits is None

@@ -184,7 +184,7 @@ def test_a_fault_is_an_enforced_intervention_after_which_the_state_is_finite():
     assert env.task.fault(env.task.step(env.task.reset(jax.random.key(0)), jnp.array([-1.0])))
 
 
-TASKS = {"chain": Chain(), "peg": make("sawyer_peg", physics="c", reward_type="dense")}
+TASKS = {"chain": Chain(), "peg": make("sawyer_peg", engine="c", reward_type="dense")}
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -279,7 +279,7 @@ def test_the_wrapper_has_the_properties_of_its_task():
     np.testing.assert_array_equal(env.map_position(state.obs), task_obs[:2])
     np.testing.assert_array_equal(env.expert(state.obs), [*task.expert(task_obs), -1])
     wrapped_peg = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
-    assert wrapped_peg.task.physics == wrapped_peg.engine == "c"
+    assert wrapped_peg.task.engine == wrapped_peg.engine == "c"
     assert wrapped_peg.continuing_horizon == 50_000
 
 
