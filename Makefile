@@ -23,7 +23,7 @@ OUT ?= runs/quickstart-$(shell date +%Y%m%d-%H%M%S)
 # uv leaves the bytecode to the first import, which must keep it for the processes after it.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: quickstart test test-slow test-newest check lint types pytest demos docs notebooks lock clean
+.PHONY: quickstart test test-slow test-newest check lint types pytest catalog demos docs notebooks lock clean
 
 $(STAMP): pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
@@ -99,6 +99,9 @@ demos: $(STAMP)
 	$(BIN)/earl-jax demos tabletop_organization --out assets/demos/tabletop_organization.npz
 	$(BIN)/earl-jax demos sawyer_door --engine c --out assets/demos/sawyer_door.npz
 	$(BIN)/earl-jax demos sawyer_peg --engine c --out assets/demos/sawyer_peg.npz
+
+catalog: $(STAMP)
+	$(BIN)/python -m earl_jax.cli.descriptions
 
 clean:
 	rm -rf $(VENV) $(NEWEST) $(DOCS) .cache site

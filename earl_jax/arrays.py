@@ -1,14 +1,18 @@
 """Files that can come from anyone: their content up to a size, and the arrays of numbers and bools in an npz."""
 
+from __future__ import annotations
+
 import io
 import stat
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from earl_jax.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 MAX_BYTES = 512 << 20
 """Size limit of a file, of the arrays in it, and of the float32 arrays made from them: millions of transitions."""
@@ -48,6 +52,8 @@ def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
     Raises:
         ValueError: the file is damaged, one of these arrays holds more than numbers and bools, or they are too large.
     """
+    import numpy as np  # commands that read files without arrays start faster without it
+
     try:
         _check_sizes(data, {f"{name}.npy" for name in names})
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
@@ -72,6 +78,8 @@ def _check_sizes(data: bytes, files: set[str]) -> None:
 
 
 def _checked(array: np.ndarray) -> np.ndarray:
+    import numpy as np
+
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         kind = array.dtype.str if isinstance(array, np.ndarray) else "unknown"
         raise InputError(f"an array has elements of the type {kind}, not of bool, int, uint or float")

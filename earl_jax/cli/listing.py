@@ -9,6 +9,7 @@ from earl_jax.errors import InputError
 from earl_jax.presets import PRESETS
 
 WIDTH = 80
+LARGEST_INT = str(2**31 - 1)
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
 METHOD_ROW = "{:<12}{:<6}{:<16}{}"
 TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --set reward_type=... takes \
@@ -37,9 +38,9 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
     from earl_jax import algos, envs
 
     if name in envs.list_envs():
-        described = [catalog.describe_task(name)]
+        described = [catalog.describe("task", name)]
     elif name in algos.list_algos():
-        described = [{**catalog.describe_method(name), "learner": catalog.learner_options()}]
+        described = [{**catalog.describe("method", name), "learner": catalog.learner_options()}]
     elif name in PRESETS:
         described = [catalog.describe_preset(name)]
     else:
@@ -174,10 +175,8 @@ def _valid_text(valid: list[Any] | str) -> str:
     """Return the valid values in words; an interval up to the largest int32 has no upper end for a user."""
     if isinstance(valid, list):
         return _either(valid)
-    from earl_jax.cli import catalog
-
     low, _, high = valid[1:-1].partition(", ")
-    return f"at least {low}" if high == str(catalog.largest_int()) else f"in {valid}"
+    return f"at least {low}" if high == LARGEST_INT else f"in {valid}"
 
 
 def _either(values: list[Any]) -> str:
