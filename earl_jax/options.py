@@ -1,4 +1,4 @@
-"""Checks of options that come by name from a command line, a config or a notebook.
+"""Options as a command line, a config or a notebook gives them: checks by name, seeds, and the limit of time.
 
 A field declares the interval of its valid values in its metadata: `field(default=0.99, metadata=within("[0, 1)"))`.
 """
@@ -6,16 +6,19 @@ A field declares the interval of its valid values in its metadata: `field(defaul
 import dataclasses
 import math
 import numbers
+import operator
+import re
+import time
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from earl_jax.errors import InputError, brief
 
 LARGEST_INT = 2**31 - 1
 """The largest count that a program can hold: int32."""
+LONGEST_EXPONENT = 18
+"""The largest exponent of a number such as 1e6."""
 
 
 class Interval(NamedTuple):
@@ -25,6 +28,8 @@ class Interval(NamedTuple):
 
     def contains(self, value: Any) -> bool:
         """Return whether every number in `value` lies in the interval; values that a trace hides are taken to."""
+        import numpy as np  # without it, the commands that only read start faster
+
         if hasattr(value, "dtype") and not isinstance(value, np.ndarray | np.generic):
             return True  # a jax array
         low, high = (float(end) for end in self.text[1:-1].split(","))
@@ -103,6 +108,8 @@ def _is_sizes(value: Any) -> bool:
 
 def _fits(kind: Any, value: Any) -> bool:
     """Return whether `value` has the type `kind`; for numbers and flags, an array with a value for each lane does too."""
+    import numpy as np
+
     if kind is str or (kind is bool and isinstance(value, bool)):
         return isinstance(value, kind)
     if kind is int:
@@ -119,3 +126,94 @@ def _is_finite(value: Any) -> bool:
         return math.isfinite(value)
     except OverflowError:  # an int of hundreds of digits
         return False
+
+
+def seed_list(seeds: int | str | Sequence[int]) -> Sequence[int]:
+    """Return the seeds of an argument: a number of them (5 for 0 to 4), `"5:10"` without its end, `"3,5,8"`, or a list.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    if isinstance(seeds, str):
+        seeds = parse_seeds(seeds)
+    if isinstance(seeds, int):
+        return range(seeds)
+    if isinstance(seeds, range):
+        return seeds
+    try:
+        return [operator.index(seed) for seed in seeds]
+    except TypeError:
+        raise InputError(f"seeds must be whole numbers, not {brief(seeds)}") from None
+
+
+def parse_whole(text: str) -> int:
+    """Return the whole number `text`, which can be written as 1e6, 2.5e6 or 2_500_000.
+
+    Raises:
+        ValueError: it is no whole number.
+    """
+    try:
+        return int(text)
+    except ValueError:
+        mantissa, e, exponent = text.lower().partition("e")
+    if not e or not re.fullmatch(r"[+-]?\d[\d_]*(\.\d+)?", mantissa) or not re.fullmatch(r"\+?\d{1,2}", exponent):
+        raise ValueError(f"{brief(text)} is not a whole number such as 1000000, 1_000_000 or 1e6")
+    whole, _, decimals = mantissa.partition(".")
+    if not len(decimals.rstrip("0")) <= int(exponent) <= LONGEST_EXPONENT:
+        raise ValueError(f"{brief(text)} is not a whole number below 1e{LONGEST_EXPONENT}")
+    return int(f"{whole}{decimals.rstrip('0')}") * 10 ** (int(exponent) - len(decimals.rstrip("0")))
+
+
+def parse_seeds(text: str, name: str = "seeds") -> int | Sequence[int]:
+    """Return the seeds that `text` names: a count `5`, a range `5:10` without its end, or a list `3,5,8`.
+
+    Raises:
+        ValueError: it is none of them; the message begins with `name`.
+    """
+    try:
+        parts = [[parse_whole(end) for end in part.split(":")] for part in text.split(",") if part]
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
+    if not parts or any(len(part) > 2 or part[0] >= part[-1] for part in parts if len(part) > 1):
+        raise InputError(f"{name} takes a count (5), a range (5:10, without 10) or a list (3,5,8), not {brief(text)}")
+    ranges = [range(part[0], part[-1] + (len(part) == 1)) for part in parts]
+    if len(parts) == 1:
+        return ranges[0] if len(parts[0]) == 2 else parts[0][0]
+    if any(seeds.stop - seeds.start > 2**16 for seeds in ranges):
+        raise InputError(f"{name}: {brief(text)} has a range of more than 65536 seeds")
+    return [seed for seeds in ranges for seed in seeds]
+
+
+def _is_positive(value: Any) -> bool:
+    try:
+        return isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < float("inf")
+    except OverflowError:  # an int of hundreds of digits
+        return False
+
+
+class TimeLimit(NamedTuple):
+    """A limit of wall-clock `minutes` that `ends_at` a time in seconds since 1970, so that other processes can share it."""
+
+    minutes: float
+    ends_at: float
+
+    @classmethod
+    def of(cls, minutes: Any) -> "TimeLimit | None":
+        """Return the limit of `minutes` from now on; a limit that runs already, or None, is returned as it is.
+
+        Raises:
+            ValueError: `minutes` is not a positive finite number.
+        """
+        if minutes is None or isinstance(minutes, cls):
+            return minutes
+        if not _is_positive(minutes):
+            raise InputError(f"minutes must lie in (0, inf), not {brief(minutes)}")
+        return cls(float(minutes), time.time() + 60 * float(minutes))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the minutes have run out."""
+        return time.time() >= self.ends_at
+
+    def __str__(self) -> str:
+        return f"{self.minutes:g} minute{'' if self.minutes == 1 else 's'}"

@@ -1,14 +1,15 @@
-"""Tests of option checks: known names, values of the default's type, and messages with the valid choices."""
+"""Options: known names, values of the default's type, messages with the valid choices; seeds; the limit of time."""
 
 import dataclasses
 import re
+import time
 
 import numpy as np
 import pytest
 
 from earl_jax import InputError, make, make_algo, train
-from earl_jax.cli.arguments import parse_options
-from earl_jax.options import Interval, check
+from earl_jax.cli.arguments import parse_minutes, parse_options
+from earl_jax.options import Interval, TimeLimit, check, parse_seeds, parse_whole, seed_list
 from earl_jax.protocol import setting_of
 
 
@@ -100,3 +101,90 @@ def test_objects_are_checked_where_they_are_trained():
     method = make_algo("naive")
     with pytest.raises(InputError, match=r"naive: discount must lie in \[0, 1\), not 1\.0"):
         train("tabletop_organization", method.replace(sac=method.sac.replace(discount=1.0)), steps=10)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e6", 1_000_000), ("2_500_000", 2_500_000), ("2.50E6", 2_500_000), ("-3", -3), ("1e0", 1)]
+)
+def test_whole_numbers_can_have_an_exponent(text, number):
+    assert parse_whole(text) == number
+    assert isinstance(parse_whole(text), int)
+
+
+@pytest.mark.parametrize("text", ["1.5", "2.55e1", "1e-3", "1e400", "1e19", "e6", "six", "", "nan", "1e", "9" * 5000])
+def test_a_number_that_is_not_whole_or_too_large_is_refused(text):
+    with pytest.raises(ValueError, match="whole number"):
+        parse_whole(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"), [("5", 5), ("5:10", [5, 6, 7, 8, 9]), ("3,5,8", [3, 5, 8]), ("1:3,8", [1, 2, 8]), ("4:5", [4])]
+)
+def test_seeds_are_a_count_a_range_or_a_list(text, seeds):
+    parsed = parse_seeds(text)
+    assert (parsed if isinstance(parsed, int) else list(parsed)) == seeds
+    assert list(seed_list(text)) == (list(range(seeds)) if isinstance(seeds, int) else seeds)
+
+
+@pytest.mark.parametrize("text", ["10:5", "5:5", "1:2:3", "a", "5:", ",", "", "0:99999999999,1"])
+def test_other_seeds_are_refused(text):
+    with pytest.raises(InputError, match=r"^seeds"):
+        seed_list(text)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "expected"), [(3, [0, 1, 2]), ([4, 2], [4, 2]), (np.array([5, 7]), [5, 7]), (range(2, 4), [2, 3])]
+)
+def test_seeds_of_python_are_a_number_or_a_list(seeds, expected):
+    assert list(seed_list(seeds)) == expected
+
+
+@pytest.mark.parametrize("seeds", [[0.5, 1], 2.0, None, ["3"]])
+def test_seeds_that_are_not_whole_are_refused(seeds):
+    with pytest.raises(InputError, match="seeds must be whole numbers"):
+        seed_list(seeds)
+
+
+def test_train_takes_a_range_as_text():
+    with pytest.raises(InputError, match=r"seeds takes a count \(5\), a range \(5:10, without 10\)"):
+        train("tabletop_organization", seeds="10:5")
+    with pytest.raises(InputError, match="steps 100 is not a multiple"):  # the seeds were read
+        train("tabletop_organization", seeds="5:10", steps=100, eval_every=30)
+
+
+def test_a_limit_counts_from_its_construction(monkeypatch):
+    now = 1000.0
+    monkeypatch.setattr(time, "time", lambda: now)
+    limit = TimeLimit.of(0.5)
+    assert limit.ends_at == 1030
+    assert TimeLimit.of(limit) is limit
+    assert TimeLimit.of(None) is None
+    now = 1029.9
+    assert not limit.passed
+    now = 1030.0
+    assert limit.passed
+
+
+@pytest.mark.parametrize("minutes", [1, 0.5, np.float32(0.5), np.int64(3), 10**9])
+def test_positive_numbers_are_accepted(minutes):
+    assert TimeLimit.of(minutes).minutes == minutes
+
+
+@pytest.mark.parametrize(
+    "minutes", [0, -1, float("nan"), float("inf"), "soon", "5", True, [1], 10**400, np.array([1.0])]
+)
+def test_other_values_are_refused_with_the_valid_interval(minutes):
+    with pytest.raises(InputError, match=r"minutes must lie in \(0, inf\), not "):
+        TimeLimit.of(minutes)
+
+
+def test_the_command_line_reads_numbers_and_shows_other_texts():
+    assert parse_minutes("1e-3").minutes == 0.001
+    assert parse_minutes(None) is None
+    for text, shown in [("0", "0.0"), ("-2", "-2.0"), ("nan", "nan"), ("soon", "'soon'"), ("", "''")]:
+        with pytest.raises(InputError, match=f"not {shown}$"):
+            parse_minutes(text)
+
+
+def test_a_limit_as_text_names_its_minutes():
+    assert [str(TimeLimit.of(minutes)) for minutes in (1, 0.5, 90)] == ["1 minute", "0.5 minutes", "90 minutes"]

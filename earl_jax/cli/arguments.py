@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from earl_jax.errors import InputError
-from earl_jax.time_limit import TimeLimit
+from earl_jax.options import TimeLimit
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]

@@ -5,7 +5,7 @@ import re
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from earl_jax.errors import InputError
-from earl_jax.seeds import parse_whole
+from earl_jax.options import parse_whole
 
 SEEDS = "--seeds"
 SEED_TOKEN = re.compile(r"[\d_:,]+")
@@ -31,9 +31,9 @@ def join_seeds(arguments: list[str]) -> list[str]:
     """Return the `arguments` of a command with the list after `--seeds` as one argument, so that it ends before a task.
 
     Raises:
-        ValueError: `train`, `resume` or `reproduce` has the option `--seed`, which they lack.
+        ValueError: `train` or `reproduce` has the option `--seed`, which they lack.
     """
-    if arguments[:1] not in (["train"], ["resume"], ["reproduce"]):
+    if arguments[:1] not in (["train"], ["reproduce"]):
         return arguments
     if any(argument.partition("=")[0] == "--seed" for argument in arguments):
         raise InputError(

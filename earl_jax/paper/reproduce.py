@@ -14,7 +14,7 @@ from typing import Any
 
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
-from earl_jax.options import COUNT, require
+from earl_jax.options import COUNT, TimeLimit, require
 from earl_jax.paper import tasks as paper_tasks
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
@@ -28,7 +28,6 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
 from earl_jax.sweeps.per_device import PerDevice
-from earl_jax.time_limit import TimeLimit
 from earl_jax.training import evaluate, load_visits
 
 ROBUSTNESS_EPISODES = 100

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.options import seed_list
 from earl_jax.presets import LENGTHS, preset
-from earl_jax.seeds import seed_list
 from earl_jax.sweeps.samples import SAMPLERS, is_distribution, samples
 
 COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
+from earl_jax.options import TimeLimit
 from earl_jax.sweeps.per_device import ALONE, PerDevice, WorkerOptions, require_valid, worker_slots
 from earl_jax.sweeps.pool import ForwardedSignal, concurrent_events, relayed_lines
 from earl_jax.sweeps.slurm import LOGS, sbatch_parameters, slurm_executor
-from earl_jax.time_limit import TimeLimit
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 TIED = "--end-with-stdin"

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import recent_scores
+from earl_jax.options import TimeLimit
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import locked, write_atomically
@@ -16,7 +17,6 @@ from earl_jax.sweeps.grid import RunSpec, read_space
 from earl_jax.sweeps.planner import planned_run
 from earl_jax.sweeps.study import Trial, optuna, propose, to_prune
 from earl_jax.sweeps.worker import work
-from earl_jax.time_limit import TimeLimit
 from earl_jax.training.stopping import Stopped
 
 TRIALS = "search.json"

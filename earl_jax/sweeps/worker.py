@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError, is_input_error
+from earl_jax.options import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
@@ -19,7 +20,6 @@ from earl_jax.runs.files import inside
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.sweeps.planner import PlannedRun, open_folder, plan, program_groups
-from earl_jax.time_limit import TimeLimit
 from earl_jax.training.runner import Run, plan_runs, run_program
 
 SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)

@@ -9,14 +9,13 @@ from typing import Any
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
+from earl_jax.options import TimeLimit, seed_list
 from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.logging import Log, check_logs, require_libraries
-from earl_jax.seeds import seed_list
-from earl_jax.time_limit import TimeLimit
 from earl_jax.training.plan import Plan
 from earl_jax.training.result import Result
 from earl_jax.training.runner import Run, plan_runs, run_program

@@ -16,6 +16,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, plain_task
+from earl_jax.options import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import Row, RunConfig, deployed_metric
@@ -24,7 +25,6 @@ from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
-from earl_jax.time_limit import TimeLimit
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state

@@ -12,8 +12,8 @@ from typing import Any
 
 import jax
 
+from earl_jax.options import TimeLimit
 from earl_jax.runs.hosts import of_first_host
-from earl_jax.time_limit import TimeLimit
 
 
 def resume_command(folder: Path) -> str:

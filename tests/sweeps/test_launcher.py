@@ -307,7 +307,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, mon
     script, clock = tmp_path / "worker.py", itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
     script.write_text(STOPPING_WORKER)
     monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
-    monkeypatch.setattr("earl_jax.time_limit.time", SimpleNamespace(time=lambda: next(clock)))
+    monkeypatch.setattr("earl_jax.options.time", SimpleNamespace(time=lambda: next(clock)))
     lines = []
     assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("b", "c"))
     assert lines == [
