@@ -4,7 +4,6 @@ Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at
 (trials of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
 """
 
-import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks import peg_lives
+from benchmarks.output import RESULTS
 from benchmarks.paper_cells import PAGES, with_table
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
@@ -22,7 +21,6 @@ from earl_jax.report.runs import Curves, read
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
-RESULTS = Path(__file__).parent / "results"
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
 PAPER = RESULTS / "paper"
 PAGE = PAGES / "docs" / "cfbrl.md"
@@ -213,18 +211,6 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
         yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
 
 
-def lives_text() -> str:
-    """Return the table of the greedy lives of `benchmarks.peg_lives`."""
-    with peg_lives.RESULT.open(newline="") as handle:
-        rows = list(csv.DictReader(handle))
-    empty = sum(row["empty_closed_hand"] == "True" for row in rows)
-    header = ("life", "phases", "reached", "last success at step", "hand", "gripper", "peg's head", "empty closed hand")
-    table = markdown_table(
-        header, [[value.replace("True", "yes").replace("False", "no") for value in row.values()] for row in rows]
-    )
-    return f"{table}\n\n{empty} of {len(rows)} lives of {peg_lives.STEPS:,} steps end with an empty closed hand."
-
-
 def draw(path: Path) -> None:
     """Draw the curves of the long runs: a column a task, means with Student's 95 % bands over 100,000 steps."""
     figure, grid = plt.subplots(2, len(RUNS), figsize=(11, 5.5), sharex="col", sharey=True, layout="constrained")
@@ -255,7 +241,6 @@ def tables() -> dict[str, str]:
     return {
         "goals": goals_text(),
         "lanes": lanes_text(),
-        "lives": lives_text(),
         "learning": learning_text(),
         "dense": dense_text(),
         **{f"learners of {env}": learners_text(env) for env in LEARNERS},

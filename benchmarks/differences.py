@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.paper_cells import FORMER_VAPRL, PAGES, PEG, ROOT, TABLETOP, cells, with_table
-from benchmarks.uniform_starts import RELEASED, SEEDS, read_seeds
+from benchmarks.robustness.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
 from earl_jax.paper.tasks import training_steps

@@ -3,7 +3,7 @@
 Needs jax's CUDA packages (`pip install 'jax[cuda13]'`) but no GPU: the program is compiled ahead of time for a described one.
 Prints the number of kernels in the body of the scan over steps, the length of its longest chain of kernels that wait for each
 other, and with `--list` every kernel with its shape and its place in our code. A copy, a kernel before the host's call that does
-not belong there, or a loop inside the step shows up here at once. Times need a GPU: `python -m benchmarks.profile`.
+not belong there, or a loop inside the step shows up here at once. Times need a GPU: `python -m benchmarks.speed.profile`.
 """
 
 import argparse

@@ -13,8 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from benchmarks.output import RESULTS
+from benchmarks.paper.published_rows import published_rows
 from benchmarks.paper_cells import PAGES, commit_of, with_table
-from benchmarks.published_rows import published_rows
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import CROSSING_WINDOW
@@ -25,7 +26,6 @@ from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
-RESULTS = Path(__file__).parent / "results"
 FOLDERS = ("paper", "cloning", "leaderboard")
 PAGE = PAGES / "docs" / "leaderboard.md"
 ROWS = PAGES / "assets" / "published" / "leaderboard.csv"

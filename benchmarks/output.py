@@ -6,6 +6,8 @@ from typing import Any
 
 from earl_jax.runs.provenance import provenance
 
+RESULTS = Path(__file__).parent / "results"
+
 
 def emit(report: dict[str, Any], path: Path | None, command: str) -> None:
     """Print `report` as one JSON line, and save it to `path` unless that is None."""

@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from benchmarks.output import RESULTS
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.tasks import METHODS, methods_on, training_steps
 from earl_jax.report.comparison import RULE, published_rows, with_verdicts
@@ -19,7 +20,7 @@ from earl_jax.report.runs import read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions, write
 from earl_jax.runs.provenance import short_commit
 
-ROOT = Path(__file__).parent / "results" / "paper"
+ROOT = RESULTS / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
 FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 """Variant of runs of VaPRL with the defaults that it had until 2026-11-23."""

@@ -29,7 +29,7 @@ from earl_jax.report.tables import write
 from earl_jax.sweeps.mps import mps
 from earl_jax.sweeps.slots import Slot, make_slots, visible_gpus
 
-WORKER = "benchmarks.per_device_worker"
+WORKER = "benchmarks.speed.per_device_worker"
 
 
 class Case(NamedTuple):

@@ -7,14 +7,17 @@ figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are wr
 the tests of differences and the leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`,
 `benchmarks.differences` and `benchmarks.leaderboard` write them, and success from uniform starts from results/starts. The
 tables and the picture of docs/cfbrl.md are those of `benchmarks.cfbrl`, the rates in docs/algorithms.md those of
-`benchmarks.method_cost`.
+`benchmarks.speed.method_cost`.
 """
 
 import argparse
 import csv
 from pathlib import Path
 
-from benchmarks import cfbrl, differences, leaderboard, method_cost, paper_cells, uniform_starts
+from benchmarks import cfbrl, differences, leaderboard, paper_cells
+from benchmarks.output import RESULTS as KEPT_RESULTS
+from benchmarks.robustness import uniform_starts
+from benchmarks.speed import method_cost
 from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import draw_figure4
@@ -24,7 +27,7 @@ from earl_jax.paper.tables import write_table
 from earl_jax.paper.tradeoff import write_tradeoff
 from earl_jax.paper.visit_maps import read_maps
 
-KEPT = Path(__file__).parent / "results" / "reproduce"
+KEPT = KEPT_RESULTS / "reproduce"
 
 
 def redraw(out: Path) -> list[Path]:

@@ -1,12 +1,15 @@
 """The table of the ten differences follows from the runs, and says what was not run."""
 
+import shutil
+
 import jax
 import numpy as np
 import pytest
 
-from benchmarks import differences, uniform_starts
+from benchmarks import differences
 from benchmarks.paper_cells import PAGES, cells, with_table
-from benchmarks.starts import within
+from benchmarks.robustness import uniform_starts
+from benchmarks.robustness.uniform_starts import within
 from earl_jax.metrics.comparison import holm, permutation
 from tests.report.run_files import DOOR, constant, write_run
 
@@ -36,7 +39,7 @@ def test_the_tables_in_the_docs_are_those_of_the_runs():
     table = differences.table(differences.comparisons(), cells())
     assert with_table(page, table, *differences.MARKS) == page, "run python -m benchmarks.differences"
     starts = uniform_starts.table(uniform_starts.read_seeds())
-    assert with_table(page, starts, *uniform_starts.MARKS) == page, "run python -m benchmarks.uniform_starts"
+    assert with_table(page, starts, *uniform_starts.MARKS) == page, "run python -m benchmarks.robustness.uniform_starts"
     kept = (differences.ROOT / "pairs.md").read_text()
     assert kept == f"{differences.table_text(differences.comparisons())}\n"
 
@@ -62,19 +65,19 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     assert line[-2] == "0.0022"
 
 
-def test_too_few_seeds_for_any_smaller_p_are_named(tmp_path, no_starts):
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0.6, 0.7, 0.8))
-    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0.1, 0.2, 0.3), **FORMER)
+@pytest.mark.parametrize(
+    ("own", "others", "settled"),
+    [
+        ((0.1, 0.2, 0.3), (0.6, 0.7, 0.8), "the seeds do not overlap, but so few can have no smaller p"),
+        ((0, 0), (0, 0, 0), "every seed of both sides has 0.000"),
+    ],
+)
+def test_what_the_seeds_cannot_tell_is_said(tmp_path, no_starts, own, others, settled):
+    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*others))
+    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*own), **FORMER)
     [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
-    assert line[-1] == "cannot tell: the seeds do not overlap, but so few can have no smaller p"
-
-
-def test_sides_with_one_score_have_no_difference_and_no_interval(tmp_path, no_starts):
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(0, 0, 0))
-    write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(0, 0), **FORMER)
-    [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
-    assert line[-1] == "cannot tell: every seed of both sides has 0.000"
-    assert line[7] == "0.000 [-, -]"
+    assert line[-1] == f"cannot tell: {settled}"
+    assert (line[7] == "0.000 [-, -]") == (own == (0, 0))
 
 
 def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts):
@@ -98,22 +101,20 @@ def test_one_controller_is_tested_from_uniform_starts():
 
 
 def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(tmp_path, monkeypatch):
-    """R3L's five policies succeed from nearly all starts, those of a run that was cut are left out."""
+    """R3L's five policies succeed from nearly all starts, those of a run that was cut are left out, known rows stay."""
     monkeypatch.setattr(uniform_starts, "KINDS", {"initial": None, "within_2.5": 2.5})
-    kept = differences.ROOT / differences.TABLETOP / "r3l"
-    for name in ("config.json", "metrics.csv", "policies.npz"):
-        for copy, lines in (("r3l", None), ("cut", 101)):
-            (tmp_path / copy).mkdir(exist_ok=True)
-            data = (kept / name).read_bytes()
-            (tmp_path / copy / name).write_bytes(
-                b"".join(data.splitlines(True)[:lines]) if name == "metrics.csv" else data
-            )
-    rows = uniform_starts.evaluate(tmp_path, episodes=4)
-    assert [(row["run"], row["seed"]) for row in rows] == [("r3l", seed) for seed in range(5)]
+    for copy, length in (("r3l", None), ("cut", 101)):
+        shutil.copytree(differences.ROOT / differences.TABLETOP / "r3l", tmp_path / copy)
+        table = tmp_path / copy / "metrics.csv"
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[:length]))
+    known = [{"run": "oracle", "seed": "0", "commit": "0", "initial": "0.5", "within_2.5": "0.5"}]
+    rows = uniform_starts.evaluate(tmp_path, episodes=4, known=known)
+    assert rows[0] == known[0]
+    assert [(row["run"], row["seed"]) for row in rows[1:]] == [("r3l", seed) for seed in range(5)]
     for kind in uniform_starts.KINDS:
-        assert np.mean([row[kind] for row in rows]) > 0.7
-    known = [{**row, "initial": "0.5"} for row in rows]
-    assert uniform_starts.evaluate(tmp_path, known=known) == known
+        assert np.mean([row[kind] for row in rows[1:]]) > 0.7
+    again = [{**row, "initial": "0.5"} for row in rows]
+    assert uniform_starts.evaluate(tmp_path, known=again) == again
 
 
 def test_uniform_starts_fill_their_square(env):

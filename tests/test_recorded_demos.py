@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.recorded_demos import with_recordings
+from benchmarks.paper.recorded_demos import with_recordings
 from earl_jax import assets
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks import dhand as benchmark
-from benchmarks.safety import make_actions
 from earl_jax import assets, demos, physics
 from earl_jax.envs import make
 from earl_jax.envs.dhand import lightbulb as task
 from tests.conftest import assert_all_finite, take_lane
+from tests.envs import grasp as benchmark
+from tests.envs.random_actions import make_actions
 
 
 @pytest.fixture(scope="module")

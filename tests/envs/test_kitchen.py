@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks import kitchen as benchmark
-from benchmarks.safety import make_actions
+from benchmarks.physics import kitchen as benchmark
 from earl_jax import physics
 from earl_jax.envs import make
 from earl_jax.envs.kitchen import reward as kitchen_reward
@@ -27,6 +26,7 @@ from earl_jax.envs.kitchen.franka_kitchen import (
     TEXT_GOALS,
 )
 from tests.conftest import take_lane
+from tests.envs.random_actions import make_actions
 
 COMPILED = Path(__file__).parents[3] / "shared" / "specs" / "data" / "kitchen_earl_compiled.json"
 RELEASED_START = np.array(

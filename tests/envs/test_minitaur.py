@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks import minitaur_trots
+from benchmarks.physics import minitaur_trots
 from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.minitaur import body as minitaur_body

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks import replay_demos
+from benchmarks.physics import replay_demos
 from earl_jax import assets, physics
 from earl_jax.demos import scripted
 from earl_jax.envs import make

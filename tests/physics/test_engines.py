@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.replay_demos import start_state
+from benchmarks.physics.replay_demos import start_state
 from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.envs.minitaur.motors import MinitaurMotors

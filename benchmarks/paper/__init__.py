@@ -1,0 +1,1 @@
+"""Inputs of the pages about the paper: published rows and recorded demonstrations."""

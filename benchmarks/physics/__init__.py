@@ -1,0 +1,1 @@
+"""Physics: rates of the engines, and fidelity to recordings and to the original models."""

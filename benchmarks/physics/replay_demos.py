@@ -1,0 +1,158 @@
+"""Replay recorded demonstrations open loop and print one JSON line with the errors of a Sawyer task against its original.
+
+    python -m benchmarks.physics.replay_demos sawyer_door FILE.npz --engine mjx
+    python -m benchmarks.physics.replay_demos sawyer_peg demo_data.pkl --engine c --substeps 4
+
+Each episode starts in the state of the first observation, plays the actions and then repeats the last one for 10 steps. The arm
+takes the nearer one of the task's two reset poses: the ordinary one and that of the release's `reset_at_goal`. If the recorded
+hand is elsewhere, as after contact, the arm and its mocap target are moved to it. A file whose goal is not the task's own is a
+backward one.
+"""
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax import physics
+from earl_jax.demos.importer import Recording, read
+from earl_jax.envs import State, make
+from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
+from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
+from earl_jax.envs.sawyer.peg import HEAD
+from earl_jax.physics.engine_choice import ENGINES
+
+HOLD = 10
+ALREADY_THERE = 1e-5
+"""Metres of hand position that need no correction."""
+
+
+def start_state(env: Sawyer, first: np.ndarray) -> State:
+    """Return the state in which a recording with the first observation `first [14]` started."""
+    env = nearer_reset(env, first)
+    position, goal = first[4:7], jnp.asarray(first[7:])
+    if isinstance(env, SawyerDoor):
+        angle = np.arctan2(*(position[:2] - HINGE)[::-1]) - np.arctan2(HANDLE[1], HANDLE[0])
+        state = env.start_at(jnp.array([angle]), jnp.asarray(position), goal)
+    else:
+        peg = jnp.asarray(position - HEAD)
+        state = env.start_at(peg, jnp.asarray(position), goal, start=peg, grasp=jnp.zeros(()))
+    if np.abs(np.asarray(state.obs[:3]) - first[:3]).max() < ALREADY_THERE:
+        return state
+    target = state.data.mocap_pos + jnp.asarray(first[:3]) - state.obs[:3]
+    vector = jnp.concatenate([jnp.asarray(first[:4]), state.obs[4:7]])
+    data = state.data.replace(qpos=moved_hand(env, state, first), mocap_pos=target)
+    return state.replace(data=data, obs=jnp.concatenate([vector, goal]))
+
+
+def nearer_reset(env: Sawyer, first: np.ndarray) -> Sawyer:
+    """Return `env` with the value of `reset_at_goal` whose pose of the arm is nearer to that of `first [14]`."""
+    choices = [
+        dataclasses.replace(env, reset_at_goal=at_goal) for at_goal in (env.reset_at_goal, not env.reset_at_goal)
+    ]
+    return min(choices, key=lambda choice: np.linalg.norm([*choice.pose.hand, choice.pose.grip] - first[:4]))
+
+
+def moved_hand(env: Sawyer, state: State, first: np.ndarray) -> jax.Array:
+    """Return qpos with the hand position and finger opening of `first` and the same orientation, by damped least squares."""
+    import mujoco
+
+    model, data = physics.load_model(env.name), physics.mujoco_data(env.name, state.data)
+    hand = model.body("hand").id
+    upright, linear, turn = data.xquat[hand].copy(), np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    for _ in range(100):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, linear, turn, hand)
+        twist = np.zeros(3)
+        mujoco.mju_subQuat(twist, upright, data.xquat[hand])
+        error = np.concatenate([first[:3] - data.xpos[hand], data.xmat[hand].reshape(3, 3) @ twist])
+        jacobian = np.vstack([linear, turn])[:, : ARM - 2]
+        data.qpos[: ARM - 2] += jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(6), error)
+    if first[3] < 1.0:
+        data.qpos[ARM - 1] = -min(0.03, OPENING * (1.0 - first[3]))
+        data.qpos[ARM - 2] = OPENING * (1.0 - first[3]) + data.qpos[ARM - 1]
+    return jnp.asarray(data.qpos, jnp.float32)
+
+
+def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
+    """Return the observations [T + 10, 14] of each episode, all of them simulated in one program."""
+    longest = max(len(episode.actions) for episode in episodes) + HOLD
+    actions = np.stack(
+        [episode.actions[np.minimum(np.arange(longest), len(episode.actions) - 1)] for episode in episodes]
+    )
+    starts = [start_state(env, episode.observations[0]) for episode in episodes]
+    state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
+
+    def play_episode(state: State, actions: jax.Array) -> jax.Array:
+        def step(state, action):
+            state = env.step(state, action)
+            return state, state.obs
+
+        return jax.lax.scan(step, state, actions)[1]
+
+    obs = np.asarray(jax.jit(jax.vmap(play_episode))(state, jnp.asarray(actions)))
+    return [part[: len(episode.actions) + HOLD] for part, episode in zip(obs, episodes, strict=True)]
+
+
+def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
+    """Return errors [T] of the object in metres, agreement [T] of rewards and the offset of the first success."""
+    length = len(episode.actions)
+    success = np.asarray(jax.jit(env.success)(obs))
+    first = int(np.argmax(success)) if success.any() else None
+    recorded = episode.rewards > 0
+    ended = int(np.argmax(recorded)) if recorded.any() else length - 1
+    return {
+        "errors": np.linalg.norm(obs[:length, 4:7] - episode.next_observations[:, 4:7], axis=1),
+        "agreement": success[:length] == recorded,
+        "offset": None if first is None else first - ended,
+        "by_end": first is not None and first < length,
+    }
+
+
+def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
+    """Return the report on one file of recordings."""
+    episodes = read(file).episodes()
+    env = make(name, engine=engine, substeps=substeps)
+    if not isinstance(env, Sawyer):
+        raise ValueError(f"{name} is not a Sawyer task; the tests in tests/envs replay its recordings")
+    forward = bool(np.abs(episodes[0].observations[0, 7:] - env.goal_states[0]).max() < 1e-4)
+    results = [compare(env, episode, obs) for episode, obs in zip(episodes, play(env, episodes), strict=True)]
+    errors = np.concatenate([result["errors"] for result in results])
+    reset_error = max(_reset_error(env, episode.observations[0]) for episode in episodes)
+    return {
+        "env": name, "file": file.name, "engine": env.resolved_engine, "substeps": substeps,
+        "direction": "forward" if forward else "backward", "episodes": len(results),
+        "successes_by_end": sum(result["by_end"] for result in results),
+        "successes_within_hold": sum(result["offset"] is not None for result in results),
+        "mean_object_error_mm": round(float(errors.mean()) * 1e3, 3),
+        "worst_object_error_mm": round(float(errors.max()) * 1e3, 3),
+        "reward_agreement": round(float(np.concatenate([result["agreement"] for result in results]).mean()), 4),
+        "first_success_offsets": [result["offset"] for result in results],
+        "reset_arm_error": reset_error,
+    }  # fmt: skip
+
+
+def _reset_error(env: Sawyer, first: np.ndarray) -> float:
+    """Return the largest difference of hand and opening between `first [14]` and the nearer reset pose."""
+    pose = nearer_reset(env, first).pose
+    return float(np.abs([*pose.hand, pose.grip] - first[:4]).max())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("env", choices=["sawyer_door", "sawyer_peg"])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--engine", choices=["auto", *ENGINES], default="auto")
+    parser.add_argument("--substeps", type=int, default=5)
+    arguments = parser.parse_args()
+    print(json.dumps(replay(arguments.env, arguments.file, arguments.engine, arguments.substeps)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Robustness of policies to starts that training never had."""

@@ -1,0 +1,138 @@
+"""Figure 5 from the runs of tabletop in results/paper: success of final policies from uniform starts.
+
+    python -m benchmarks.robustness.uniform_starts [--evaluate]
+
+With --evaluate, the policies of every run of the published length that results/starts/paper_seeds.csv lacks run 100 episodes
+from each kind of start, and their success is added to it. Starts are the task's own, gripper and mug anywhere within 2.5 (as
+the release draws them), or within 2.8 (the whole table, `earl-jax evaluate --starts uniform`). Without it, only the table
+between comments in docs/results.md is written, from that file.
+"""
+
+import argparse
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.output import RESULTS
+from benchmarks.paper_cells import PAGES, ROOT, TABLETOP, commit_of, with_table
+from earl_jax import assets
+from earl_jax.envs import Env, State
+from earl_jax.envs.tabletop import FREE
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import deployed
+from earl_jax.metrics.robustness import relative_drop
+from earl_jax.paper.tasks import training_steps
+from earl_jax.physics import PhysicsState
+from earl_jax.report.runs import read
+from earl_jax.report.tables import interval_text, markdown_table, write
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.provenance import short_commit
+from earl_jax.training.loading import load_policies
+
+SEEDS = RESULTS / "starts" / "paper_seeds.csv"
+EPISODES = 100
+KINDS = {"initial": None, "within_2.5": 2.5, "within_2.8": 2.8}
+"""Kinds of starts by column: None is the task's own, else the largest coordinate of gripper and mug."""
+RELEASED = "within_2.5"
+MARKS = "<!-- starts -->", "<!-- end of starts -->"
+HEADER = ("run", "seeds", "from s0 [95 %]", "within 2.5 [95 %]", "drop, % [95 %]", "published drop, %",
+          "within 2.8 [95 %]", "drop, % [95 %]")  # fmt: skip
+
+Row = dict[str, Any]
+
+
+def within(env: Env, limit: float) -> Callable[[jax.Array], State]:
+    """Return the starts of `env` with gripper and mug uniform in ±`limit`, and any task goal."""
+
+    def start(key):
+        position_key, goal_key = jax.random.split(key)
+        qpos, state = jax.random.uniform(position_key, (4,), minval=-limit, maxval=limit), env.reset(key)
+        obs = jnp.concatenate([qpos, FREE, state.info["goal"]])
+        return env.with_goal(state.replace(data=PhysicsState.at(qpos), obs=obs), env.sample_goal(goal_key))
+
+    return start
+
+
+def evaluate(root: Path = ROOT / TABLETOP, episodes: int = EPISODES, known: Sequence[Row] = ()) -> list[Row]:
+    """Return the `known` rows, and one for each seed of each other run of the published length with policies below `root`.
+
+    The repository keeps the policies of R3L alone, so the rows of the other runs cannot be computed from it again.
+    """
+    length, rows = training_steps(TABLETOP), list(known)
+    for folder in sorted(file.parent for file in root.rglob("policies.npz")):
+        run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(folder) or "")}
+        if int(read(folder).steps[-1]) == length and not any(run.items() <= row.items() for row in known):
+            rows = [row for row in rows if row["run"] != run["run"]]
+            rows += [{**run, **row} for row in _run_rows(folder, episodes)]
+    return rows
+
+
+def _run_rows(folder: Path, episodes: int) -> list[Row]:
+    run = RunFolder.open(folder)
+    env, policies = load_policies(run)
+    columns: dict[str, np.ndarray] = {}
+    for kind, limit in KINDS.items():
+        start = env.reset if limit is None else within(env, limit)
+
+        def success(policy, start=start):
+            return deployed(env, policy, jax.random.key(0), env.eval_horizon, episodes, start)["deployed/success"]
+
+        columns[kind] = np.asarray(jax.jit(jax.vmap(success))(policies), float).round(4)
+    return [
+        {"seed": seed, **{kind: float(values[lane]) for kind, values in columns.items()}}
+        for lane, seed in enumerate(run.config.seeds)
+    ]
+
+
+def read_rows(file: Path = SEEDS) -> list[Row]:
+    """Return the rows of `evaluate` in `file`, as text."""
+    with file.open() as handle:
+        return list(csv.DictReader(handle))
+
+
+def read_seeds(file: Path = SEEDS) -> dict[str, dict[str, np.ndarray]]:
+    """Return the success [seeds] by run and kind of start in `file`."""
+    rows = read_rows(file)
+    return {
+        run: {kind: np.array([float(row[kind]) for row in rows if row["run"] == run]) for kind in KINDS}
+        for run in dict.fromkeys(row["run"] for row in rows)
+    }
+
+
+def table(runs: dict[str, dict[str, np.ndarray]]) -> str:
+    """Return the rows of `read_seeds` as a markdown table, beside the published drops of whole methods."""
+    return markdown_table(HEADER, [_line(run, success) for run, success in runs.items()])
+
+
+def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
+    own, (released, whole) = success["initial"], (success[kind] for kind in ("within_2.5", "within_2.8"))
+    published = assets.published_row("figure5", algo=run.partition("/")[0]).get("drop_percent", "-")
+    texts = [interval_text(*mean_interval(scores)) for scores in (own, released, whole)]
+    drops = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in relative_drop(own, other)))
+             for other in (released, whole)]  # fmt: skip
+    return [run, str(len(own)), texts[0], texts[1], drops[0], published, texts[2], drops[1]]
+
+
+def write_table() -> None:
+    """Write the table in docs/results.md from the kept successes."""
+    page = PAGES / "docs" / "results.md"
+    page.write_text(with_table(page.read_text(), table(read_seeds()), *MARKS))
+
+
+def main() -> None:
+    """Evaluate if asked, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--evaluate", action="store_true", help="evaluate the runs that are not in the file")
+    if parser.parse_args().evaluate:
+        write(evaluate(known=read_rows()), SEEDS)
+    write_table()
+    print(table(read_seeds()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Measure what each method costs beside naive RL, in steps/s: `python -m benchmarks.speed.method_cost --minutes 5`.
+
+The programs of all methods, of `--chunk` training steps, are compiled first, `--threads` at a time. With `--wait-for PATH`,
+timing starts when that file exists, so that other work can use the device until then. In each round every method runs for about
+`--seconds`, and a ratio is to naive's rate in the same round; the first round does not count. Evaluations and the cloning
+before the first step are not timed. Writes results/method_cost/NAME.{csv,json} after each round (NAME is the device unless
+`--name` gives one), and at the end the tables of docs/algorithms.md from all of these files; with `--table` only the tables.
+"""
+
+import argparse
+import csv
+import os
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.output import RESULTS, save
+from benchmarks.paper_cells import PAGES, with_table
+from benchmarks.speed.training import compile_steps, make_training
+from earl_jax.cli.arguments import parse_options
+from earl_jax.cli.xla_flags import set_flags
+from earl_jax.machine import own_cores
+from earl_jax.report.tables import markdown_table, write
+
+ROOT = RESULTS / "method_cost"
+PAGE = PAGES / "docs" / "algorithms.md"
+MARKS = "<!-- method cost -->", "<!-- end of method cost -->"
+METHODS = (
+    "naive", "oracle", "fbrl", "fbrl controllers=1", "r3l", "vaprl", "bc", "risc", "medal", "rlpd", "rlpd utd=20", "cfbrl",
+)  # fmt: skip
+"""Methods, each with options as `--set` takes them; the others are compared with the first."""
+HEADER = ("method", "steps/s", "quartiles", "ratio to the first", "quartiles")
+Row = dict[str, Any]
+
+
+class Program:
+    """The compiled chunk of the method `name`; its replay has space for `room` more steps."""
+
+    def __init__(self, name: str, given: argparse.Namespace):
+        algo, *own = name.split()
+        options = parse_options((*given.set, *own))
+        problem, self._method, self._state = make_training(given.env, algo, given.lanes, given.steps, **options)
+        self._program, seconds = compile_steps(problem, self._method, self._state, given.chunk)
+        self.name, self.room, self._chunk, self._calls = name, given.steps, given.chunk, 1
+        print(f"{name}: compiled in {seconds:.1f} s", flush=True)
+
+    def fit(self, seconds: float) -> None:
+        """Let a measurement take about `seconds`, by the second of two chunks."""
+        self.rate()
+        self._calls = max(1, round(seconds * self.rate() / self._chunk))
+
+    def rate(self) -> float:
+        """Return steps per second of the next chunks."""
+        steps, began = self._calls * self._chunk, time.perf_counter()
+        for _ in range(self._calls):
+            self._state = self._program(self._method, self._state)
+        jax.block_until_ready(self._state.step)
+        self.room -= steps
+        return steps / (time.perf_counter() - began)
+
+    @property
+    def full(self) -> bool:
+        """Whether the replay has no space for another measurement."""
+        return self.room < self._calls * self._chunk
+
+
+def compile_programs(given: argparse.Namespace) -> list[Program]:
+    """Return the programs of the methods; one that does not compile is left out, but the first must."""
+
+    def attempt(name: str) -> Program | None:
+        try:
+            return Program(name, given)
+        except Exception as error:
+            if name == given.methods[0]:
+                raise
+            print(f"{name} is left out: {type(error).__name__}: {str(error)[:400]}", flush=True)
+            return None
+
+    with ThreadPoolExecutor(given.threads) as pool:
+        return [program for program in pool.map(attempt, given.methods) if program]
+
+
+def measure(programs: Sequence[Program], given: argparse.Namespace, out: Path) -> None:
+    """Time the programs in turns, in every second round from the last to the first, and write the results so far."""
+    for program in programs:
+        program.fit(given.seconds)
+    rates: dict[str, list[float]] = {program.name: [] for program in programs}
+    end = time.monotonic() + 60 * given.minutes
+    for number in range(given.rounds + 1):
+        if time.monotonic() > end or any(program.full for program in programs):
+            return
+        timed = {program.name: program.rate() for program in programs[:: -1 if number % 2 else 1]}
+        if number > 0:
+            for name, rate in timed.items():
+                rates[name].append(rate)
+            write_result(rates, given, out)
+            print(f"round {number}:", *(f"{name} {rate[-1]:.0f}" for name, rate in rates.items()), sep="  ", flush=True)
+
+
+def write_result(rates: dict[str, list[float]], given: argparse.Namespace, out: Path) -> None:
+    """Write rates, rows, flags and provenance to `out`.json, and the rows to `out`.csv."""
+    setting = {
+        "device": jax.devices()[0].device_kind, "cores": len(own_cores()), "env": given.env, "lanes": given.lanes,
+        "set": " ".join(given.set),
+    }  # fmt: skip
+    rows = [setting | row for row in cost_rows(rates)]
+    report = {"xla_flags": os.environ.get("XLA_FLAGS", ""), "rates": rates, "rows": rows}
+    save(out.with_suffix(".json"), shlex.join(["python", "-m", "benchmarks.speed.method_cost", *sys.argv[1:]]), report)
+    write(rows, out.with_suffix(".csv"))
+
+
+def cost_rows(rates: dict[str, list[float]]) -> list[Row]:
+    """Return a row for each method: median and quartiles of its `rates`, and of their ratios to the first method's."""
+    rows, base = [], np.array(next(iter(rates.values())))
+    for name, values in rates.items():
+        method, *own = name.split()
+        row: Row = {"method": method, "options": " ".join(own), "rounds": len(values)}
+        for column, sample in (("steps_per_s", np.array(values)), ("ratio", values / base)):
+            low, median, high = np.percentile(sample, (25, 50, 75)).round(4).tolist()
+            row |= {column: median, f"{column}_low": low, f"{column}_high": high}
+        rows.append(row)
+    return rows
+
+
+def tables(root: Path = ROOT) -> str:
+    """Return a markdown table with its heading for each csv file in `root`."""
+    return "\n\n".join(map(_table, sorted(root.glob("*.csv")))) or "No device has been measured in this way yet."
+
+
+def _table(path: Path) -> str:
+    with path.open(newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    heading = "{device} with {cores} cores, {env}, {lanes} lanes, `{set}`, {rounds} rounds:".format(**rows[0])
+    shown = [0, 3, 4] if rows[0]["device"] == "cpu" else range(len(HEADER))  # of a CPU only ratios
+    lines = [[cells[column] for column in shown] for cells in (HEADER, *map(_line, rows))]
+    return f"{heading}\n\n{markdown_table(lines[0], lines[1:])}"
+
+
+def _line(row: dict[str, str]) -> list[str]:
+    name = f"`{row['method']}`" + f", `{row['options']}`" * bool(row["options"])
+    rates, ratios = ([float(row[column + end]) for end in ("", "_low", "_high")] for column in ("steps_per_s", "ratio"))
+    return [
+        name, f"{rates[0]:,.0f}", f"{rates[1]:,.0f} to {rates[2]:,.0f}",
+        f"{ratios[0]:.3g}", f"{ratios[1]:.3g} to {ratios[2]:.3g}",
+    ]  # fmt: skip
+
+
+def write_tables() -> None:
+    """Write the tables in docs/algorithms.md from the kept files."""
+    PAGE.write_text(with_table(PAGE.read_text(), tables(), *MARKS))
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--env", default="tabletop_organization")
+    parser.add_argument("--methods", nargs="+", default=METHODS, help="with options; the first is compared with")
+    parser.add_argument("--lanes", type=int, default=5)
+    parser.add_argument("--set", nargs="*", default=["precision=bf16"], help="name=value options of all methods")
+    parser.add_argument("--minutes", type=float, default=5, help="start no round later than this after the first")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=0.7, help="of a measurement, which is at least one chunk")
+    parser.add_argument("--chunk", type=int, default=1000, help="steps of a call, as in training by default")
+    parser.add_argument("--steps", type=int, default=1_000_000, help="rows of a replay, which end the measurement")
+    parser.add_argument("--threads", type=int, default=len(own_cores()))
+    parser.add_argument("--wait-for", type=Path, help="start timing when this file exists")
+    parser.add_argument("--name", help="of the files written (default: the device)")
+    parser.add_argument("--table", action="store_true", help="write the tables alone, from the kept files")
+    return parser.parse_args(arguments)
+
+
+def main() -> None:
+    """Measure, and write the tables."""
+    given = parse()
+    if not given.table:
+        set_flags(["train"])  # the flags of a GPU that training has
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # while compiling, leave the memory to others
+        programs = compile_programs(given)
+        print("all programs are compiled", flush=True)
+        while given.wait_for and not given.wait_for.exists():
+            time.sleep(0.2)
+        device = jax.devices()[0].device_kind.lower().removeprefix("nvidia ").replace(" ", "_")
+        measure(programs, given, ROOT / (given.name or device))
+    write_tables()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Measure training steps per second, without compile time: `python -m benchmarks.speed.training --env sawyer_door --lanes 1 10`.
+
+Writes benchmarks/results/speed/<name>.json and .csv. A lane-step is one control step and one gradient step of one seed.
+"""
+
+import argparse
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from benchmarks.output import save
+from earl_jax.algos import Method, make_algo
+from earl_jax.envs import make
+from earl_jax.protocol import Protocol
+from earl_jax.report.tables import write
+from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.init import init_train_state
+from earl_jax.training.plan import per_lane
+from earl_jax.training.scan import run_steps
+from earl_jax.training.state import Problem, TrainState, seed_keys
+
+
+def make_training(name: str, algo: str, lanes: int, steps: int, **options: Any) -> tuple[Problem, Method, TrainState]:
+    """Return a problem, its method and the train state at step 0 with a replay for `steps` steps."""
+    env = make(name)
+    problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
+    method = per_lane(make_algo(algo, **options), lanes)
+    capacity = replay_capacity(problem, method, steps)
+    init = jax.jit(lambda m, keys: init_train_state(problem, m, keys, capacity))
+    return problem, method, init(method, seed_keys(range(lanes)))
+
+
+def compile_steps(problem: Problem, method: Method, state: TrainState, steps: int) -> tuple[Any, float]:
+    """Return the program of `steps` training steps, which overwrites its train state, and the seconds of its compilation."""
+    advance = jax.jit(lambda m, state: run_steps(problem, m, state, steps), donate_argnums=1)
+    began = time.perf_counter()
+    return advance.lower(method, state).compile(), time.perf_counter() - began
+
+
+def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
+    """Return compile seconds and the median steps per second of `algo` on task `name` with `lanes` lanes."""
+    problem, method, state = make_training(name, algo, lanes, 100_000)
+    program, compiled = compile_steps(problem, method, state, steps)
+    times = []
+    for _ in range(repeats + 1):
+        began = time.perf_counter()
+        state = program(method, state)
+        jax.block_until_ready(state.step)
+        times.append(time.perf_counter() - began)
+    rate = steps / statistics.median(times[1:])
+    return {
+        "env": name, "engine": problem.env.resolved_engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "steps_per_s": round(rate, 1),
+        "lane_steps_per_s": round(rate * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--env", default="tabletop_organization")
+    parser.add_argument("--lanes", type=int, nargs="+", default=[1, 4])
+    parser.add_argument("--algos", nargs="+", default=["naive"])
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/speed/run"))
+    arguments = parser.parse_args()
+    rows = []
+    for algo in arguments.algos:
+        for lanes in arguments.lanes:
+            rows.append(measure(arguments.env, algo, lanes, arguments.steps, arguments.repeats))
+            print(rows[-1], flush=True)
+    command = "python -m benchmarks.speed.training --env {} --algos {} --lanes {} --steps {}".format(
+        arguments.env, " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
+    )
+    save(arguments.out.with_suffix(".json"), command, {"rows": rows})
+    write(rows, arguments.out.with_suffix(".csv"))
+
+
+if __name__ == "__main__":
+    main()
