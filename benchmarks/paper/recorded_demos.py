@@ -1,6 +1,6 @@
 """Write the demonstrations for runs with the authors' recordings: `python -m benchmarks.paper.recorded_demos TASK FORWARD.npz`.
 
-Writes recorded/TASK.npz for `--set demo_file=recorded/TASK.npz`, from which `benchmarks.collect` names a run. A direction
+Writes recorded/TASK.npz for `--set demo_file=recorded/TASK.npz`. A direction
 without a recording has our own demonstrations, since methods with a return phase need both: only the forward recordings of
 door and peg were at hand.
 """
