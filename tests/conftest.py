@@ -3,12 +3,21 @@
 import fcntl
 import gc
 import os
+import platform
+from importlib.metadata import version
 from pathlib import Path
 
-from tests.compiler import xla_flags
-
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""))
+# Compilation takes most of the tests' time. At level 0 several programs compute NaN with the instructions of AVX2, so AVX is
+# the last set. An unknown flag ends the process, so only releases that are known to have them get them.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX"
+    " --xla_cpu_parallel_codegen_split_count=1"
+    " --xla_disable_hlo_passes=while-loop-invariant-code-motion,while-loop-constant-sinking"
+    if version("jaxlib").startswith("0.10.") and platform.machine().lower() in ("x86_64", "amd64")
+    else "",
+)
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +33,6 @@ from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
-from tests import indexing, mlir_context, staging, stored_programs, threefry
 
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
@@ -51,14 +59,9 @@ LATER_ALGOS = ["bc", "cfbrl", "medal", "risc", "rlpd"]
 def pytest_configure(config):
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
-    indexing.install()
-    mlir_context.install()
-    staging.install()
-    threefry.install()
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also for the other workers
-    stored_programs.install()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -74,13 +77,6 @@ def pytest_collection_modifyitems(items):
     """Put the longest files first, so that the workers end together."""
     ranks = {TESTS / name: rank for rank, name in enumerate(LONGEST)}
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
-
-
-@pytest.fixture
-def compiled_hash():
-    """Programs of a test with thousands of steps, which host calls would make slow."""
-    with threefry.compiled():
-        yield
 
 
 @pytest.fixture(scope="session")

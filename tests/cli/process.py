@@ -22,15 +22,15 @@ ADDED = {
 ENVIRONMENT = {**os.environ, **ADDED}
 
 
-def start(*arguments, python=(sys.executable, "-m")):
-    """Return the running process of one command; `tests.child.COMMAND` as `python` gives it the tests' random hash."""
-    command = [*python, "earl_jax.cli", *map(str, arguments)]
+def start(*arguments):
+    """Return the running process of one command."""
+    command = [sys.executable, "-m", "earl_jax.cli", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
 
 
-def run_process(*arguments, **options):
-    """Return exit code, stdout and stderr of one command in its own process, with the options of `start`."""
-    process = start(*arguments, **options)
+def run_process(*arguments):
+    """Return exit code, stdout and stderr of one command in its own process."""
+    process = start(*arguments)
     out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 

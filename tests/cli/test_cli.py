@@ -10,7 +10,6 @@ import warnings
 import pytest
 
 from earl_jax import cli
-from tests.child import COMMAND
 from tests.cli.process import run, run_process, snapshot, start, train
 
 TASKS = [
@@ -77,7 +76,7 @@ def test_run_folder_contains_config_and_metrics(finished):
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
     whole, _ = finished
     folder = tmp_path / "killed"
-    process = start(*train(folder), python=COMMAND)
+    process = start(*train(folder))
     deadline = time.monotonic() + 240
     while not list(folder.glob("checkpoints/0*")) and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -15,7 +15,6 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid, launcher, worker
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.planner import plan
-from tests.child import COMMAND
 from tests.cli.process import ADDED
 from tests.conftest import advance, make_train_state, tiny_method
 from tests.report.run_files import read_csv
@@ -43,8 +42,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _shared_programs(monkeypatch):
-    """Let the workers of a sweep use the suite's random hash and its compiled programs."""
-    monkeypatch.setattr(launcher, "WORKER", [*COMMAND, "earl_jax.sweeps"])
+    """Let the workers of a sweep use the suite's compiled programs."""
     for name, value in ADDED.items():
         monkeypatch.setenv(name, value)
 

@@ -14,15 +14,16 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.training.devices import lane_mesh
 from tests.conftest import CACHE, TESTS
 
-FOUR_DEVICES = {**os.environ, "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
+FOUR_DEVICES = {
+    **os.environ,
+    "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4",
+}
 SETUP = """
 import json, sys
 import jax
 import numpy as np
 import earl_jax
 from earl_jax.training import devices, runner
-from tests import threefry
-threefry.install()
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16], batch_size=16, random_steps=20)

@@ -1,7 +1,5 @@
 """The training step: pure, deterministic, independent of the number of lanes, with correct phases and resets."""
 
-import contextlib
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +14,6 @@ from earl_jax.protocol import Protocol
 from earl_jax.training import loop, runner, scan
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import Problem
-from tests import threefry
 from tests.conftest import (
     ALGOS,
     CHUNK,
@@ -92,8 +89,7 @@ def expert_acts(monkeypatch):
 def explore(problem, method, steps, lanes=4):
     """Return the lanes of a fresh training after `steps` steps without updates."""
     state = make_train_state(problem, method, range(lanes), steps)
-    with threefry.compiled() if steps > 1000 else contextlib.nullcontext():
-        return run_whole(problem, method, state, steps, explore=True)
+    return run_whole(problem, method, state, steps, explore=True)
 
 
 @pytest.mark.parametrize(("algo", "published"), [("naive", 26.6), ("oracle", 41.0), ("fbrl", 82.5), ("vaprl", 82.5)])

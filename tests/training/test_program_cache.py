@@ -19,8 +19,6 @@ import jax
 events = []
 jax.monitoring.register_event_listener(lambda name, **_: events.append(name.rsplit("/", 1)[-1]))
 import earl_jax
-from tests import threefry
-threefry.install()
 small = dict(hidden_sizes=[16], batch_size=16, random_steps=20)
 earl_jax.train("tabletop_organization", "naive", seeds=2, steps=40, eval_every=40, **small)
 assert not {"brax", "mujoco", "trimesh"} & set(sys.modules), "they take longer to import than jax"

@@ -202,7 +202,6 @@ def test_a_fixed_temperature_stays():
         assert (float(after.log_temperature) == float(agent.log_temperature)) == fixed
 
 
-@pytest.mark.usefixtures("compiled_hash")
 def test_sac_solves_a_chain_of_known_value():
     """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
 
