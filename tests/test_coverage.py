@@ -135,37 +135,6 @@ def test_every_part_of_the_page_has_items_and_its_links_are_checked():
     assert PAGE in PAGES
 
 
-ROW = "| a thing | `earl_jax.envs:Env.step` | exact | |"
-HEAD = "| `exact` | 1 | |\n| `differs` | 0 | |\n| `option` | 0 | |\n| `open` | 0 | |\n| all | 1 | |\n\n"
-TABLE = HEAD + "| item | where | class | how |\n| --- | --- | --- | --- |\n"
-WRONG = {
-    "| a thing | `earl_jax.envs:Env.stride` | exact | |": "no attribute 'stride'",
-    "| a thing | `earl_jax.envz:Env` | exact | |": "No module named",
-    "| a thing | `assets/mjcf/none.xml` | exact | |": "is no object, option or file",
-    "| a thing | the loop | exact | |": "names no code",
-    "| a thing | `earl_jax.envs:Env`, the loop | exact | |": "more than references",
-    "| a thing | `earl_jax.envs:Env` | same | why |": "has the class 'same'",
-    "| a thing | `earl_jax.envs:Env` | differs | why |": "without a link",
-    "| a thing | `earl_jax.envs:Env` | open | |": "has no remark",
-    "| a thing | `earl_jax.envs:Env` | option | why |": "rows of the class option only",
-    "| a thing | `sawyer_door: varient=paper` | option | why |": "has no option 'varient'",
-    "| a thing | `sawyer_door: variant=papers` | option | why |": "variant 'papers' is not one of",
-    "| a thing | `sawyer_doors: variant=paper` | option | why |": "no task, method or setting",
-    f"{ROW}\n{ROW}": "the counts of the page",
-}
-
-
-@pytest.mark.parametrize("rows", WRONG)
-def test_a_wrong_row_is_a_fault(rows):
-    assert faults(f"{TABLE}{ROW}\n") == []
-    assert any(WRONG[rows] in fault for fault in faults(f"{TABLE}{rows}\n"))
-
-
-def test_a_row_with_another_number_of_cells_is_refused():
-    with pytest.raises(ValueError, match="expected 4 cells"):
-        items_of(f"{TABLE}| a thing | exact |\n")
-
-
 TASKS = {
     "tabletop_organization": (12, 3, 200_000, 200, "sparse", (12, 12)),
     "sawyer_door": (14, 4, 200_000, 300, "sparse", (5, 5)),

@@ -1,4 +1,4 @@
-"""Tests of the public names: light imports, documentation, earlier names, entry points."""
+"""Tests of the public names: light imports, documentation, entry points."""
 
 import subprocess
 import sys
@@ -24,6 +24,15 @@ def test_making_a_task_loads_no_learner_or_simulator():
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "[]"
+
+
+def test_the_public_names_are_these():
+    assert earl_jax.__all__ == [
+        *["Continuing", "Deployment", "Env", "HelpBudget", "InputError", "Method", "MujocoEnv", "Policy", "Problem"],
+        *["Protocol", "Result", "State", "evaluate", "lifetime", "list_algos", "list_envs", "list_pretrained", "make"],
+        *["make_algo", "method_for", "preset", "pretrained", "pretrained_info", "register_algo", "register_env"],
+        *["resume", "select_seed", "train"],
+    ]
 
 
 def test_every_public_name_is_documented():

@@ -65,15 +65,45 @@ def test_step_is_traced_once_and_scans(name, reward_type):
     for _ in range(3):
         state = step(state, jnp.ones(env.action_size))
     assert len(traces) == 1
-    actions = jax.random.uniform(jax.random.key(1), (50, env.action_size), minval=-1, maxval=1)
+    actions = jax.random.uniform(jax.random.key(1), (200, env.action_size), minval=-1, maxval=1)
+    actions = actions.at[100:].set(jnp.sign(actions[100::10]).repeat(10, axis=0))  # saturated, and held for ten steps
 
     def scanned_step(state, action):
         state = env.step(state, action)
-        return state, state.reward
+        return state, (state.reward, env.fault(state))
 
-    final, rewards = jax.lax.scan(scanned_step, state, actions)
-    assert rewards.shape == (50,)
+    final, (rewards, faults) = jax.lax.scan(scanned_step, state, actions)
+    assert rewards.shape == (200,)
+    assert not faults.any()
     assert_all_finite(final)
+
+
+FAULTS = {
+    "cheetah_run": [("qvel", 3, np.nan), ("qpos", 1, -1.5), ("qpos", 1, 11.0)],
+    "dhand_lightbulb": [("obs", 0, np.nan), ("obs", 25, 0.6), ("obs", 23, 1.5), ("obs", 28, 2.0)],
+    "fish_swim": [("qvel", 3, np.nan), ("obs", 2, 7.0)],
+    "franka_kitchen": [
+        *[("qpos", 0, np.nan), ("qpos", 6, 30.0), ("qpos", 17, 0.5), ("qpos", 14, 1.0), ("qpos", 9, -2.0)],
+        ("obs", 3, np.inf),
+    ],
+    "minitaur_pen": [("qpos", 0, np.nan), ("qpos", 0, 5.0)],
+    "sawyer_door": [("obs", 5, 2.0), ("obs", 2, -0.5)],
+    "sawyer_peg": [("obs", 5, 2.0), ("obs", 2, -0.5)],
+}
+"""What makes a state of a task broken or impossible: a field, an index and its value. In others, a number that is none."""
+
+
+@pytest.mark.parametrize("name", list_envs())
+def test_a_broken_or_impossible_state_is_a_fault_and_irreversible(name):
+    env, state = make(name), first_state(name, make(name).reward_type)
+    assert not env.fault(state)
+    assert not env.irreversible(state)
+    for field, index, value in FAULTS.get(name, [("obs", 0, np.nan)]):
+        owner = state if field == "obs" else state.data
+        part = {field: getattr(owner, field).at[index].set(value)}
+        broken = state.replace(**part) if field == "obs" else state.replace(data=state.data.replace(**part))
+        assert env.fault(broken), (field, index)
+        assert env.irreversible(broken), (field, index)
 
 
 @DEFAULT_REWARD

@@ -170,10 +170,3 @@ def test_a_bulb_at_rest_out_of_reach_is_irreversible(x, speed, irreversible):
     assert not env.fault(state)
     below = state.replace(obs=state.obs.at[25].set(dhand_lightbulb.TABLE - 0.1))
     assert env.irreversible(below)
-
-
-@pytest.mark.parametrize("name", [*WITH_IRREVERSIBLE_STATES, "tabletop_organization"])
-def test_a_fault_is_irreversible_too(name):
-    env, state = reset_task(name)
-    assert not env.irreversible(state)
-    assert env.irreversible(state.replace(obs=state.obs.at[0].set(jnp.nan)))
