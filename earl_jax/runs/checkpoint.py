@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import DamagedWarning, OpenFolder, opened
+from earl_jax.runs.files import DamagedWarning, entries, make_folder, remove, write_atomically
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.manifest import MANIFEST, DamagedError, checksums, manifest_text, verified
 from earl_jax.runs.snapshot import filled, plain, spread, typed
@@ -51,54 +51,51 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
     if not first_host():
         return done
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with opened(folder.parent) as parent, parent.subfolder(folder.name) as checkpoints:
-            _save(checkpoints, step, lanes, replay)
+        make_folder(folder)
+        _save(folder, done, lanes, replay)
     except Exception as error:  # orbax raises various exceptions if the disk is full
         cause = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
         raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
     return done
 
 
-def _save(checkpoints: OpenFolder, step: int, lanes: dict[str, np.ndarray], replay: dict[str, np.ndarray]) -> None:
-    part, done = f"{PREFIX}{step}", f"{step:09d}"
-    _remove(checkpoints, [name for name in checkpoints.names() if name.startswith(PREFIX)])
-    checkpoints.make(part)
+def _save(folder: Path, done: Path, lanes: dict[str, np.ndarray], replay: dict[str, np.ndarray]) -> None:
+    part = folder / f"{PREFIX}{done.name}"
+    for entry in entries(folder):
+        if entry.name.startswith(PREFIX):
+            _remove(entry)
+    part.mkdir()
     try:
-        _require_room(checkpoints, [*lanes.values(), *replay.values()])
-        path = checkpoints.path / part
-        _write(path / "lanes", lanes)
-        _write(path / "replay", replay)
-        with checkpoints.subfolder(part) as folder:
-            manifest = {"step": step, "lanes": _described(lanes), "files": checksums(path)}
-            folder.write(MANIFEST, manifest_text(manifest))
+        _require_room(folder, [*lanes.values(), *replay.values()])
+        _write(part / "lanes", lanes)
+        _write(part / "replay", replay)
+        manifest = {"step": int(done.name), "lanes": _described(lanes), "files": checksums(part)}
+        write_atomically(part / MANIFEST, manifest_text(manifest))
     except Exception:
-        _remove(checkpoints, [part])
+        _remove(part)
         raise
-    older = [name for name in checkpoints.names() if NAME.fullmatch(name) and name != done]
-    _discard(checkpoints, [done])
-    checkpoints.rename(part, done)
-    _discard(checkpoints, sorted(older, key=int)[: 1 - KEPT])
+    older = [path for path in _checkpoints(folder) if path != done]
+    _discard(done)
+    part.rename(done)
+    for path in older[: 1 - KEPT]:
+        _discard(path)
 
 
-def _discard(checkpoints: OpenFolder, names: Sequence[str]) -> None:
-    """Remove checkpoints; a kill in between leaves none of them half removed under its name."""
-    for name in names:
-        with contextlib.suppress(FileNotFoundError):
-            checkpoints.rename(name, PREFIX + name)
-            _remove(checkpoints, [PREFIX + name])
+def _discard(path: Path) -> None:
+    """Remove a checkpoint; a kill in between does not leave it half removed under its name."""
+    with contextlib.suppress(FileNotFoundError):
+        _remove(path.rename(path.with_name(f"{PREFIX}removed-{path.name}")))
 
 
-def _remove(checkpoints: OpenFolder, names: Sequence[str]) -> None:
-    """Remove folders as far as possible: on NFS, files that another process reads stay until the next checkpoint."""
-    for name in names:
-        with contextlib.suppress(OSError):
-            checkpoints.remove(name)
+def _remove(path: Path) -> None:
+    """Remove a folder as far as possible: on NFS, files that another process reads stay until the next checkpoint."""
+    with contextlib.suppress(OSError):
+        remove(path)
 
 
-def _require_room(folder: OpenFolder, arrays: Sequence[np.ndarray]) -> None:
+def _require_room(folder: Path, arrays: Sequence[np.ndarray]) -> None:
     """Raise an OSError if the disk has too little space: orbax's threads continue for a while after a failed write."""
-    disk = os.fstatvfs(folder.descriptor)
+    disk = os.statvfs(folder)
     needed, free = sum(array.nbytes for array in arrays) + SPARE, disk.f_bavail * disk.f_frsize
     if free < needed:
         raise OSError(f"it needs up to {needed / 1e6:,.1f} MB, but {free / 1e6:,.1f} MB are free")
@@ -111,7 +108,7 @@ def newest(folder: Path) -> int:
 
 def saved_steps(folder: Path) -> list[int]:
     """Return the steps of the checkpoints in `folder`, sorted."""
-    return sorted(int(path.name) for path in _checkpoints(folder))
+    return [int(path.name) for path in _checkpoints(folder)]
 
 
 def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:
@@ -191,9 +188,9 @@ def _read_lanes(path: Path, manifest: dict[str, Any], size: int, like: Any) -> A
 
 
 def _checkpoints(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return [path for path in folder.iterdir() if is_checkpoint(path)]
+    """Return the checkpoints in `folder`, the oldest first."""
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return sorted((path for path in paths if is_checkpoint(path)), key=lambda path: int(path.name))
 
 
 def is_checkpoint(path: Path) -> bool:

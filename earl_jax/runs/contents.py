@@ -7,7 +7,7 @@ from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import PARTS, PREFIX, is_checkpoint, saved_steps
-from earl_jax.runs.files import BUSY, LOCK, PART, OpenFolder, opened
+from earl_jax.runs.files import LOCK, PART, entries, remove, require_plain
 from earl_jax.runs.table import complete_lines, table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
@@ -37,36 +37,31 @@ def unknown_entries(path: Path) -> list[str]:
 
 def _unknown(path: Path) -> Iterator[Path]:
     known = {LOCK, WANDB, *FILES, *(name + PART for name in FILES)}
-    for entry in _entries(path):
+    for entry in entries(path):
         if entry.is_symlink():
             yield entry
         elif entry.name == CHECKPOINTS and entry.is_dir():
             yield from _unknown_checkpoints(entry)
         elif entry.name == TENSORBOARD and entry.is_dir():
-            yield from (file for file in _entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
+            yield from (file for file in entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
         elif entry.name not in known:
             yield entry
 
 
 def _unknown_checkpoints(folder: Path) -> Iterator[Path]:
-    for entry in _entries(folder):
+    for entry in entries(folder):
         if is_checkpoint(entry):
-            yield from (part for part in _entries(entry) if part.is_symlink() or part.name not in PARTS)
+            yield from (part for part in entries(entry) if part.is_symlink() or part.name not in PARTS)
         elif not entry.name.startswith(PREFIX) or entry.is_symlink():
             yield entry
 
 
-def _entries(folder: Path) -> list[Path]:
-    return [entry for entry in folder.iterdir() if not entry.name.startswith(BUSY)]
-
-
 def require_plain_entries(path: Path) -> None:
     """Raise an InputError that names a link or a special file, if there is one where a run at `path` writes."""
-    with opened(path) as folder:
-        for name in (LOCK, *(name + end for name in FILES for end in ("", PART))):
-            folder.require(name)
-        for name in (CHECKPOINTS, TENSORBOARD, WANDB):
-            folder.require(name, stat.S_IFDIR)
+    for name in (LOCK, *(name + end for name in FILES for end in ("", PART))):
+        require_plain(path / name)
+    for name in (CHECKPOINTS, TENSORBOARD, WANDB):
+        require_plain(path / name, stat.S_IFDIR)
     for entry in _below(path):
         if entry.is_symlink():
             raise InputError(f"{entry} is a link, and a run writes through none; remove it")
@@ -79,12 +74,10 @@ def _below(path: Path) -> Iterator[Path]:
             yield from (Path(top) / entry for entry in folders + files)
 
 
-def clear(folder: OpenFolder) -> list[str]:
+def clear(folder: Path) -> list[str]:
     """Remove what an earlier run in `folder` left except its config, and return the names of what was there."""
-    removed = []
-    names = folder.names()
-    for name in [*REMOVED, *(file + PART for file in FILES)]:
-        if name in names:
-            folder.remove(name)
-            removed.append(name)
+    names = {entry.name for entry in entries(folder)}
+    removed = [name for name in (*REMOVED, *(file + PART for file in FILES)) if name in names]
+    for name in removed:
+        remove(folder / name)
     return removed

@@ -39,113 +39,44 @@ class UnlockedWarning(RunWarning):
     """The file system has no locks, so that other processes are not kept from writing."""
 
 
-class OpenFolder:
-    """An open folder: files in it are reached relative to its `descriptor`, and links in it are refused.
+def require_plain(path: Path, kind: int = stat.S_IFREG) -> bool:
+    """Return whether `path` exists.
 
-    Names are those of direct entries. Every method raises an `InputError` that names the link or the special file if
-    there is one at that name.
+    Raises:
+        ValueError: it is a link, or not what `kind` says, a regular file or a folder.
     """
-
-    def __init__(self, path: Path, descriptor: int):
-        self.path, self.descriptor = path, descriptor
-
-    @contextlib.contextmanager
-    def subfolder(self, name: str) -> Iterator["OpenFolder"]:
-        """Open the folder `name`, after creating it if necessary."""
-        with contextlib.suppress(FileExistsError):
-            os.mkdir(name, dir_fd=self.descriptor)
-        number = self.open(name, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            yield OpenFolder(self.path / name, number)
-        finally:
-            os.close(number)
-
-    def open(self, name: str, flags: int) -> int:
-        """Return the descriptor of the file or folder `name`."""
-        kind = stat.S_IFDIR if flags & os.O_DIRECTORY else stat.S_IFREG
-        try:
-            flags |= os.O_NOFOLLOW | os.O_NONBLOCK  # a FIFO would block
-            number = os.open(name, flags, 0o666, dir_fd=self.descriptor)
-        except OSError as error:
-            if error.errno in NOT_REGULAR:
-                self.require(name, kind)
-            raise
-        if stat.S_IFMT(os.fstat(number).st_mode) != kind:
-            os.close(number)
-            self.require(name, kind)
-        return number
-
-    def require(self, name: str, kind: int = stat.S_IFREG) -> bool:
-        """Return whether `name` exists; raise an InputError if it is anything but a file or folder, as `kind` says."""
-        try:
-            mode = os.stat(name, dir_fd=self.descriptor, follow_symlinks=False).st_mode
-        except FileNotFoundError:
-            return False
-        if stat.S_ISLNK(mode):
-            raise InputError(f"{self.path / name} is a link, and a run writes through none; remove it")
-        if stat.S_IFMT(mode) != kind:
-            wanted = "folder" if kind == stat.S_IFDIR else "regular file"
-            raise InputError(f"{self.path / name} is not a {wanted}; remove it")
-        return True
-
-    def write(self, name: str, content: str | bytes) -> None:
-        """Write the file `name`; a kill or a full disk leaves either the old file or the new one."""
-        part = name + PART
-        self.require(name)
-        if self.require(part):
-            os.unlink(part, dir_fd=self.descriptor)  # a kill left it, or it is a second name of another file
-        try:
-            self._write_through(part, os.O_CREAT | os.O_EXCL | os.O_TRUNC, content)
-            os.replace(part, name, src_dir_fd=self.descriptor, dst_dir_fd=self.descriptor)
-        except OSError:
-            with contextlib.suppress(OSError):
-                os.unlink(part, dir_fd=self.descriptor)
-            raise
-
-    def append(self, name: str, content: str) -> None:
-        """Append to the file `name`, which is created if necessary."""
-        self._write_through(name, os.O_CREAT | os.O_APPEND, content)
-
-    def _write_through(self, name: str, flags: int, content: str | bytes) -> None:
-        with os.fdopen(self.open(name, os.O_WRONLY | flags), "wb") as handle:
-            if os.fstat(handle.fileno()).st_nlink > 1:
-                raise InputError(f"{self.path / name} is also another file's name (a hard link); remove one of them")
-            handle.write(content.encode() if isinstance(content, str) else content)
-            handle.flush()
-            os.fsync(handle.fileno())
-
-    def names(self) -> list[str]:
-        """Return the names of all entries, sorted, without those that NFS keeps for a while."""
-        return sorted(name for name in os.listdir(self.descriptor) if not name.startswith(BUSY))
-
-    def make(self, name: str) -> None:
-        """Create the folder `name`, which must not exist, and check that its path leads to it."""
-        os.mkdir(name, dir_fd=self.descriptor)
-        created = os.stat(name, dir_fd=self.descriptor, follow_symlinks=False)
-        if not os.path.samestat(created, (self.path / name).stat()):
-            raise InputError(f"{self.path} was replaced by a link while it was written to")
-
-    def remove(self, name: str) -> None:
-        """Remove a file, a link itself, or a folder with everything in it."""
-        mode = os.stat(name, dir_fd=self.descriptor, follow_symlinks=False).st_mode
-        if stat.S_ISDIR(mode):
-            shutil.rmtree(name, dir_fd=self.descriptor)
-        else:
-            os.unlink(name, dir_fd=self.descriptor)
-
-    def rename(self, name: str, new_name: str) -> None:
-        """Rename an entry."""
-        os.rename(name, new_name, src_dir_fd=self.descriptor, dst_dir_fd=self.descriptor)
-
-
-@contextlib.contextmanager
-def opened(path: Path) -> Iterator[OpenFolder]:
-    """Open the folder at `path`, which can be a link itself."""
-    number = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        yield OpenFolder(path, number)
-    finally:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISLNK(mode):
+        raise InputError(f"{path} is a link, and a run writes through none; remove it")
+    if stat.S_IFMT(mode) != kind:
+        raise InputError(f"{path} is not a {'folder' if kind == stat.S_IFDIR else 'regular file'}; remove it")
+    return True
+
+
+def _open_to_write(path: Path, flags: int) -> int:
+    """Return the descriptor of the regular file at `path`. Errors as `require_plain`."""
+    try:
+        number = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)  # a FIFO would block
+    except OSError as error:
+        if error.errno in NOT_REGULAR:
+            require_plain(path)
+        raise
+    if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
+        raise InputError(f"{path} is not a regular file; remove it")
+    return number
+
+
+def _write(path: Path, flags: int, content: str | bytes) -> None:
+    with os.fdopen(_open_to_write(path, os.O_WRONLY | os.O_CREAT | flags), "wb") as handle:
+        if os.fstat(handle.fileno()).st_nlink > 1:
+            raise InputError(f"{path} is also another file's name (a hard link); remove one of them")
+        handle.write(content.encode() if isinstance(content, str) else content)
+        handle.flush()
+        os.fsync(handle.fileno())
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
@@ -155,11 +86,45 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         ValueError: a link or a special file is at `path`.
         OSError: the file could not be written; an older one is unchanged.
     """
+    part = path.with_name(path.name + PART)
+    require_plain(path)
     try:
-        with opened(path.parent) as folder:
-            folder.write(path.name, content)
+        if require_plain(part):
+            os.unlink(part)  # a kill left it, or it is a second name of another file
+        try:
+            _write(part, os.O_EXCL | os.O_TRUNC, content)
+            os.replace(part, path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.unlink(part)
+            raise
     except OSError as error:
         raise OSError(f"{path} can't be written: {error.strerror or error}") from error
+
+
+def append(path: Path, content: str) -> None:
+    """Append to the file at `path`, which is created if necessary. Errors as `require_plain`."""
+    _write(path, os.O_APPEND, content)
+
+
+def make_folder(path: Path) -> None:
+    """Create the folder at `path`, unless it exists. Errors as `require_plain`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not require_plain(path, stat.S_IFDIR):
+        path.mkdir(exist_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link itself, or a folder with everything in it."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def entries(folder: Path) -> list[Path]:
+    """Return the entries of `folder`, sorted, without those that NFS keeps for a while."""
+    return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(BUSY))
 
 
 def read_again(read: Callable[[], T]) -> T:
@@ -195,8 +160,7 @@ def locked(path: Path) -> Iterator[None]:
         OSError: the folder is not writable.
     """
     try:
-        with opened(path) as folder:
-            number = folder.open(LOCK, os.O_RDWR | os.O_CREAT)
+        number = _open_to_write(path / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise OSError(f"{path} can't be written to: {error.strerror or error}") from error
     try:

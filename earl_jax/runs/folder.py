@@ -14,7 +14,7 @@ from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
-from earl_jax.runs.files import inside, locked, opened, read_bytes, write_atomically
+from earl_jax.runs.files import append, inside, locked, read_bytes, require_plain, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
@@ -79,13 +79,13 @@ class RunFolder:
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
-        with locked(path), opened(path) as entries:
+        with locked(path):
             if _existing(path, overwrite) != existing:
                 raise InputError(
                     f"{path} holds another run, which another process has just started; choose another folder"
                 )
             has_results = contents.has_results(path)
-            removed = contents.clear(entries)
+            removed = contents.clear(path)
             if has_results:
                 print(f"earl-jax: removed from the earlier run in {path}: {', '.join(removed)}", file=sys.stderr)
             write_atomically(folder.config_file, text)
@@ -152,9 +152,8 @@ class RunFolder:
     def append(self, rows: list[Row]) -> None:
         """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
         try:
-            with opened(self.path) as folder:
-                columns = columns_of(self.metrics) if folder.require(METRICS) else []
-                folder.append(METRICS, csv_text(rows, columns))
+            columns = columns_of(self.metrics) if require_plain(self.metrics) else []
+            append(self.metrics, csv_text(rows, columns))
         except OSError as error:
             cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error

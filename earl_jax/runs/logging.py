@@ -17,7 +17,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.runs import contents
 from earl_jax.runs.contents import TENSORBOARD, WANDB
-from earl_jax.runs.files import opened
+from earl_jax.runs.files import make_folder
 from earl_jax.runs.folder import RunFolder
 
 
@@ -58,8 +58,8 @@ def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, f
 
 def _prepare(folder: RunFolder, name: str) -> None:
     """Create the folder `name` of a log in a run folder; raise a ValueError if a link is there."""
-    with opened(folder.path) as entries, entries.subfolder(name):
-        contents.require_plain_entries(folder.path)
+    make_folder(folder.path / name)
+    contents.require_plain_entries(folder.path)
 
 
 class TensorBoardLog:

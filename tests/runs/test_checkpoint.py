@@ -244,3 +244,9 @@ def test_checkpoints_of_a_billion_steps_are_in_order(tmp_path):
     for name in ("999999999", "1000000000"):
         (tmp_path / name).mkdir()
     assert checkpoint.newest(tmp_path) == 10**9
+
+
+def test_a_checkpoint_of_a_hundred_million_steps_is_written_again(tmp_path, state):
+    for _ in range(2):
+        checkpoint.save(tmp_path, at_step(state, 10**8))
+    assert int(checkpoint.restore(tmp_path, state).step) == 10**8
