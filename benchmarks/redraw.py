@@ -23,7 +23,7 @@ from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import draw_figure4
 from earl_jax.paper.figure5 import write_figure5
 from earl_jax.paper.reproduce import RESULTS
-from earl_jax.paper.tables import write_table
+from earl_jax.paper.score_tables import write_table
 from earl_jax.paper.tradeoff import write_tradeoff
 from earl_jax.paper.visit_maps import read_maps
 

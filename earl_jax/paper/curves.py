@@ -7,13 +7,22 @@ from typing import Any
 import numpy as np
 
 from earl_jax.metrics.comparison import mean_interval
-from earl_jax.metrics.crossings import crossing
 from earl_jax.metrics.scores import deployed_area
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import LEVELS, crossings_beside, published_beside
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
-from earl_jax.report.scores import trailing
-from earl_jax.report.style import LINE_STYLES, colours, new_figure, save, step_axis, task_title
+from earl_jax.report.scores import level_crossings, trailing
+from earl_jax.report.style import (
+    LINE_STYLES,
+    colours,
+    draw_band,
+    legend_below,
+    legend_entries,
+    new_figure,
+    save,
+    step_axis,
+    task_title,
+)
 from earl_jax.report.tables import markdown_table, millions, step_interval, write
 
 CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
@@ -84,13 +93,11 @@ def _markdown(groups: Sequence[MethodRuns]) -> str:
 def _line(group: MethodRuns) -> list[str]:
     scores, rewards = (group.curves.metrics[metric] for metric in _metrics(group))
     steps = group.curves.steps
-    rates = group.curves.deployed_metric == SUCCESS
     crossings, published = [], crossings_beside(group.curves)
-    for level in LEVELS:
-        ours = step_interval(crossing(steps, scores, level)) if rates else "-"
-        crossings += [ours, millions(published.get(level))]
+    for level, estimate in level_crossings(group.curves).items():
+        crossings += [step_interval(estimate), millions(published.get(level))]
     deployed, continuing = (published_beside(table, group.curves) for table in ("table1", "table2"))
-    digits = 3 if rates else 1
+    digits = 3 if group.curves.deployed_metric == SUCCESS else 1
     return [
         group.env,
         group.label,
@@ -149,18 +156,16 @@ def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
 def _add_legend(figure: Any, axes: Any) -> None:
     from matplotlib.lines import Line2D
 
-    handles = dict(pair for axis in axes[0] for pair in zip(*axis.get_legend_handles_labels()[::-1], strict=True))
+    handles = legend_entries(axes[0])
     handles["published: final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
     handles["published: 0.5, 0.9 reached"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
-    options = {"ncols": min(len(handles), 4 if axes.shape[1] < 3 else 8), "frameon": False, "fontsize": "small"}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", **options)
+    legend_below(figure, handles, min(len(handles), 4 if axes.shape[1] < 3 else 8), fontsize="small")
 
 
 def _draw_curve(axis: Any, rows: Sequence[dict[str, Any]], colour: str, line_style: str, name: str) -> None:
-    steps, means, low, high = (np.array([row[key] for row in rows]) for key in ("step", "mean", "low", "high"))
-    marker = "o" if len(rows) == 1 else None
-    axis.plot(steps, means, line_style, color=colour, label=name, marker=marker, linewidth=1.4)
-    axis.fill_between(steps, low, high, color=colour, alpha=0.18, linewidth=0)
+    estimate = Estimate(*(np.array([row[key] for row in rows]) for key in ("mean", "low", "high")))
+    style = {"linestyle": line_style, "label": name, "marker": "o" if len(rows) == 1 else None}
+    draw_band(axis, [row["step"] for row in rows], estimate, colour, **style)
 
 
 def _draw_published(axis: Any, group: MethodRuns, metric: str, colour: str) -> None:

@@ -19,7 +19,7 @@ from earl_jax.paper.figure2_picture import draw
 from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.scores import WINDOW
+from earl_jax.report.scores import last_mean
 from earl_jax.report.style import ordered, save
 from earl_jax.report.tables import markdown_table, write
 from earl_jax.runs.config import RunConfig
@@ -62,7 +62,7 @@ class Point(NamedTuple):
     @property
     def scores(self) -> np.ndarray:
         """The final returns [seeds]: the mean of the last 10 evaluations."""
-        return self.returns[:, -WINDOW:].mean(axis=1)
+        return last_mean(self.returns)
 
     @property
     def steps(self) -> int:
@@ -82,11 +82,11 @@ def write_figure2(folders: Sequence[Path], out: Path) -> list[Path]:
             matplotlib is not installed.
     """
     points = _points(read_all(folders))
-    curves = [row for point in points for row in _curve_rows(point)]
-    figure = draw(_arms(points), curves, UPDATES)
+    rows, curves = [_row(point) for point in points], [row for point in points for row in _curve_rows(point)]
+    figure = draw(rows, curves, UPDATES)
     out.mkdir(parents=True, exist_ok=True)
     paths = [out / "figure2.csv", out / "figure2_curves.csv", out / "figure2.md"]
-    write([_row(point) for point in points], paths[0])
+    write(rows, paths[0])
     write(curves, paths[1])
     paths[2].write_text(_markdown(points))
     return [*paths, save(figure, out / "figure2.png")]
@@ -136,26 +136,20 @@ def _learner_text(config: RunConfig) -> str:
 
 def _curve_rows(point: Point) -> list[dict[str, Any]]:
     """Return a row per evaluation: the mean over seeds and its interval."""
-    key = {"env": point.env, "timeout_bootstrap": point.bootstrap, "train_horizon": point.horizon}
-    rows = []
-    for step, scores in zip(point.evaluations.tolist(), point.returns.T, strict=True):
-        estimate = mean_of(scores)
-        rows.append({**key, "step": step, "return": estimate.value, "low": estimate.low, "high": estimate.high})
-    return rows
+    scores_at = zip(point.evaluations.tolist(), point.returns.T, strict=True)
+    return [{**_key(point), "step": step, **_columns(scores)} for step, scores in scores_at]
 
 
 def _row(point: Point) -> dict[str, Any]:
-    estimate = mean_of(point.scores)
-    return {
-        "env": point.env,
-        "timeout_bootstrap": point.bootstrap,
-        "train_horizon": point.horizon,
-        "steps": point.steps,
-        "seeds": len(point.scores),
-        "return": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-    }
+    return {**_key(point), "steps": point.steps, "seeds": len(point.scores), **_columns(point.scores)}
+
+
+def _key(point: Point) -> dict[str, Any]:
+    return {"env": point.env, "timeout_bootstrap": point.bootstrap, "train_horizon": point.horizon}
+
+
+def _columns(scores: np.ndarray) -> dict[str, Any]:
+    return dict(zip(("return", "low", "high"), mean_of(scores), strict=True))
 
 
 def _arms(points: Sequence[Point]) -> Arms:

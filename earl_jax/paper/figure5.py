@@ -15,7 +15,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.robustness import relative_drop
 from earl_jax.metrics.statistics import Estimate, mean_of
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
-from earl_jax.report.style import colours, method_order, new_figure, save
+from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach, save
 from earl_jax.report.tables import markdown_table, write
 
 COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
@@ -144,15 +144,13 @@ def _draw(methods: Sequence[dict[str, Any]]) -> Any:
 
 def _draw_bar(axis: Any, x: float, estimate: Estimate, **bar_style: Any) -> None:
     """Draw a bar with its interval, black on a white outline."""
-    reach = [[max(estimate.value - estimate.low, 0)], [max(estimate.high - estimate.value, 0)]]
     axis.bar(x, estimate.value, 0.36, **bar_style)
     for colour, width in (("white", 2.6), ("black", 1.2)):
-        axis.errorbar(x, estimate.value, reach, fmt="none", color=colour, capsize=3, linewidth=width)
+        axis.errorbar(x, estimate.value, reach(estimate), fmt="none", color=colour, capsize=3, linewidth=width)
 
 
 def _add_legend(figure: Any) -> None:
     from matplotlib.patches import Patch
 
-    initial = Patch(color="0.4", label="from the published start")
-    uniform = Patch(facecolor="0.4", alpha=0.45, hatch="//", label="from uniform starts")
-    figure.legend(handles=[initial, uniform], loc="outside lower center", ncols=2, frameon=False)
+    initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")
+    legend_below(figure, {"from the published start": initial, "from uniform starts": uniform}, 2)

@@ -20,7 +20,7 @@ from earl_jax.paper.curves import write_curves
 from earl_jax.paper.figure2 import write_figure2
 from earl_jax.paper.figure4 import write_figure4
 from earl_jax.paper.figure5 import write_figure5
-from earl_jax.paper.tables import write_table
+from earl_jax.paper.score_tables import write_table
 from earl_jax.paper.tradeoff import write_tradeoff
 from earl_jax.paper.visit_maps import visit_map
 from earl_jax.runs.files import write_atomically
@@ -200,19 +200,11 @@ def reproduce(
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
     """
     limit = TimeLimit.of(minutes)
-    result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
-    for option, value in (("seeds", seeds), ("steps", steps)):
-        if value is not None:
-            require(option, value, COUNT)
-    chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
-    for task in tasks:
-        if task not in result.tasks:
-            raise InputError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
+    text = _grid(name, scale, tasks, seeds, steps, options or {})
     out = out or Path("runs") / f"reproduce-{scale}"
-    blocks = [block for task in tasks or result.tasks[: chosen.tasks] for block in result.blocks(task)[: chosen.blocks]]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
-    write_atomically(file, grid_text(blocks, chosen, options or {}))
+    write_atomically(file, text)
     outcome = sweep(
         file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit, minutes=limit
     )
@@ -223,7 +215,21 @@ def reproduce(
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:
         raise InputError(f"no run of {name} has reached an evaluation; the lines above give the causes")
-    return result.report(folders, out / name)
+    return RESULTS[name].report(folders, out / name)
+
+
+def _grid(name: str, scale: str, tasks: Sequence[str], seeds: int | None, steps: int | None, options: Options) -> str:
+    """Return the grid of a result, with `tasks`, `seeds` and `steps` in place of those of the scale. Errors as `reproduce`."""
+    result, chosen = _lookup("experiment", RESULTS, name), _lookup("scale", SCALES, scale)
+    for option, value in (("seeds", seeds), ("steps", steps)):
+        if value is not None:
+            require(option, value, COUNT)
+    for task in tasks:
+        if task not in result.tasks:
+            raise InputError(f"{name} has no task {task!r}; choose from {', '.join(result.tasks)}")
+    chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
+    blocks = [block for task in tasks or result.tasks[: chosen.tasks] for block in result.blocks(task)[: chosen.blocks]]
+    return grid_text(blocks, chosen, options)
 
 
 def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:

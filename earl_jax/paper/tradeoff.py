@@ -15,10 +15,20 @@ from scipy import stats
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
 from earl_jax.metrics.scores import deployed_area
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.scores import WINDOW
-from earl_jax.report.style import colours, method_order, new_figure, save, task_order, task_title
+from earl_jax.report.scores import last_mean
+from earl_jax.report.style import (
+    colours,
+    legend_below,
+    legend_entries,
+    method_order,
+    new_figure,
+    reach,
+    save,
+    task_order,
+    task_title,
+)
 from earl_jax.report.tables import markdown_table, write
 
 KINDS = {"epsilon": "o-", "budget": "s--"}
@@ -113,7 +123,7 @@ def _point(curves: Curves, step: int) -> Point:
         algo=curves.config.algo,
         kind=_kind(curves),
         value=float(setting.intervention_chance if setting.budget is None else setting.budget),
-        final=scores[:, -WINDOW:].mean(axis=1),
+        final=last_mean(scores),
         mean_deployed=deployed_area(curves.steps[until], scores),
         spent=np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
         ended=np.zeros(len(scores)) if setting.budget is None else metrics["help/over"][:, -1],
@@ -124,12 +134,8 @@ def _point(curves: Curves, step: int) -> Point:
 def _rows(point: Point) -> list[dict[str, Any]]:
     """Return one row per seed."""
     key = {"env": point.env, "algo": point.algo, "kind": point.kind, "value": point.value, "steps": point.steps}
-    arrays = {
-        "interventions": point.spent,
-        "final": point.final,
-        "deployed_area": point.mean_deployed,
-        "ended": point.ended,
-    }
+    names = ("interventions", "final", "deployed_area", "ended")
+    arrays = dict(zip(names, (point.spent, point.final, point.mean_deployed, point.ended), strict=True))
     return [
         {**key, "lane": lane, **{name: float(values[lane]) for name, values in arrays.items()}}
         for lane in range(len(point.final))
@@ -214,18 +220,15 @@ def _draw(points: Sequence[Point]) -> Any:
         column[1].set(xscale="symlog", xlabel="interventions spent", ylabel="area under the deployed curve, per step")
         for axis in column:
             axis.grid(alpha=0.3)
-    handles = dict(pair for axis in axes[0] for pair in zip(*axis.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, legend_entries(axes[0]), 4)
     return figure
 
 
 def _draw_line(axis: Any, line: Sequence[Point], name: str, colour: str, style: str, label: str) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
     spent = [point.spent.mean() for point in line]
-    estimates = [mean_interval(getattr(point, name)) for point in line]
-    means = [float(estimate.value) for estimate in estimates]
-    reach = np.array([[part.value - part.low, part.high - part.value] for part in estimates], float).T
+    estimate = Estimate(*zip(*(mean_interval(getattr(point, name)) for point in line), strict=True))
     options = {"color": colour, "label": label, "capsize": 3, "markersize": 5}
-    axis.errorbar(spent, means, np.nan_to_num(reach), fmt=style, **options)
-    for x, y, point in zip(spent, means, line, strict=True):
+    axis.errorbar(spent, estimate.value, reach(estimate), fmt=style, **options)
+    for x, y, point in zip(spent, estimate.value, line, strict=True):
         axis.annotate(f"{point.value:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")

@@ -1,12 +1,15 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
+from earl_jax.metrics.statistics import Estimate
 
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
@@ -52,6 +55,29 @@ def save(figure: Any, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     return path
+
+
+def draw_band(axis: Any, x: Any, estimate: Estimate, colour: Any, alpha: float = 0.15, **line: Any) -> None:
+    """Draw the values of `estimate`, arrays over `x`, as a line with its interval as a band."""
+    axis.plot(x, estimate.value, color=colour, **{"linewidth": 1.3, **line})
+    axis.fill_between(x, estimate.low, estimate.high, color=colour, alpha=alpha, linewidth=0)
+
+
+def reach(estimate: Estimate) -> np.ndarray:
+    """Return the distances [2, K] from the values of `estimate` to the ends of its interval, 0 without an interval."""
+    value, low, high = (np.atleast_1d(np.asarray(part, float)) for part in estimate)
+    return np.maximum(np.nan_to_num([value - low, high - value]), 0)
+
+
+def legend_below(figure: Any, handles: Mapping[str, Any], columns: int, **options: Any) -> None:
+    """Put a legend of `handles` by their labels below the axes of `figure`."""
+    place = {"loc": "outside lower center", "ncols": columns, "frameon": False, **options}
+    figure.legend(handles.values(), handles.keys(), **place)
+
+
+def legend_entries(axes: Iterable[Any]) -> dict[str, Any]:
+    """Return the handles of the lines of `axes` by their labels, each label once."""
+    return dict(pair for axis in axes for pair in zip(*axis.get_legend_handles_labels()[::-1], strict=True))
 
 
 def ordered(names: Iterable[str], first: Iterable[str]) -> list[str]:

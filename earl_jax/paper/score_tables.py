@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.statistics import Estimate
@@ -17,7 +15,7 @@ from earl_jax.paper.claims import table2_claims
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
 from earl_jax.report.runs import read_methods
-from earl_jax.report.style import colours, method_order, new_figure, save, task_title
+from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach, save, task_title
 from earl_jax.report.tables import markdown_table, seeds_text, write
 
 Row = dict[str, Any]
@@ -169,14 +167,15 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
         middle = (low + high) / 2
         axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
     if row["mean"] is not None:
-        reach = np.maximum([[row["mean"] - row["low"]], [row["high"] - row["mean"]]], 0)
-        axis.errorbar(position, row["mean"], reach, fmt="o", color=colour, capsize=4, linewidth=1.8, markersize=6)
+        interval = reach(Estimate(row["mean"], row["low"], row["high"]))
+        axis.errorbar(position, row["mean"], interval, fmt="o", color=colour, capsize=4, linewidth=1.8, markersize=6)
 
 
 def _add_legend(figure: Any) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    ours = Line2D([], [], marker="o", color="black", linewidth=1.8, label="ours: mean, Student's 95 % interval")
-    published = Patch(color="0.6", alpha=0.45, label="published: mean, 95 % interval of five seeds")
-    figure.legend(handles=[ours, published], loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    ours = Line2D([], [], marker="o", color="black", linewidth=1.8)
+    published = Patch(color="0.6", alpha=0.45)
+    handles = {"ours: mean, Student's 95 % interval": ours, "published: mean, 95 % interval of five seeds": published}
+    legend_below(figure, handles, 2, fontsize="small")

@@ -8,7 +8,7 @@ from scipy import stats
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.claims import best, changes_order, table2_claims
-from earl_jax.paper.tables import write_table
+from earl_jax.paper.score_tables import write_table
 from earl_jax.report.paper_rows import paper_rows
 from earl_jax.report.published import INTERVAL_RULE, published_fault, published_score
 from earl_jax.report.runs import read_methods
