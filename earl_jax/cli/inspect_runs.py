@@ -120,11 +120,11 @@ def compare(
         out: Files that also receive the comparison: .md, .tex, .csv, .html, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
-    from earl_jax.report.comparison import terminal_text, write_comparison
+    from earl_jax.report.comparison import table_text, write_comparison
     from earl_jax.report.tables import terminal_width
 
     rows = compare_runs(folders, against, metric)
     for path in out:
         with replacing(path):
             write_comparison(rows, path)
-    emit({"rows": rows}, json, terminal_text(rows, terminal_width()))
+    emit({"rows": rows}, json, table_text(rows, terminal_width()))

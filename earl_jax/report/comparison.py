@@ -22,15 +22,15 @@ from earl_jax.metrics.comparison import (
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import RECONSTRUCTED, published_score, published_steps, share_text
 from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.scores import recent_scores
-from earl_jax.report.style import PICTURES, new_figure, save
+from earl_jax.report.style import PICTURES, new_figure, reach, save
 from earl_jax.report.tables import (
     file_table,
     html_table,
     interval_text,
-    markdown_table,
     millions,
     number_text,
     seeds_text,
@@ -66,18 +66,9 @@ td, th {{ padding: 4px 10px; border-bottom: 1px solid #ccc; text-align: left; }}
 </html>
 """
 HEADER = (
-    "task",
-    "first",
-    "second",
-    "steps",
-    "first, mean [95 %]",
-    "second, mean",
-    "difference [95 %]",
-    "p",
-    "adjusted p",
-    "verdict",
-    "detectable",
-)
+    "task", "first", "second", "steps", "first, mean [95 %]", "second, mean", "difference [95 %]", "p", "adjusted p",
+    "verdict", "detectable",
+)  # fmt: skip
 
 
 def compare(
@@ -171,15 +162,8 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
     }
 
 
-def table_text(rows: Sequence[Row]) -> str:
-    """Return the rows of `compare` as a markdown table with the rule below it."""
-    return f"{markdown_table(HEADER, cells(rows))}\n\n{RULE}"
-
-
-def terminal_text(rows: Sequence[Row], width: int | None) -> str:
-    """Return the text of `table_text` for a terminal of `width` columns, or as it is without a width."""
-    if width is None:
-        return table_text(rows)
+def table_text(rows: Sequence[Row], width: int | None = None) -> str:
+    """Return the rows of `compare` as a table with the rule below it, markdown or for a terminal of `width` columns."""
     return f"{shown_table(HEADER, cells(rows), width)}\n\n{wrapped(RULE, width)}"
 
 
@@ -238,9 +222,9 @@ def _draw(rows: Sequence[Row]) -> Any:
     for env, axis in zip(envs, axes[0], strict=True):
         chosen = [row for row in rows if row["env"] == env]
         for position, row in enumerate(chosen):
-            reach = [[row["difference"] - row["low"]], [row["high"] - row["difference"]]]
-            clear = row["verdict"] in ("above", "below")
-            axis.errorbar(row["difference"], position, xerr=reach, fmt="o", color="C0" if clear else "0.5", capsize=3)
+            colour = "C0" if row["verdict"] in ("above", "below") else "0.5"
+            interval = reach(Estimate(row["difference"], row["low"], row["high"]))
+            axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
         axis.set_yticks(range(len(chosen)), [f"{row['first']} − {row['second']}" for row in chosen], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)
         axis.set(title=env, xlabel="difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))

@@ -21,17 +21,9 @@ from earl_jax.runs.provenance import short_commit
 TABLE = "leaderboard"
 OURS = "earl_jax"
 HEADER = (
-    "method",
-    "from",
-    "seeds",
-    "steps",
-    "deployed [95 %]",
-    "wide [95 %]",
-    "C(A) [95 %]",
-    "alive",
-    *(f"to {level}" for level in LEVELS),
-    "commit",
-)
+    "method", "from", "seeds", "steps", "deployed [95 %]", "wide [95 %]", "C(A) [95 %]", "alive",
+    *(f"to {level}" for level in LEVELS), "commit",
+)  # fmt: skip
 
 
 class Row(NamedTuple):

@@ -9,18 +9,28 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.life_columns import SHARES
 from earl_jax.report.runs import Curves, labels, read_all
 from earl_jax.report.scores import trailing
-from earl_jax.report.style import LINE_STYLES, PICTURES, new_figure, save, task_order, text_size
+from earl_jax.report.style import (
+    LINE_STYLES,
+    PICTURES,
+    draw_band,
+    legend_below,
+    new_figure,
+    save,
+    task_order,
+    text_size,
+)
 from earl_jax.report.tables import seeds_text, steps_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
 COLOUR_COUNT = 10
 """Colours of matplotlib's cycle."""
-INCH = 72
-"""Points of an inch."""
+LETTER = 0.58 / 72
+"""Width of a letter in inches per point of its size."""
 FEWEST = 3
 """Fewest seeds that have a band; of fewer, each is drawn."""
 
@@ -32,15 +42,6 @@ class Size(NamedTuple):
     height: float
     points: float
     columns: int
-
-    def letters(self, columns: int) -> int:
-        """Return how many letters fit beside a line in one of the `columns` of a legend."""
-        return int(self.width * INCH / (0.58 * self.points * columns)) - 6
-
-    def legend_height(self, names: Sequence[str], columns: int) -> float:
-        """Return the height in inches of a legend of `names` in `columns`."""
-        lines = max(sum(name.count("\n") + 1 for name in names[i::columns]) for i in range(columns))
-        return 1.35 * lines * self.points / INCH
 
 
 SIZES = {"screen": Size(10, 4.2, 10, 2), "column": Size(3.35, 2.3, 8, 1), "page": Size(6.9, 2.6, 8, 2)}
@@ -59,12 +60,6 @@ class Drawn(NamedTuple):
         """The colour, and dashes for those beyond ten colours."""
         dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
         return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
-
-    def handle(self, text: str) -> Any:
-        """Return the line of a legend with `text`."""
-        from matplotlib.lines import Line2D
-
-        return Line2D([], [], label=text, **self.style)
 
 
 def plot_runs(
@@ -100,22 +95,30 @@ def plot_runs(
     columns = min(layout.columns, len(panels) * len(tasks))
     rows = -(-len(panels) * len(tasks) // columns)
     with text_size(layout.points):
-        entries = _legend_entries(drawn)
-        legend_columns = min(layout.columns + (size == "screen"), len(entries))
-        names = [textwrap.fill(text, layout.letters(legend_columns)) for text in entries]
-        height = layout.height * rows + layout.legend_height(names, legend_columns)
-        figure, axes = new_figure(rows, columns, (layout.width, height))
+        figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
         cells = [(env, panel) for env in tasks for panel in panels]
         for axis, (env, panel) in zip(axes.flat, cells, strict=False):
             lines = [line for line in drawn if line.curves.config.env == env]
             _draw_panel(axis, lines, panel, smooth, env if len(tasks) > 1 else "")
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
-        handles = [line.handle(text) for line, text in zip(entries.values(), names, strict=True)]
-        figure.legend(handles=handles, loc="outside lower center", ncols=legend_columns, frameon=False)
         if len(tasks) == 1:
             figure.suptitle(tasks[0])
+        _add_legend(figure, drawn, layout)
         return save(figure, out)
+
+
+def _add_legend(figure: Any, drawn: Sequence[Drawn], layout: Size) -> None:
+    """Name the lines below the panels, with as many lines of text as their names need there."""
+    from matplotlib.lines import Line2D
+
+    entries = _legend_entries(drawn)
+    columns = min(layout.columns, len(entries))
+    letters = int(layout.width / (LETTER * layout.points * columns)) - 6
+    handles = {textwrap.fill(name, letters): Line2D([], [], **line.style) for name, line in entries.items()}
+    lines = max(sum(name.count("\n") + 1 for name in list(handles)[i::columns]) for i in range(columns))
+    figure.set_figheight(figure.get_figheight() + 1.35 * lines * layout.points / 72)
+    legend_below(figure, handles, columns)
 
 
 def _drawn(runs: Sequence[Curves], names: Sequence[str]) -> list[Drawn]:
@@ -166,11 +169,10 @@ def _draw_panel(axis: Any, lines: Sequence[Drawn], panel: str, smooth: int, env:
 
 def _draw(axis: Any, line: Drawn, values: np.ndarray) -> None:
     """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
-    mean, low, high = mean_interval(values)
-    axis.plot(line.curves.steps, mean, **line.style)
-    if len(values) >= FEWEST:
-        axis.fill_between(line.curves.steps, low, high, color=line.style["color"], alpha=0.2, linewidth=0)
-    else:
+    estimate, few = mean_interval(values), len(values) < FEWEST
+    band = Estimate(*[estimate.value] * 3) if few else estimate
+    draw_band(axis, line.curves.steps, band, alpha=0.2, **line.style)
+    if few:
         axis.plot(line.curves.steps, values.T, color=line.style["color"], alpha=0.3, linewidth=0.8)
 
 

@@ -57,10 +57,10 @@ def save(figure: Any, path: Path) -> Path:
     return path
 
 
-def draw_band(axis: Any, x: Any, estimate: Estimate, colour: Any, alpha: float = 0.15, **line: Any) -> None:
+def draw_band(axis: Any, x: Any, estimate: Estimate, color: Any, alpha: float = 0.15, **line: Any) -> None:
     """Draw the values of `estimate`, arrays over `x`, as a line with its interval as a band."""
-    axis.plot(x, estimate.value, color=colour, **{"linewidth": 1.3, **line})
-    axis.fill_between(x, estimate.low, estimate.high, color=colour, alpha=alpha, linewidth=0)
+    axis.plot(x, estimate.value, color=color, **{"linewidth": 1.3, **line})
+    axis.fill_between(x, estimate.low, estimate.high, color=color, alpha=alpha, linewidth=0)
 
 
 def reach(estimate: Estimate) -> np.ndarray:

@@ -23,19 +23,9 @@ from earl_jax.report.scores import last_mean, row_of
 GAP = "  "
 EMPTY = {"", "-"}
 HEADER = (
-    "env",
-    "algo",
-    "seeds",
-    "steps",
-    "deployed, mean [95 %]",
-    "seeds over 0.5",
-    "published",
-    "continuing",
-    "published",
-    "to 0.5 [95 %]",
-    "to 0.9 [95 %]",
-    "steps/reward",
-)
+    "env", "algo", "seeds", "steps", "deployed, mean [95 %]", "seeds over 0.5", "published", "continuing", "published",
+    "to 0.5 [95 %]", "to 0.9 [95 %]", "steps/reward",
+)  # fmt: skip
 
 
 def tabulate(folders: Sequence[Path], last: int = 1, metric: str | None = None) -> list[dict[str, Any]]:
@@ -105,14 +95,14 @@ def markdown(rows: list[dict[str, Any]]) -> str:
 
 
 def header_of(rows: list[dict[str, Any]]) -> Sequence[str]:
-    """Return the header of rows of `tabulate` or of `tabulate_metric`."""
+    """Return the header of rows of `tabulate`."""
     if "metric" in rows[0]:
         return ("env", "algo", "seeds", "steps", f"{rows[0]['metric']}, mean [95 %]")
     return (*HEADER, *life_headings(rows))
 
 
 def lines_of(rows: list[dict[str, Any]]) -> list[list[Any]]:
-    """Return the cells of rows of `tabulate` or of `tabulate_metric`, as text."""
+    """Return the cells of rows of `tabulate`, as text."""
     if "metric" not in rows[0]:
         return _lines(rows)
     means = [interval_text(row["mean"], row["low"], row["high"], ".4g") for row in rows]

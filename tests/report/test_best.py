@@ -55,6 +55,7 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     assert "by Welch's test" in welch
     assert "| 3 |" not in best_text(few, top=2)
     assert "1 more are not shown" in best_text(few, top=2)
+    assert max(map(len, best_text(few, width=70).splitlines())) <= 70
 
 
 def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):
@@ -63,8 +64,3 @@ def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):
     rows = best([tmp_path])
     assert [(row["env"], row["rank"], row["verdict"]) for row in rows] == [(TABLETOP, 1, "best"), (DOOR, 1, "best")]
     assert "no other run of the same length" in best_text(rows)
-
-
-def test_the_text_fits_a_terminal(tmp_path):
-    rows = best([write_cells(tmp_path, bad=BAD, good=GOOD)])
-    assert max(map(len, best_text(rows, width=70).splitlines())) <= 70

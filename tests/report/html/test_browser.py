@@ -31,11 +31,6 @@ def test_a_browser_shows_the_page_without_errors(browser, written):
     tab.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
     assert tab.locator(".js-plotly-plot .main-svg").count() >= tab.locator(".plot").count() > 6
     assert tab.locator("[data-map] .heatmaplayer image").count() == 1
-    assert tab.locator(".scroll.more").count() > 2  # tables wider than a phone say so until they are at their end
-    table = tab.locator(".scroll.more").first
-    assert table.evaluate("box => getComputedStyle(box, '::before').content").startswith('"more columns')
-    table.evaluate("box => { box.id = 'seen'; box.scrollLeft = box.scrollWidth; }")
-    tab.wait_for_selector("#seen:not(.more)")
     deployed = '#t0 [data-panel="0"] g.trace'
     assert tab.locator(f'{deployed}[class*="-mean"] path.js-line').count() == 3
     tab.locator("#t0 .chip").first.click()

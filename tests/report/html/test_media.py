@@ -18,28 +18,17 @@ VIDEO = b"\0\0\0\x20ftypisom" + bytes(50)
 
 def test_regular_videos_that_fit_are_embedded(tmp_path, monkeypatch):
     run = write_page_run(tmp_path / "run", "fbrl", rising(1, 1))
-    (run / "video.mp4").write_bytes(VIDEO)
-    (run / "large.gif").write_bytes(b"GIF89a" + bytes(200))
-    (tmp_path / "elsewhere.mp4").write_bytes(VIDEO)
-    os.symlink(tmp_path / "elsewhere.mp4", run / "link.mp4")
-    monkeypatch.setattr(media, "LARGEST", 100)
-    lines, _ = gather([run])
-    videos, sentences = VideoEmbedder().videos(lines[0])
-    assert [video["name"] for video in videos] == ["video.mp4"]
-    assert videos[0]["uri"] == "data:video/mp4;base64," + base64.b64encode(VIDEO).decode()
-    causes = [re.search(r"(\w+\.\w+) is left out: (it \w+ \w+)", text).groups() for text in sentences]
-    assert causes == [("large.gif", "it has 0"), ("link.mp4", "it is not")]
-
-
-def test_videos_beyond_the_total_size_of_a_page_are_left_out(tmp_path, monkeypatch):
-    run = write_page_run(tmp_path / "run", "fbrl", rising(1, 1))
     for name in ("first.mp4", "second.mp4"):
         (run / name).write_bytes(VIDEO)
+    (run / "large.gif").write_bytes(b"GIF89a" + bytes(200))
+    os.symlink(run / "first.mp4", run / "link.mp4")
+    monkeypatch.setattr(media, "LARGEST", 100)
     monkeypatch.setattr(media, "TOTAL", 100)
-    lines, _ = gather([run])
-    videos, sentences = VideoEmbedder().videos(lines[0])
+    videos, sentences = VideoEmbedder().videos(gather([run])[0][0])
     assert [video["name"] for video in videos] == ["first.mp4"]
-    assert "second.mp4 is left out: the videos of a page have at most 0 MB together" in sentences[0]
+    assert videos[0]["uri"] == "data:video/mp4;base64," + base64.b64encode(VIDEO).decode()
+    causes = [re.search(r"(\w+\.\w+) is left out: (\w+ \w+ \w+)", text).groups() for text in sentences]
+    assert causes == [("large.gif", "it has 0"), ("link.mp4", "it is not"), ("second.mp4", "the videos of")]
 
 
 def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
@@ -59,14 +48,13 @@ def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
     np.testing.assert_allclose(drawn["bounds"], make(TABLETOP).map_bounds)
 
 
-def test_runs_without_a_checkpoint_have_no_map(tmp_path):
-    lines, _ = gather([write_page_run(tmp_path / "run", "fbrl", rising(2, 1))])
-    assert maps(lines) == ([], ["No map of 1 runs of fbrl: they have no policies.npz and no checkpoint."])
-
-
-def test_tasks_without_a_map_have_no_sentence_about_it(tmp_path):
-    lines, _ = gather([write_page_run(tmp_path / "run", "fbrl", rising(2, 1), env="franka_kitchen")])
-    assert maps(lines) == ([], [])
+@pytest.mark.parametrize(
+    ("env", "sentences"),
+    [(TABLETOP, ["No map of 1 runs of fbrl: they have no policies.npz and no checkpoint."]), ("franka_kitchen", [])],
+)
+def test_runs_without_a_checkpoint_and_tasks_without_a_map_have_no_map(tmp_path, env, sentences):
+    lines, _ = gather([write_page_run(tmp_path / "run", "fbrl", rising(2, 1), env=env)])
+    assert maps(lines) == ([], sentences)
 
 
 @pytest.mark.parametrize("error", [ValueError("it is damaged.\nDetails"), KeyError()])

@@ -41,51 +41,33 @@ def watch(folder, out, *steps, every=2.0):
     return lines
 
 
-def nothing():
-    pass
-
-
 def test_the_page_is_written_when_a_run_changes_and_once_more_at_the_end(tmp_path, pages):
     folder, out = tmp_path / "sweep", tmp_path / "page.html"
-
-    def grow():
-        path = folder / "a" / "metrics.csv"
-        path.write_text(path.read_text() + "")
-        path.touch()
-
+    first = folder / "a"
     steps = [
-        nothing,
-        lambda: write_page_run(folder / "a", "fbrl", rising(2, 3)),
-        nothing,
+        lambda: None,
+        lambda: write_page_run(first, "fbrl", rising(2, 3)),
+        lambda: None,
         lambda: write_page_run(folder / "b", "naive", rising(2, 3)),
-        grow,
-        nothing,
+        lambda: (first / "metrics.csv").touch(),
+        lambda: (first / "video.gif").write_bytes(b"GIF89a"),
+        lambda: None,
     ]
     lines = watch(folder, out, *steps)
-    assert pages == [(1, 2.0), (2, 2.0), (2, 2.0), (2, None)]
+    assert pages == [(1, 2.0), (2, 2.0), (2, 2.0), (2, 2.0), (2, None)]
     assert lines[0] == f"waiting for runs in {folder}; Ctrl-C ends"
     assert lines[1].startswith(f"{out}: written at ")
     assert lines[-1].endswith("does not reload any more")
-    assert len(lines) == 5
+    assert len(lines) == 6
 
 
 def test_a_run_without_an_evaluation_is_waited_for(tmp_path, pages):
-    run_folder = write_page_run(tmp_path / "sweep/a", "fbrl", rising(2, 3))
-    text = (run_folder / "metrics.csv").read_text()
-    (run_folder / "metrics.csv").unlink()
-
-    def add_video():
-        (run_folder / "video.gif").write_bytes(b"GIF89a")
-
-    lines = watch(
-        tmp_path / "sweep",
-        tmp_path / "p.html",
-        nothing,
-        lambda: (run_folder / "metrics.csv").write_text(text),
-        add_video,
-    )
+    table = write_page_run(tmp_path / "sweep/a", "fbrl", rising(2, 3)) / "metrics.csv"
+    text = table.read_text()
+    table.unlink()
+    lines = watch(tmp_path / "sweep", tmp_path / "p.html", lambda: None, lambda: table.write_text(text))
     assert lines[0] == "waiting: young: no evaluation yet"
-    assert pages == [(1, 2.0), (1, 2.0), (1, None)]
+    assert pages == [(1, 2.0), (1, None)]
 
 
 def test_what_cannot_be_written_is_an_error_at_once(tmp_path, pages):

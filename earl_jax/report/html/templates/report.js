@@ -6,12 +6,6 @@
   const translucent = (colour, share) => colour + Math.round(255 * share).toString(16).padStart(2, "0");
   const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
-  for (const box of all(".scroll")) {
-    const mark = () => box.classList.toggle("more", box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
-    box.addEventListener("scroll", mark, { passive: true });
-    new ResizeObserver(mark).observe(box);
-  }
-
   async function unpacked(id) {
     const bytes = Uint8Array.from(atob(document.getElementById(id).textContent), (character) => character.charCodeAt(0));
     return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
@@ -156,13 +150,6 @@
 
   const redraw = (inside) => all(".plot[data-panel]", inside).forEach(draw);
 
-  function focus(section, key) {
-    for (const group of all(".scatterlayer .trace", section)) {
-      const matches = !key || [...group.classList].some((name) => name.startsWith(`trace${key}-`));
-      group.style.opacity = matches ? "" : "0.12";
-    }
-  }
-
   for (const section of all("[data-task]")) {
     const chips = all(".chip", section);
     const press = (chip, on) => chip.setAttribute("aria-pressed", String(on));
@@ -176,8 +163,6 @@
         chips.forEach((other) => press(other, alone || other === chip));
         redraw(section);
       });
-      chip.addEventListener("pointerenter", () => focus(section, chip.dataset.line));
-      chip.addEventListener("pointerleave", () => focus(section, null));
     }
     for (const box of all("[data-show]", section)) box.addEventListener("change", () => redraw(section));
   }

@@ -1,8 +1,9 @@
 """The tables of a page, row by row."""
 
+import numpy as np
 import pytest
 
-from earl_jax.report.html.curves import panels
+from earl_jax.report.html.curves import POINTS, banded, panels, thinned
 from earl_jax.report.html.lines import gather
 from earl_jax.report.html.page_tables import paper_table, seed_table, speeds
 from earl_jax.report.runs import find_runs
@@ -63,3 +64,15 @@ def test_a_page_shows_wide_starts_and_the_life(tmp_path):
     assert wide["range"] == back["range"] == [-0.04, 1.04]
     assert wide["lines"][0]["plain"]["mean"] == [0.125, 0.125]
     assert back["lines"][0]["plain"]["mean"] == [None, None]
+
+
+def test_long_curves_are_thinned_with_both_ends_kept():
+    indices = thinned(10_000)
+    assert (len(indices), indices[0], indices[-1]) == (POINTS, 0, 9_999)
+    assert thinned(7).tolist() == list(range(7))
+
+
+def test_a_band_needs_three_seeds_and_numbers_that_json_cannot_hold_become_null():
+    assert banded(np.array([[1.0, np.nan]]))["mean"] == [1.0, None]
+    assert banded(np.ones((2, 1)))["low"] is None
+    assert banded(np.ones((3, 1)))["low"] == [1.0]
