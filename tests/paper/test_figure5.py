@@ -33,12 +33,9 @@ def test_drops_are_compared_with_the_published_ones(tmp_path):
     assert count_pixels(picture, COLOURS["fbrl"]) > 1000
 
 
-def test_a_drop_within_the_interval_agrees():
+def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict():
     row = figure_rows(seed_rows("oracle", [1.0, 1.0], [0.5, 0.7]))[0]
     assert (row["verdict"], row["drop"]) == ("within", pytest.approx(0.4))
-
-
-def test_one_seed_has_no_verdict():
     assert figure_rows(seed_rows("oracle", [1.0], [0.6]))[0]["verdict"] == "-"
 
 

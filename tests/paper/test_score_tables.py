@@ -40,6 +40,7 @@ def table1(tmp_path_factory):
 
 def test_table_1_scores_a_method_by_its_last_evaluation(table1):
     rows = {(row["env"], row["label"]): row for row in read_csv(table1[0])}
+    assert list(dict.fromkeys(env for env, _ in rows)) == list(PAPER_TASKS)
     naive = rows[TABLETOP, "naive"]
     half = 12.7062 * 0.1  # Student's t of one degree, times the error of 0.7 and 0.9
     expected = {"mean": 0.8, "stderr": 0.1 / math.sqrt(2), "low": 0.8 - half, "high": 0.8 + half}
@@ -69,14 +70,8 @@ def test_runs_of_the_published_length_are_tested_by_welch_and_holm(tmp_path):
     assert float(rows["vaprl"]["p_holm"]) == pytest.approx(2 * float(rows["vaprl"]["p"]))
     assert [rows[algo]["verdict"] for algo in ("naive", "vaprl")] == ["above", "below"]
     text = text_file.read_text()
-    assert "| naive | 0.980 (0.009) / 0.32 (0.17) / above |" in text or "/ 0.32 (0.17) / above |" in text
+    assert "/ 0.32 (0.17) / above |" in text
     assert "| tabletop_organization | vaprl | -0.480 [" in text
-
-
-def test_the_tasks_of_table_1_are_in_the_order_of_the_paper(table1):
-    envs = [row["env"] for row in read_csv(table1[0])]
-    assert envs == sorted(envs, key=PAPER_TASKS.index)
-    assert set(envs) == set(PAPER_TASKS)
 
 
 def test_the_text_of_table_1_compares_ours_with_the_published_scores(table1):
@@ -87,10 +82,6 @@ def test_the_text_of_table_1_compares_ours_with_the_published_scores(table1):
     assert "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published" in text
     assert "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)" in text
     assert INTERVAL_RULE in text
-
-
-def test_known_faults_are_listed_for_the_tasks_that_were_run(table1):
-    text = table1[1].read_text()
     assert "- sawyer_door: 0.94 of vaprl is one lucky evaluation" in text
     assert "- minitaur_pen" not in text
 
@@ -134,12 +125,8 @@ def test_the_text_of_table_2_checks_the_papers_claims(tmp_path):
         "In our runs naive RL is the best on 1 of 1 (tabletop_organization), the best methods of tables 1 and 2" in text
     )
     assert "changes its order on 1 of 1. The oracle is left out" in text
+    assert "In our runs no task has two methods to compare." in table2_claims(read_methods(folders[-1:]))
     assert "Claims of the paper" not in write_table(1, folders, tmp_path / "out")[1].read_text()
-
-
-def test_a_single_method_has_no_rank(tmp_path):
-    folder = write_method(tmp_path / "a", TABLETOP, "fbrl", constant(0.5), 0.1)
-    assert "In our runs no task has two methods to compare." in table2_claims(read_methods([folder]))
 
 
 def test_ties_are_no_change_of_order():

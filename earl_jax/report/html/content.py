@@ -9,7 +9,7 @@ from earl_jax.report.html.leaderboard import leaderboard
 from earl_jax.report.html.lines import Line
 from earl_jax.report.html.media import VideoEmbedder, maps
 from earl_jax.report.html.origin import changed_options, date_range, date_text, origins, run_card, values_of
-from earl_jax.report.html.page_tables import paper_table, seed_table, speeds
+from earl_jax.report.html.page_tables import paper_table, seed_table
 from earl_jax.report.html.policy_videos import PolicyVideos
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.scores import WINDOW
@@ -35,7 +35,6 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "lines": lines,
         "facts": _facts(lines, runs),
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
-        "speeds": speeds(lines),
         "rule": INTERVAL_RULE,
         "leaderboard": leaderboard(lines),
         "cards": [run_card(line, run) for line in lines for run in line.runs],

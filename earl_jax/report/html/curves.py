@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.html.lines import Line
@@ -40,6 +41,7 @@ PANELS = (
     Panel(STILL, "Object at rest", "steps since it last moved"),
     Panel("interventions", "Interventions", "since the first step"),
     Panel("reached", "Goals reached", "by the task controller", always=False),
+    Panel(DIVERGED, "Diverged", "seeds with a loss or parameter that is not finite", always=False),
     Panel("faults", "Faults", "resets after a broken simulation", always=False),
     Panel("help/asked", "Requested help", "since the first step"),
     Panel("help/enforced", "Enforced help", "in irreversible states", always=False),

@@ -35,8 +35,8 @@ def test_the_command_of_a_run_trains_the_same_run(tmp_path, setting, monkeypatch
     config = write_config(tmp_path / "run", setting=setting)
     arguments = {}
 
-    def train(env, method, **options):
-        arguments.update(options, objects=(env, method))
+    def train(env, algo, **options):
+        arguments.update(options, objects=(env, algo))
         raise TrainingStartedError
 
     monkeypatch.setattr(api, "train", train)

@@ -5,7 +5,7 @@ import pytest
 
 from earl_jax.report.html.curves import POINTS, banded, panels, thinned
 from earl_jax.report.html.lines import gather
-from earl_jax.report.html.page_tables import paper_table, seed_table, speeds
+from earl_jax.report.html.page_tables import paper_table, seed_table
 from earl_jax.report.runs import find_runs
 from tests.report.run_files import constant, write_page_run
 
@@ -34,19 +34,10 @@ def test_the_paper_table_names_known_faults_of_published_scores(lines):
     assert "counts steps twice" in faults["sawyer_door"]
 
 
-def test_speeds_have_our_crossings_beside_the_published(lines, tmp_path):
-    rows = {row["line"].group.label: row for row in speeds(lines)[0]["rows"]}
-    assert rows["fbrl"]["levels"] == [("–", "860k"), ("–", "2.07M")], "shorter than the window of 100,000 steps"
-    assert rows["fbrl"]["published_steps_per_reward"] == "92"
-    write_page_run(tmp_path / "fbrl", "fbrl", constant(0.6, 0.8), steps=[200_000, 400_000])
-    [row] = speeds(gather(find_runs([tmp_path]))[0])[0]["rows"]
-    assert row["levels"] == [("200k", "860k"), ("–", "2.07M")]
-
-
 def test_the_seed_table_has_the_final_values_of_every_seed(fbrl):
     table = seed_table(fbrl)
-    assert table["head"][-1] == "requested help"
-    assert table["rows"][2]["texts"] == ["0.800", "0.676", "0.0080", "30", "30", "30", "30"]
+    assert table["head"][-1] == "Requested help"
+    assert table["rows"][2]["texts"] == ["0.8", "0.6759", "0.008", "30", "30", "30", "30"]
 
 
 def test_a_page_shows_wide_starts_and_the_life(tmp_path):
@@ -58,7 +49,7 @@ def test_a_page_shows_wide_starts_and_the_life(tmp_path):
     lines = gather(find_runs([run]))[0]
     seeds = seed_table(lines)
     texts = dict(zip(seeds["head"], seeds["rows"][0]["texts"], strict=True))
-    assert (texts["success from wide starts"], texts["ways back reached"], texts["alive"]) == ("0.125", "–", "1")
+    assert (texts["Deployed, from wide starts"], texts["Ways back"], texts["Lanes alive"]) == ("0.125", "–", "1")
     plots = {plot["title"]: plot for plot in panels(lines)}
     wide, back = plots["Deployed, from wide starts"], plots["Ways back"]
     assert wide["range"] == back["range"] == [-0.04, 1.04]

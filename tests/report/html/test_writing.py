@@ -30,7 +30,7 @@ def page(written):
 def test_a_page_has_all_its_parts(page):
     assert {"table", "figure", "svg", "button", "details", "img"} <= set(page.tags)
     parts = (
-        "Table 1", "Table 2", "Speed of learning", "Leaderboard",
+        "Table 1", "Table 2", "Leaderboard",
         "Final values of every seed", "Videos", "Visited positions", "Runs", "Versions", "Left out",
         "config.json", "Tabletop organization", "Sawyer door", "Requested help",
     )  # fmt: skip
