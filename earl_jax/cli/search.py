@@ -20,14 +20,14 @@ def search(
 
     Args:
         space: Sweep file of one task and one method, in which options have distributions (docs/sweeps.md).
-        out: Folder of the runs and of search.json, which has all trials.
+        out: Folder of the runs and of search.journal, which has all trials.
         trials: Number of options to try.
         batch: Number of runs that train together, as lanes of one program where only floats differ.
         rungs: Number of lengths at which runs are scored; those below the median end there. 1 lets all run to their end.
         seed: Random seed of the options; the seeds of training are in the file.
     """
     limit = parse_minutes(minutes)
-    from earl_jax.sweeps.search import TRIALS, best_trial
+    from earl_jax.sweeps.search import STATES, TRIALS
     from earl_jax.sweeps.search import search as run_search
 
     lines: list[str] = []
@@ -42,12 +42,12 @@ def search(
         emit=lines.append if json else print_line,
         minutes=limit,
     )
-    best, counts = best_trial(history), dict.fromkeys(("done", "pruned", "failed", "running"), 0)
-    for trial in history:
-        counts[trial.state] += 1
+    done = [trial for trial in history if trial.state == "done"]
+    best = max(done, key=lambda trial: trial.scores[max(trial.scores)], default=None)
+    counts = {state: sum(trial.state == state for trial in history) for state in STATES.values()}
     text = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     if best:
-        text += f"; best {best.last:.4g} with {best.options}"
+        text += f"; best {best.scores[max(best.scores)]:.4g} with {best.options}"
     values = {"out": str(out), **counts, "lines": lines, "trials": [trial._asdict() for trial in history]}
     values |= {"best": best._asdict() if best else None, "stopped": counts["running"] > 0 or len(history) < trials}
     emit(values, json, f"{out / TRIALS}: {text}\nrank them with intervals and tests: earl-jax best {out}")

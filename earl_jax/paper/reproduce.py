@@ -27,7 +27,7 @@ from earl_jax.runs.files import write_atomically
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
-from earl_jax.sweeps.per_device import PerDevice
+from earl_jax.sweeps.slots import PerDevice
 from earl_jax.training import evaluate, load_visits
 
 ROBUSTNESS_EPISODES = 100

@@ -1,4 +1,4 @@
-"""A grid in a TOML file: tasks x methods x options, one run for each combination or sample. It imports no learner."""
+"""A grid in a TOML file: tasks x methods x options, one run for each combination. It imports no learner."""
 
 import dataclasses
 import hashlib
@@ -14,10 +14,13 @@ from typing import Any
 from earl_jax.errors import InputError
 from earl_jax.options import seed_list
 from earl_jax.presets import LENGTHS, preset
-from earl_jax.sweeps.samples import SAMPLERS, is_distribution, samples
 
 COUNTS = {name: count for name, count in LENGTHS.items() if name != "seeds"}
-KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options", "samples", "sampler", "sample_seed")
+KEYS = ("preset", "envs", "algos", "seeds", *COUNTS, "options")
+SEARCH_KEYS = ("samples", "sampler", "sample_seed")
+SAMPLERS = ("tpe", "random", "qmc")
+KINDS = ("uniform", "log_uniform", "integers", "choice")
+"""The samplers of a search, and its distributions of options."""
 MOST_RUNS, MOST_SEEDS = 10_000, 65_536
 """The largest numbers of runs in a grid and of seeds in a run."""
 LONGEST = 150
@@ -60,21 +63,26 @@ def read(path: Path) -> list[RunSpec]:
     return list(specs.values())
 
 
-def read_space(path: Path) -> tuple[RunSpec, dict[str, dict[str, Any]]]:
-    """Return the run that a file with one task and one method describes, and the distributions of its other options.
+def read_space(path: Path) -> tuple[RunSpec, dict[str, dict[str, Any]], str]:
+    """Return the run of a file with one task and one method, the distributions of its other options, and its sampler.
 
     Raises:
         ValueError: as `read`, or there are several tasks, methods or values of an option, or no distribution.
     """
     table = _read_table(path)
     try:
-        if {"runs", "samples", "sampler", "sample_seed"} & set(table):
-            raise InputError("a search has no [[runs]], samples, sampler or sample_seed; it draws the options itself")
+        if "runs" in table:
+            raise InputError("a search has no [[runs]]; it draws the options of its runs itself")
         options = _options(table)
-        distributions = {name: value for name, value in options.items() if is_distribution(value)}
+        distributions = {name: value for name, value in options.items() if isinstance(value, dict)}
         if not distributions:
             raise InputError("a search needs options with a distribution, such as { log_uniform = [1e-4, 1e-2] }")
         fixed = {name: value for name, value in options.items() if name not in distributions}
+        for name, distribution in distributions.items():
+            _check_distribution(name, distribution)
+        sampler = table.pop("sampler", SAMPLERS[0])
+        if sampler not in SAMPLERS:
+            raise InputError(f"unknown sampler {sampler!r}; choose from {', '.join(SAMPLERS)}")
         specs = list(_specs({**table, "options": fixed}))
         if len(specs) > 1:
             raise InputError(
@@ -84,7 +92,7 @@ def read_space(path: Path) -> tuple[RunSpec, dict[str, dict[str, Any]]]:
         raise InputError(f"{path}: {error}") from error
     preset_names = distributions.keys() & specs[0].options.keys()
     options = {name: value for name, value in specs[0].options.items() if name not in preset_names}
-    return dataclasses.replace(specs[0], options=options), distributions
+    return dataclasses.replace(specs[0], options=options), distributions, sampler
 
 
 def _read_table(path: Path) -> dict[str, Any]:
@@ -106,6 +114,9 @@ def _blocks(table: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     """Yield the run of every combination in one block of a grid."""
+    distributions = [name for name, value in _options(block).items() if isinstance(value, dict)]
+    for name in [*(key for key in SEARCH_KEYS if key in block), *distributions]:
+        raise InputError(f"{name} is for a search: earl-jax search draws options from distributions, with a sampler")
     for key in block:
         if key not in KEYS:
             raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
@@ -114,27 +125,30 @@ def _specs(block: dict[str, Any]) -> Iterator[RunSpec]:
         own = _with_preset(block, env)
         counts = {key: _count(key, own.get(key, default)) for key, default in COUNTS.items()}
         seeds = _seeds(own.get("seeds", LENGTHS["seeds"]))
-        alternatives, sampled = _alternatives(_options(own)), _sampled(own)
-        _check_runs(math.prod(map(len, (envs, algos, sampled, *alternatives.values()))))
-        combinations = [
-            dict(zip(alternatives, values, strict=True)) for values in itertools.product(*alternatives.values())
-        ]
-        for algo, combination, sample in itertools.product(algos, combinations, sampled):
-            options = {**combination, **sample}
+        alternatives = _alternatives(_options(own))
+        _check_runs(math.prod(map(len, (envs, algos, *alternatives.values()))))
+        for algo, *values in itertools.product(algos, *alternatives.values()):
+            options = dict(zip(alternatives, values, strict=True))
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, **counts)
 
 
-def _sampled(block: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the samples of the options of `block` that are distributions; one empty sample if there are none."""
-    given = {key: block[key] for key in ("samples", "sampler", "sample_seed") if key in block}
-    distributions = {name: value for name, value in _options(block).items() if is_distribution(value)}
-    if not distributions and not given:
-        return [{}]
-    if not distributions or "samples" not in given:
-        named = ", ".join(distributions or given)
-        missing = "samples = N" if distributions else "an option with a distribution, such as { uniform = [0, 1] }"
-        raise InputError(f"{named} needs {missing}")
-    return samples(distributions, given["samples"], given.get("sampler", SAMPLERS[0]), given.get("sample_seed", 0))
+def _check_distribution(option: str, distribution: dict[str, Any]) -> None:
+    kind, ends = next(iter(distribution.items())) if len(distribution) == 1 else ("", None)
+    if kind not in KINDS:
+        raise InputError(
+            f"option {option} = {distribution} must be one of {', '.join(KINDS)}, as in {{ log_uniform = [1e-5, 1e-2] }}"
+        )
+    if not isinstance(ends, list) or not ends or (kind != "choice" and not _are_ends(kind, ends)):
+        wanted = "a list of values" if kind == "choice" else "two numbers, the smaller one first"
+        more = {"log_uniform": ", both above 0", "integers": ", both whole"}.get(kind, "")
+        raise InputError(f"option {option}: {kind} takes {wanted}{more}, not {ends}")
+
+
+def _are_ends(kind: str, ends: list[Any]) -> bool:
+    types = (int,) if kind == "integers" else (int, float)
+    if len(ends) != 2 or not all(type(end) in types and math.isfinite(end) for end in ends):
+        return False
+    return ends[0] < ends[1] and (kind != "log_uniform" or ends[0] > 0)
 
 
 def _with_preset(block: dict[str, Any], env: str) -> dict[str, Any]:
@@ -191,11 +205,7 @@ def _options(block: dict[str, Any]) -> dict[str, Any]:
 
 def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the alternative values of each option, sorted by the names of the options."""
-    alternatives = {
-        name: value if isinstance(value, list) else [value]
-        for name, value in sorted(options.items())
-        if not is_distribution(value)
-    }
+    alternatives = {name: value if isinstance(value, list) else [value] for name, value in sorted(options.items())}
     for name, values in alternatives.items():
         texts = [json.dumps(value, default=str) for value in values]
         if not texts or len(set(texts)) < len(texts):

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import signal
 import subprocess
 import tempfile
 import time
@@ -17,8 +16,16 @@ PATIENCE = 5
 """Seconds that a daemon has to answer after its start, and to end after it was asked to."""
 LONGEST_SOCKET = 60
 """Characters of a temporary folder in which the daemon's sockets have names of a valid length."""
-GUARD = f'cat >/dev/null; echo quit | {CONTROL}; rm -rf -- "$1"'
-"""The shell command that stops the daemon when its stdin, a pipe from the launcher, closes, also if that was killed."""
+GUARD = f"""
+cat >/dev/null
+pid=$(cat "$1/pipe/{CONTROL}.pid")
+runs() {{ grep -q "^State:[[:space:]]*[^ZX[:space:]]" "/proc/$pid/status"; }}
+echo quit | timeout {SECONDS} {CONTROL}
+for tenth in $(seq "$2"); do runs || break; sleep 0.1; done
+runs && kill "$pid"
+rm -rf -- "$1"
+"""
+"""The shell commands that stop the daemon when their stdin, a pipe from the launcher, closes, also if that was killed."""
 
 
 class MpsError(RuntimeError):
@@ -29,7 +36,8 @@ class MpsError(RuntimeError):
 def mps() -> Iterator[dict[str, str]]:
     """Yield the variables of programs that share a GPU through MPS, after starting the daemon; it ends with the context.
 
-    If a daemon answers already, that one is used and left running.
+    If a daemon answers already, that one is used and left running. The daemon serves all GPUs: with CUDA_VISIBLE_DEVICES,
+    it would number them anew for its clients.
 
     Raises:
         MpsError: MPS is not installed, or its daemon does not start.
@@ -40,32 +48,34 @@ def mps() -> Iterator[dict[str, str]]:
         yield {}
         return
     parent = tempfile.gettempdir() if len(tempfile.gettempdir()) <= LONGEST_SOCKET else "/tmp"
-    with tempfile.TemporaryDirectory(prefix="earl-mps-", dir=parent, ignore_cleanup_errors=True) as folder:
-        variables = {"CUDA_MPS_PIPE_DIRECTORY": f"{folder}/pipe", "CUDA_MPS_LOG_DIRECTORY": f"{folder}/log"}
+    folder = tempfile.mkdtemp(prefix="earl-mps-", dir=parent)
+    variables = {"CUDA_MPS_PIPE_DIRECTORY": f"{folder}/pipe", "CUDA_MPS_LOG_DIRECTORY": f"{folder}/log"}
+    environment = {name: value for name, value in os.environ.items() if name != "CUDA_VISIBLE_DEVICES"} | variables
+    with _guard(folder, environment):
         for path in variables.values():
             Path(path).mkdir()
-        with _daemon(folder, variables):
-            yield variables
+        _start(environment, Path(folder, "pipe", f"{CONTROL}.pid"))
+        yield variables
 
 
 @contextlib.contextmanager
-def _daemon(folder: str, variables: dict[str, str]) -> Iterator[None]:
-    """Run the daemon for all GPUs: with CUDA_VISIBLE_DEVICES, it would number them anew for its clients."""
-    environment = {name: value for name, value in os.environ.items() if name != "CUDA_VISIBLE_DEVICES"} | variables
+def _guard(folder: str, environment: Mapping[str, str]) -> Iterator[None]:
+    """Run the process that stops the daemon and removes its `folder` when the context or this process ends."""
     guard = subprocess.Popen(
-        ["/bin/sh", "-c", GUARD, "guard", folder],
+        ["/bin/sh", "-c", GUARD, "guard", folder, str(int(10 * PATIENCE))],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         env=environment,
         start_new_session=True,  # a terminal sends Ctrl-C to the launcher alone
     )
-    pid_file = Path(variables["CUDA_MPS_PIPE_DIRECTORY"]) / f"{CONTROL}.pid"
+    assert guard.stdin is not None
     try:
-        _start(environment, pid_file)
         yield
     finally:
-        _stop(guard, pid_file)
+        guard.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # it goes on by itself
+            guard.wait(SECONDS + 2 * PATIENCE)
 
 
 def _start(environment: Mapping[str, str], pid_file: Path) -> None:
@@ -90,8 +100,7 @@ def _start(environment: Mapping[str, str], pid_file: Path) -> None:
     deadline = time.monotonic() + PATIENCE
     while not _answers(environment):
         if time.monotonic() > deadline:
-            pid = _read_pid(pid_file)
-            if pid is not None and _is_alive(pid):
+            if pid_file.exists() and Path("/proc", pid_file.read_text().strip()).exists():
                 return
             raise MpsError(f"the daemon of {CONTROL} does not answer")
         time.sleep(0.1)
@@ -106,37 +115,3 @@ def _answers(environment: Mapping[str, str]) -> bool:
     except (OSError, subprocess.SubprocessError):
         return False
     return reply.returncode == 0 and b"Cannot find" not in reply.stdout + reply.stderr
-
-
-def _stop(guard: subprocess.Popen[bytes], pid_file: Path) -> None:
-    """Let `guard` stop the daemon; end it by its process id if it is still there after that."""
-    pid = _read_pid(pid_file)
-    assert guard.stdin is not None
-    guard.stdin.close()
-    try:
-        guard.wait(SECONDS)
-    except subprocess.TimeoutExpired:
-        guard.kill()
-        guard.wait()
-    deadline = time.monotonic() + PATIENCE
-    while pid and _is_alive(pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    if pid and _is_alive(pid):
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGTERM)
-
-
-def _read_pid(path: Path) -> int | None:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):
-        return None
-
-
-def _is_alive(pid: int) -> bool:
-    """Return whether the process `pid` runs; one that has ended may still wait for its parent."""
-    try:
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False

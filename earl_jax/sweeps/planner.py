@@ -140,7 +140,8 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     differing = [name for name in wanted if existing[name] != wanted[name]]
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
-        remedy = "choose another --out, or change the grid to match"
-        raise InputError(f"{path} holds a run that differs ({differences}); {remedy}")
+        raise InputError(
+            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
+        )
     folder.require_rows()
     return dataclasses.replace(folder, config=config)

@@ -1,9 +1,12 @@
-"""Submitit's executor for sweeps under SLURM, and its parameters."""
+"""The SLURM launcher of sweeps, through submitit: an array job with a task for each program group."""
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.sweeps.processes import Task, worker_events
 
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
@@ -11,12 +14,42 @@ RETRIES = 100
 """How often a job that reaches its time limit returns to the queue."""
 
 
-def slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
-    """Return submitit's executor with `parameters` of sbatch.
+class GroupJob:
+    """A callable that trains one program group, on this or another machine. After a time-out it is submitted again."""
+
+    def __call__(self, task: Task) -> None:
+        """Train all runs of `task`; failed runs are a RuntimeError that gives their causes."""
+        failures = []
+        for event in worker_events(task):
+            print(json.dumps(event), flush=True)
+            if event["state"] == "failed":
+                failures.append(f"{event['run']}: {event['why']}")
+        if failures:
+            raise RuntimeError("; ".join(failures))
+
+    def checkpoint(self, task: Task) -> Any:
+        """Return the job that submitit submits after a time-out or a preemption: this one again, from its checkpoints."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self, task)
+
+
+def submit(plan: dict[str, Any], tasks: list[Task], executor: Any, emit: Callable[[str], None]) -> None:
+    """Submit `tasks`, one for each program group of `plan`, as an array job of `executor`."""
+    jobs = executor.map_array(GroupJob(), tasks) if tasks else []
+    for job, group in zip(jobs, plan["groups"], strict=True):
+        for name in group["runs"]:
+            emit(f"submitted  {name}  job {job.job_id}")
+    emit(f"{len(jobs)} jobs; logs in {Path(plan['out']) / LOGS}; repeat the command later to submit unfinished runs")
+
+
+def make_executor(out: Path, pairs: tuple[str, ...]) -> Any:
+    """Return submitit's executor with the parameters of sbatch in `pairs`, name=value.
 
     Raises:
         ValueError: submitit or sbatch is missing, or a parameter is missing or unknown.
     """
+    parameters = _parameters(pairs)
     try:
         import submitit
     except ImportError:
@@ -37,7 +70,7 @@ def slurm_executor(out: Path, parameters: dict[str, Any]) -> Any:
     return executor
 
 
-def sbatch_parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
+def _parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
     """Return name=value pairs as a dictionary, numbers as numbers."""
     parameters: dict[str, Any] = {}
     for pair in pairs:

@@ -1,9 +1,11 @@
-"""Shared by the tests of sweeps: a grid of two runs that share one program."""
+"""Shared by the tests of sweeps: a grid whose two runs share a program, a scripted worker, and a host with fake GPUs."""
+
+import os
+import sys
 
 import pytest
 
-from earl_jax.sweeps import per_device, slots
-from tests.sweeps.fake_gpus import FakeGpus, add_to_path
+from earl_jax.sweeps import processes, slots
 
 GRID = """
 envs = ["tabletop_organization"]
@@ -23,6 +25,38 @@ reward_scale = [1, 10]
 OPTIONS = "batch_size=16,eval_horizon=30,hidden_sizes=16,random_steps=20"
 NAMES = [f"tabletop_organization/oracle/{OPTIONS},reward_scale={scale}" for scale in (1, 10)]
 LENGTHS = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
+WORKER = """
+import json, os, signal, sys, time
+from pathlib import Path
+folder, groups = Path(FOLDER), GROUPS
+if sys.argv[1] == "plan":
+    runs = {name: {"step": 0, "config": {"env": "sawyer_door"}} for names in [*groups, ["z"]] for name in names}
+    groups = [{"runs": list(names), "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for names in groups]
+    print(json.dumps({"out": sys.argv[4], "runs": runs, "groups": groups}))
+    sys.exit()
+task = json.loads(sys.stdin.readline())
+name = list(task["runs"])[0]
+emit = lambda state, **details: print(json.dumps({"run": name, "state": state, **details}), flush=True)
+(folder / name).write_text(str(os.getpid()))
+"""
+MPS_CONTROL = """#!/bin/sh
+folder=${CUDA_MPS_PIPE_DIRECTORY:-BIN/default}
+pid_file="$folder/nvidia-cuda-mps-control.pid"
+if [ "$1" = -d ]; then
+  echo "start devices=$CUDA_VISIBLE_DEVICES" >> BIN/log
+  if [ -e BIN/broken ]; then echo "MPS is not supported here" >&2; exit 1; fi
+  sleep 600 &
+  echo $! > "$pid_file"
+  exit 0
+fi
+read command
+if [ ! -e "$pid_file" ]; then echo "Cannot find MPS control daemon process"; exit 1; fi
+if [ "$command" = quit ]; then
+  echo quit >> BIN/log
+  kill $(cat "$pid_file")
+  rm "$pid_file"
+fi
+"""
 
 
 @pytest.fixture
@@ -34,12 +68,60 @@ def grid(tmp_path):
 
 
 @pytest.fixture
+def workers(tmp_path, monkeypatch):
+    """A function that replaces the worker by a script, and returns a folder with the process id of each of its runs.
+
+    Each of `groups` names the runs of a program; a further run, z, is finished before.
+    """
+    folder = tmp_path / "workers"
+    folder.mkdir()
+
+    def replace(body, groups="abcd"):
+        script = tmp_path / "worker.py"
+        script.write_text(WORKER.replace("FOLDER", repr(str(folder))).replace("GROUPS", repr(list(groups))) + body)
+        monkeypatch.setattr(processes, "WORKER", [sys.executable, str(script)])
+        return folder
+
+    return replace
+
+
+class FakeGpus:
+    """The folder `bin`, on PATH, of a host with two GPUs, and what its MPS daemon did."""
+
+    def __init__(self, bin_):
+        self.bin = bin_
+        bin_.mkdir()
+        self.control = bin_ / "nvidia-cuda-mps-control"
+        write_executable(bin_ / "nvidia-smi", '#!/bin/sh\nprintf "GPU 0: NVIDIA H200\\nGPU 1: NVIDIA H200\\n"\n')
+        write_executable(self.control, MPS_CONTROL.replace("BIN", str(bin_)))
+
+    @property
+    def log(self):
+        """The starts and ends of the daemon, in order."""
+        path = self.bin / "log"
+        return path.read_text().splitlines() if path.exists() else []
+
+    def break_mps(self):
+        (self.bin / "broken").touch()
+
+    def run_daemon(self):
+        """Let the daemon of the user answer."""
+        (self.bin / "default").mkdir()
+        (self.bin / "default/nvidia-cuda-mps-control.pid").write_text("0")
+
+
+def write_executable(path, text):
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+@pytest.fixture
 def gpus(tmp_path, monkeypatch):
     """A host with two GPUs, eight cores and MPS, all of them fakes, and jax's CUDA plugin."""
-    fake = FakeGpus(tmp_path / "bin", 2)
-    add_to_path(monkeypatch, fake.bin)
+    fake = FakeGpus(tmp_path / "bin")
+    monkeypatch.setenv("PATH", f"{fake.bin}:{os.environ['PATH']}")
     for name in ("CUDA_VISIBLE_DEVICES", "CUDA_MPS_PIPE_DIRECTORY", "JAX_PLATFORMS", slots.FRACTION):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(slots, "cuda_plugin", lambda: tmp_path)
-    monkeypatch.setattr(per_device, "own_cores", lambda: list(range(8)))
+    monkeypatch.setattr(slots, "own_cores", lambda: list(range(8)))
     return fake

@@ -11,6 +11,7 @@ seeds = 2
 steps = 400
 """
 
+SPACE = "envs = 'e'\nalgos = 'a'\noptions.x = { uniform = [0, 1] }\n"
 PRODUCT = "\n".join(f"x{number} = {list(range(9))}" for number in range(9))
 """Options with 9^9 combinations."""
 
@@ -83,16 +84,9 @@ def test_seeds_can_be_a_range_as_in_the_shell(tmp_path, seeds, expected):
         ("envs = [", "can't be read"),
         ("envs = 'e'\nalgos = 'a'\nstep = 3", "unknown key 'step'; choose from preset, envs, algos"),
         ("envs = 'e'\nalgos = 'a'\npreset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
-        ("envs = 'e'\nalgos = 'a'\noptions.x = { uniform = [0, 1] }", "x needs samples = N"),
-        ("envs = 'e'\nalgos = 'a'\nsamples = 3", "samples needs an option with a distribution"),
-        (
-            "envs = 'e'\nalgos = 'a'\nsamples = 0\noptions.x = { uniform = [0, 1] }",
-            "samples must be a whole number from 1",
-        ),
-        (
-            "envs = 'e'\nalgos = 'a'\nsamples = 2\noptions.x = { normal = [0, 1] }",
-            "one of uniform, log_uniform, integers",
-        ),
+        (SPACE, "x is for a search: earl-jax search draws"),
+        ("envs = 'e'\nalgos = 'a'\nsamples = 3", "samples is for a search: earl-jax search draws"),
+        ("envs = 'e'\nalgos = 'a'\nsampler = 'sobol'", "sampler is for a search: earl-jax search draws"),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
         ("envs = 'e'\nalgos = 'a'\nsteps = 1.5", "steps must be a whole number"),
@@ -132,15 +126,43 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
     assert quick.options["hidden_sizes"] == [64, 64]
 
 
-def test_every_combination_of_the_grid_has_the_same_samples(tmp_path):
-    text = BASE + "samples = 3\n[options]\nlayer_norm = [true, false]\ndiscount = { uniform = [0.9, 0.99] }\n"
-    specs = read(tmp_path, text)
-    assert len({spec.name for spec in specs}) == len(specs) == 2 * 2 * 2 * 3
-    drawn = [spec.options["discount"] for spec in specs if (spec.env, spec.algo) == ("sawyer_door", "naive")]
-    assert drawn[:3] == drawn[3:] == [spec.options["discount"] for spec in specs[:3]]
-    assert f"discount={drawn[0]},layer_norm=true" in specs[0].name
-    more = read(tmp_path, text.replace("samples = 3", "samples = 5"))
-    assert {spec.name for spec in specs} < {spec.name for spec in more}
+def read_space(tmp_path, text):
+    path = tmp_path / "space.toml"
+    path.write_text(text)
+    return grid.read_space(path)
+
+
+def test_a_space_is_a_run_distributions_and_a_sampler(tmp_path):
+    text = SPACE + "options.y = 2\n"
+    base, distributions, sampler = read_space(tmp_path, text)
+    assert (base.options, distributions, sampler) == ({"y": 2}, {"x": {"uniform": [0, 1]}}, "tpe")
+    assert read_space(tmp_path, "sampler = 'qmc'\n" + text)[2] == "qmc"
+    quick = read_space(tmp_path, "preset = 'quick'\n" + text.replace("options.x", "options.hidden_sizes"))[0]
+    assert quick.options.keys() == {"y", "batch_size", "timeout_bootstrap", "demo_share", "layer_norm", "learning_rate"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("'a'", "['a', 'b']"), "one task, one method"),
+        (("options.x", "options.y = [1, 2]\noptions.x"), "one value of each option"),
+        (("options.x = { uniform = [0, 1] }", ""), "needs options with a distribution"),
+        (("options.x", "[[runs]]\noptions.x"), r"a search has no \[\[runs\]\]"),
+        (("options.x", "samples = 3\noptions.x"), "samples is for a search"),
+        (("options.x", "sampler = 'sobol'\noptions.x"), "unknown sampler 'sobol'; choose from tpe, random, qmc"),
+        (("uniform = [0, 1]", "normal = [0, 1]"), "must be one of uniform, log_uniform, integers, choice"),
+        (("uniform = [0, 1]", "uniform = [0, 1], choice = [1]"), "must be one of"),
+        (("[0, 1]", "[1, 0]"), "uniform takes two numbers, the smaller one first"),
+        (("[0, 1]", "[0, inf]"), "two numbers"),
+        (("[0, 1]", "[0, true]"), "two numbers"),
+        (("uniform", "log_uniform"), "both above 0"),
+        (("uniform = [0, 1]", "integers = [1, 2.5]"), "both whole"),
+        (("uniform = [0, 1]", "choice = []"), "a list of values"),
+    ],
+)
+def test_invalid_spaces_are_refused(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        read_space(tmp_path, SPACE.replace(*change))
 
 
 def test_missing_file_is_refused(tmp_path):

@@ -1,68 +1,20 @@
-"""Tests of the launcher: no jax, sweeps that continue after a kill, reported failures, SLURM arrays."""
+"""Tests of the launcher on this machine: no jax, reported failures, signals, minutes, kills, and several workers at a time."""
 
 import itertools
 import json
 import os
 import signal
-import stat
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from earl_jax import cli
-from earl_jax.sweeps import launcher
+from earl_jax.sweeps import launcher, packing_rates, processes
 from tests.cli.process import ENVIRONMENT, run_process, start
-
-GRID = """
-envs = ["tabletop_organization"]
-algos = ["naive"]
-seeds = 2
-steps = 800
-eval_every = 40
-eval_episodes = 2
-checkpoint_every = 200
-[options]
-hidden_sizes = [[16]]
-batch_size = 16
-random_steps = 20
-reward_scale = [1, 10]
-"""
-FAKE_WORKER = """
-import json, os, signal, sys
-if sys.argv[1] == "plan":
-    runs = {name: {"step": 0, "config": {}} for name in "abcdef"}
-    sizes = {"lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0}
-    groups = [{"runs": names, **sizes} for names in (["a", "b"], ["c"], ["d"], ["e"])]
-    print(json.dumps({"out": sys.argv[4], "runs": runs, "groups": groups}))
-    sys.exit()
-runs = list(json.loads(sys.stdin.readline())["runs"])
-emit = lambda state, **details: print(json.dumps({"run": runs[-1], "state": state, **details}), flush=True)
-print("a stray line", flush=True)
-if runs == ["c"]:
-    emit("resumed", step=40)
-    os.kill(os.getpid(), signal.SIGKILL)
-if runs == ["d"]:
-    emit("failed", why="ValueError: broken")
-    sys.exit(1)
-emit("done")
-"""
-
-
-@pytest.fixture
-def grid(tmp_path):
-    """The TOML file of `GRID`."""
-    path = tmp_path / "grid.toml"
-    path.write_text(GRID)
-    return path
-
-
-def read_tables(out):
-    """Return the bytes of every metrics.csv of the sweep at `out`."""
-    return {path.relative_to(out): path.read_bytes() for path in out.glob("*/*/*/metrics.csv")}
+from tests.sweeps.conftest import GRID
 
 
 def test_the_launcher_never_imports_jax(grid, tmp_path):
@@ -73,16 +25,19 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
     )
     process = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
-    assert "program 1: 4 lanes, steps 0 to 800, replay" in process.stdout
+    assert "program 1: 4 lanes, steps 0 to 120, replay" in process.stdout
     assert "2 runs, 0 of them done; programs to run: 1" in process.stdout
     assert not (tmp_path / "out").exists()
-    code = "import sys; from earl_jax.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
-    process = subprocess.run([sys.executable, "-c", code + "assert 'jax' not in sys.modules"], capture_output=True)
-    assert process.returncode == 0, process.stderr
+
+
+def read_tables(out):
+    """Return the bytes of every metrics.csv of the sweep at `out`."""
+    return {path.relative_to(out): path.read_bytes() for path in out.glob("*/*/*/metrics.csv")}
 
 
 @pytest.mark.slow
 def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
+    grid.write_text(GRID.replace("steps = 120", "steps = 800"))
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     code, out, err = run_process("sweep", grid, "--out", whole)
     assert code == 0, err
@@ -93,242 +48,224 @@ def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)  # only the launcher, so that its worker must notice
     process.communicate()
-    assert process.returncode == -signal.SIGKILL
     assert read_tables(killed) != read_tables(whole)
     code, out, err = run_process("sweep", grid, "--out", killed)
     assert code == 0, err
     assert out.count("resumed ") + out.count("started ") == 2
     assert read_tables(killed) == read_tables(whole)
-    assert len(read_tables(whole)) == 2
     assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())
-    before = read_tables(killed)
     code, out, _ = run_process("sweep", grid, "--out", killed, "--json")
     assert code == 0
     assert json.loads(out)["lines"][-1] == "2 runs: 2 done before, 0 done now, 0 failed"
-    assert read_tables(killed) == before
 
 
-@pytest.fixture
-def fake_worker(tmp_path, monkeypatch):
-    """Replace the worker by a script that fails in several ways."""
-    script = tmp_path / "worker.py"
-    script.write_text(FAKE_WORKER)
-    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+FAILING = """
+print("a stray line", flush=True)
+if name == "c":
+    emit("resumed", step=40)
+    os.kill(os.getpid(), signal.SIGKILL)
+if name == "d":
+    emit("failed", why="ValueError: broken")
+    sys.exit(1)
+emit("done")
+"""
 
 
-@pytest.mark.usefixtures("fake_worker")
-def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, capsys):
-    lines = []
-    assert launcher.sweep(grid, tmp_path, emit=lines.append) == (3, ())
-    assert lines == [
-        "done       f  (before)",
-        "done       b",
-        "failed     a  the worker ended with code 0",
+def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, workers, capsys):
+    workers(FAILING, ["ab", "c", "d", "e"])
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main(["sweep", str(grid), "--out", str(tmp_path)])
+    assert exit_info.value.code == 1
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "done       z  (before)",
+        "done       a",
+        "failed     b  the worker ended with code 0",
         "resumed    c  from step 40",
         "failed     c  the worker was ended by signal 9",
         "failed     d  ValueError: broken",
         "done       e",
         "6 runs: 1 done before, 2 done now, 3 failed",
     ]
-    assert capsys.readouterr().err.count("a stray line") == 4
+    assert printed.err.count("a stray line") == 4
 
 
-@pytest.mark.usefixtures("fake_worker")
-def test_a_failed_sweep_exits_with_code_1(grid, tmp_path, capsys):
-    with pytest.raises(SystemExit) as exit_info:
-        cli.main(["sweep", str(grid), "--out", str(tmp_path)])
-    assert exit_info.value.code == 1
-    assert "3 failed" in capsys.readouterr().out
+def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch, capsys):
+    workers('emit("started")\nemit("stopped", step=task["limit"][1])\n', "ab")
+    clock = itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
+    lines = []
+    with monkeypatch.context() as patch:
+        patch.setattr("earl_jax.options.time", SimpleNamespace(time=lambda: next(clock)))
+        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("a", "b"))
+    assert lines[1:] == [
+        "started    a",
+        "stopped    a  at step 1120.0",
+        "3 runs: 1 done before, 0 done now, 0 failed, 2 unfinished after 2 minutes; repeat the command to continue",
+    ]
+    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--minutes", "1e-9", "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b"])
 
 
-@pytest.mark.usefixtures("fake_worker")
-def test_json_of_a_dry_run_has_the_runs_and_groups(grid, tmp_path, capsys):
-    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--dry-run", "--json"])
-    plan = json.loads(capsys.readouterr().out)
-    assert plan["out"] == str(tmp_path)
-    assert list(plan["runs"]) == list("abcdef")
-    assert plan["runs"]["a"] == {"step": 0, "config": {}}
-    assert plan["groups"][0]["lanes"] == 1
+TOGETHER = """
+deadline = time.monotonic() + 30
+while len(list(folder.glob("[a-z]"))) < COUNT and time.monotonic() < deadline:
+    time.sleep(0.005)
+if name == "b":
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+RECORD = """
+variables = {key: value for key, value in os.environ.items() if key.startswith(("CUDA", "JAX_PL", "XLA", "EARL"))}
+cores = [int(core) for core in sys.argv[sys.argv.index("--cores") + 1:]]
+(folder / (name + ".json")).write_text(json.dumps({"cores": cores, "progress": task["progress"], **variables}))
+emit("done")
+"""
 
 
-@pytest.mark.usefixtures("fake_worker")
-def test_a_job_fails_if_one_of_its_runs_fails():
-    launcher.GroupJob()({"out": "", "runs": {"e": {}}})
-    with pytest.raises(RuntimeError, match="d: ValueError: broken"):
-        launcher.GroupJob()({"out": "", "runs": {"d": {}}})
+def read_records(folder):
+    """Return the record of every worker that finished, by the name of its run."""
+    return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
 
 
-def executable(path, text):
-    path.write_text(text)
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+def test_programs_share_gpus_through_mps_and_one_that_fails_costs_its_runs_only(gpus, grid, workers, tmp_path):
+    folder, lines = workers(TOGETHER.replace("COUNT", "4") + RECORD, "abcde"), []
+    assert launcher.sweep(grid, tmp_path / "out", per_device=2, emit=lines.append).failed == 1
+    how = "through the MPS daemon started for them"
+    assert lines[1] == f"2 programs at a time on each of 2 GPUs, 2 cores each {how}"
+    assert lines[-1] == "6 runs: 1 done before, 4 done now, 1 failed"
+    assert "failed     b  the worker was ended by signal 9" in lines
+    records = read_records(folder)
+    assert list(records) == ["a", "c", "d", "e"]
+    assert gpus.log == ["start devices=", "quit"]
+    first = records["a"], records["c"], records["d"]
+    assert {record["CUDA_VISIBLE_DEVICES"] for record in first} == {"0", "1"}
+    assert len({tuple(record["cores"]) for record in first}) == 3
+    for record in records.values():
+        assert record["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.4600"
+        assert record["EARL_JAX_PER_DEVICE"] == "2"
+        assert record["CUDA_MPS_PIPE_DIRECTORY"].endswith("/pipe")
+        assert record["progress"] is False
 
 
-@pytest.fixture
-def cluster(tmp_path, monkeypatch):
-    """An `sbatch` that returns at once and then runs the tasks of an array here, one after another."""
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    bin_ = tmp_path / "bin"
-    bin_.mkdir()
-    executable(
-        bin_ / "srun",
-        '#!/bin/bash\nwhile [[ "$1" == --* ]]; do [[ $1 == --unbuffered ]] || shift; shift; done\nexec "$@"\n',
-    )
-    tasks = (
-        "for i in $(seq 0 $last); do SLURM_JOB_ID=7$i SLURM_ARRAY_JOB_ID=7 SLURM_ARRAY_TASK_ID=$i SLURM_NTASKS=1"
-        ' SLURM_JOB_NUM_NODES=1 SLURM_NODEID=0 SLURM_PROCID=0 SLURM_LOCALID=0 bash "$1"; done'
-    )
-    executable(
-        bin_ / "sbatch",
-        f"""#!/bin/bash
-cp "$1" {tmp_path}/submitted.sh
-last=$(sed -n 's/^#SBATCH --array=0-\\([0-9]*\\).*/\\1/p' "$1")
-cp "$1" "$1.kept"
-set -- "$1.kept"
-({tasks}; touch {tmp_path}/ended) >{tmp_path}/cluster.log 2>&1 </dev/null &
-echo "Submitted batch job 7"
-""",
-    )
-    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
-    for name, value in ENVIRONMENT.items():
-        if name.startswith("JAX"):
-            monkeypatch.setenv(name, value)
-    return tmp_path
-
-
-def test_a_slurm_array_has_one_task_per_program_group(grid, cluster):
-    grid.write_text(GRID.replace("steps = 800", "steps = 120"))
-    out, lines = cluster / "out", []
-    arguments = {"launcher": "slurm", "max_lanes": 2, "slurm": ("time=30", "partition=fast"), "emit": lines.append}
-    assert launcher.sweep(grid, out, **arguments) == (0, ())
-    assert [line.rsplit("  ", 1)[1] for line in lines[:2]] == ["job 7_0", "job 7_1"]
-    script = (cluster / "submitted.sh").read_text()
-    for option in ("--array=0-1", "--time=30", "--partition=fast", "--job-name=earl-jax"):
-        assert option in script
-    deadline = time.monotonic() + 240
-    while not (cluster / "ended").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    log = (cluster / "cluster.log").read_text()
-    assert log.count('"state": "done"') == log.count("Job completed successfully") == 2, log
-    assert len(read_tables(out)) == 2
-    lines.clear()
-    assert launcher.sweep(grid, out, **arguments) == (0, ())
-    assert [line[:4] for line in lines[:2]] == ["done", "done"]
-    assert lines[2].startswith("0 jobs")
-
-
-def test_a_job_that_timed_out_is_submitted_again():
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    task = {"out": "x", "runs": {}}
-    resubmitted = launcher.GroupJob().checkpoint(task)
-    assert isinstance(resubmitted.function, launcher.GroupJob)
-    assert resubmitted.args == (task,)
+ONE = "1 program at a time on each of 2 GPUs, 4 cores each"
 
 
 @pytest.mark.parametrize(
-    ("slurm", "message"),
-    [((), "needs a time limit"), (("time=5", "party=x"), "Unavailable parameter.*partition")],
+    ("mps", "per_device", "groups", "line", "log"),
+    [
+        ("broken", 4, "abcd", f"{ONE}; MPS cannot be used: MPS is not supported here", ["start devices="]),
+        (
+            "running",
+            2,
+            "abcd",
+            "2 programs at a time on each of 2 GPUs, 2 cores each through the running MPS daemon",
+            [],
+        ),
+        ("unused", 3, "ab", ONE, []),
+        ("unused", "auto", "ab", ONE, []),
+        ("on a CPU", 2, "ac", "2 programs at a time, 4 cores each", []),
+        ("on a CPU", "auto", "ac", "1 program at a time, 8 cores each", []),
+    ],
 )
-def test_invalid_slurm_options_are_refused_before_any_submission(grid, cluster, slurm, message):
-    with pytest.raises(ValueError, match=message):
-        launcher.sweep(grid, cluster / "out", "slurm", slurm=slurm)
-    assert not (cluster / "out").exists()
+def test_slots_depend_on_mps_and_on_the_number_of_programs(
+    gpus, grid, workers, tmp_path, monkeypatch, mps, per_device, groups, line, log
+):
+    {"broken": gpus.break_mps, "running": gpus.run_daemon}.get(mps, lambda: None)()
+    if mps == "on a CPU":
+        monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    folder, lines = workers(RECORD, groups), []
+    launcher.sweep(grid, tmp_path / "out", per_device=per_device, emit=lines.append)
+    assert lines[1] == line
+    assert lines[-1].endswith(f"{len(groups)} done now, 0 failed")
+    records = read_records(folder)
+    assert {len(record["cores"]) for record in records.values()} == {int(line.partition(" core")[0].split()[-1])}
+    assert all("CUDA_MPS_PIPE_DIRECTORY" not in record for record in records.values())
+    assert all(record["progress"] is (per_device == "auto" and mps == "on a CPU") for record in records.values())
+    assert gpus.log == log
 
 
-def test_missing_slurm_or_unknown_launcher_is_refused(grid, tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "submitit", None)
-        with pytest.raises(ValueError, match=r"pip install 'earl-jax\[slurm\]'"):
-            launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    monkeypatch.setenv("PATH", str(Path(tmp_path, "empty")))
-    with pytest.raises(ValueError, match="on a machine that has sbatch"):
-        launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",))
-    with pytest.raises(ValueError, match="choose from local, slurm"):
-        launcher.sweep(grid, tmp_path / "out", "cloud")
+def test_auto_takes_the_measured_number_of_the_tasks_of_a_sweep(gpus, grid, workers, tmp_path, monkeypatch):
+    monkeypatch.setattr(packing_rates, "GAINS", {"sawyer_door": {(2, 2): 1.8}})
+    workers(RECORD)
+    lines = []
+    launcher.sweep(grid, tmp_path / "out", per_device="auto", emit=lines.append)
+    assert lines[1].startswith("2 programs at a time on each of 2 GPUs, 2 cores each")
+    assert gpus.log == ["start devices=", "quit"]
 
 
-def test_minutes_of_a_slurm_sweep_are_refused(grid, tmp_path):
-    with pytest.raises(ValueError, match="--slurm time=MINUTES limits each job"):
-        launcher.sweep(grid, tmp_path / "out", "slurm", slurm=("time=5",), minutes=5)
-
-
-SLOW_WORKER = """
-import json, os, signal, sys, time
-if sys.argv[1] == "plan":
-    groups = [{"runs": [name], "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for name in "ab"]
-    print(json.dumps({"out": sys.argv[4], "runs": {name: {"step": 0, "config": {}} for name in "ab"}, "groups": groups}))
-    sys.exit()
-name = list(json.loads(sys.stdin.readline())["runs"])[0]
-emit = lambda state: print(json.dumps({"run": name, "state": state}), flush=True)
+SAVE = """
 def save_and_end(number, frame):
-    print("saved", flush=True)
+    print("saved " + name, file=sys.stderr, flush=True)
     sys.exit(128 + number)
-signal.signal(signal.SIGTERM, save_and_end)
+signal.signal(signal.SIGTERM, HANDLER)
 emit("started")
 time.sleep(60)
 """
 
 
-def test_a_stopped_sweep_lets_its_worker_save_and_starts_no_other_group(grid, tmp_path, monkeypatch, capsys):
-    script, lines = tmp_path / "worker.py", []
-    script.write_text(SLOW_WORKER)
-    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
+@pytest.mark.parametrize(("per_device", "started"), [(None, "a"), (2, "abcd")])
+def test_a_signal_reaches_all_workers_and_no_other_group_starts(
+    gpus, grid, workers, tmp_path, capfd, per_device, started
+):
+    workers(SAVE.replace("HANDLER", "save_and_end"), "abcde")
+    lines = []
 
     def emit(line):
         lines.append(line)
-        if line.startswith("started"):
+        if line.startswith("started") and sum(line.startswith("started") for line in lines) == len(started):
             os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(SystemExit) as exit_info:
-        launcher.sweep(grid, tmp_path, emit=emit)
+        launcher.sweep(grid, tmp_path / "out", per_device=per_device, emit=emit)
     assert exit_info.value.code == 128 + signal.SIGTERM
-    assert lines == [
-        "started    a",
-        "stopped    a  the worker ended with code 143",
-        "stopped; repeat the command to continue",
+    assert sorted(line for line in lines if line.startswith("stopped  ")) == [
+        f"stopped    {name}  the worker ended with code 143" for name in started
     ]
-    assert "saved" in capsys.readouterr().err
+    assert lines[-1] == "stopped; repeat the command to continue"
+    assert sorted(capfd.readouterr().err.splitlines()) == [f"saved {name}" for name in started]
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    assert gpus.log == ([] if per_device is None else ["start devices=", "quit"])
 
 
-STOPPING_WORKER = """
-import json, sys
-if sys.argv[1] == "plan":
-    groups = [{"runs": names, "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for names in (["a", "b"], ["c"])]
-    print(json.dumps({"out": sys.argv[4], "runs": {name: {"step": 0, "config": {}} for name in "abcd"}, "groups": groups}))
-    sys.exit()
-minutes, ends_at = json.loads(sys.stdin.readline())["limit"]
-for run, event in [("a", {"state": "done"}), ("b", {"state": "started"}), ("b", {"state": "stopped", "step": ends_at})]:
-    print(json.dumps({"run": run, **event}), flush=True)
-"""
+@pytest.mark.parametrize("handler", ["save_and_end", "signal.SIG_IGN"])
+@pytest.mark.parametrize("end", ["second signal", "error"])
+def test_a_second_signal_or_an_error_ends_all_workers_and_the_daemon(
+    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, handler
+):
+    folder, started = workers(SAVE.replace("HANDLER", handler)), []
+    monkeypatch.setattr(processes, "PATIENCE", 30 if handler == "save_and_end" else 0.1)
+
+    def emit(line):
+        started.extend([line] * line.startswith("started"))
+        if len(started) == 4:
+            if end == "error":
+                raise BrokenPipeError
+            for _ in range(2):
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises((SystemExit, BrokenPipeError)):
+        launcher.sweep(grid, tmp_path / "out", per_device=2, emit=emit)
+    for path in folder.iterdir():
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(path.read_text()), 0)
+    assert capfd.readouterr().err.count("saved") == (4 if handler == "save_and_end" else 0)
+    assert gpus.log == ["start devices=", "quit"]
 
 
-def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, monkeypatch, capsys):
-    script, clock = tmp_path / "worker.py", itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
-    script.write_text(STOPPING_WORKER)
-    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
-    monkeypatch.setattr("earl_jax.options.time", SimpleNamespace(time=lambda: next(clock)))
-    lines = []
-    assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("b", "c"))
-    assert lines == [
-        "done       d  (before)",
-        "done       a",
-        "started    b",
-        "stopped    b  at step 1120.0",
-        "4 runs: 1 done before, 1 done now, 0 failed, 2 unfinished after 2 minutes; repeat the command to continue",
-    ]
-    monkeypatch.undo()
-    monkeypatch.setattr(launcher, "WORKER", [sys.executable, str(script)])
-    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--minutes", "1e-9", "--json"])
-    printed = json.loads(capsys.readouterr().out)
-    assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b", "c"])
-    assert printed["resume"] == "repeat the command"
-
-
-def test_slurm_logs_are_not_written_through_a_link(grid, tmp_path):
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    (tmp_path / "victim").mkdir()
-    (tmp_path / "slurm").symlink_to(tmp_path / "victim")
-    with pytest.raises(ValueError, match="slurm is a link"):
-        launcher.sweep(grid, tmp_path, "slurm", slurm=("time=5",))
-    assert list((tmp_path / "victim").iterdir()) == []
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"per_device": 0}, "must be auto, or a number from 1 to 48, not 0"),
+        ({"per_device": 2, "devices": 2}, "choose one of them"),
+        ({"per_device": 2, "launcher": "slurm"}, "--per-device goes with --launcher local"),
+        ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "--slurm time=MINUTES limits each job"),
+        ({"launcher": "cloud"}, "choose from local, slurm"),
+        ({"slurm": ("time=5",)}, "--slurm options go with --launcher slurm"),
+        ({"max_lanes": 0}, "max_lanes must be at least 1"),
+    ],
+)
+def test_options_that_exclude_each_other_are_refused_before_anything_starts(grid, workers, tmp_path, options, message):
+    folder = workers(RECORD)
+    with pytest.raises(ValueError, match=message):
+        launcher.sweep(grid, tmp_path / "out", **options)
+    assert not list(folder.iterdir())

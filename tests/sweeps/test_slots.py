@@ -1,12 +1,14 @@
-"""The slots of workers: visible GPUs, an even share of cores and memory for each."""
+"""The slots of workers: visible GPUs, an even share of cores and memory for each, and how many are measured to gain."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
-from earl_jax.sweeps import slots
+from earl_jax.sweeps import packing_rates, slots
+from tests.report.run_files import read_csv
 
-TWO = ["0", "1"]
+RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
 
 
 @pytest.mark.parametrize(
@@ -57,7 +59,7 @@ def test_the_plugin_is_located_without_importing_it(tmp_path, monkeypatch):
 
 
 def test_slots_share_cores_evenly_and_fill_every_gpu_first():
-    result = slots.make_slots(2, TWO, range(9))
+    result = slots.make_slots(2, ["0", "1"], range(9))
     assert [slot.gpu for slot in result] == ["0", "1", "0", "1"]
     assert [slot.cores for slot in result] == [(0, 1), (4, 5), (2, 3), (6, 7)]
     assert {slot.per_device for slot in result} == {2}
@@ -66,12 +68,6 @@ def test_slots_share_cores_evenly_and_fill_every_gpu_first():
 def test_more_slots_than_cores_have_one_core_each():
     result = slots.make_slots(3, [], [4, 6])
     assert [(slot.gpu, slot.cores) for slot in result] == [(None, (4,)), (None, (6,)), (None, (4,))]
-
-
-def test_fewer_programs_than_slots_get_larger_places():
-    assert slots.needed(4, programs=3, gpus=1) == 3
-    assert slots.needed(4, programs=3, gpus=2) == 2
-    assert slots.needed(4, programs=0, gpus=2) == 1
 
 
 @pytest.mark.parametrize(("given", "total"), [(None, 0.92), ("0.5", 0.5), ("0.95", 0.92), ("x", 0.92)])
@@ -87,5 +83,23 @@ def test_programs_on_a_gpu_share_its_memory(given, total):
 def test_a_program_alone_keeps_its_memory_and_one_on_a_cpu_its_platform():
     alone = slots.Slot("0", (0,), 1).environment({slots.FRACTION: "0.95", "JAX_PLATFORMS": "cuda"})
     assert (alone[slots.FRACTION], alone["JAX_PLATFORMS"]) == ("0.95", "cuda")
-    on_cpu = slots.Slot(None, (0,), 2).environment({})
-    assert on_cpu == {slots.PER_DEVICE: "2"}
+    assert slots.Slot(None, (0,), 2).environment({}) == {slots.PER_DEVICE: "2"}
+
+
+def test_auto_takes_the_largest_gain_for_the_cores(monkeypatch):
+    gains = {"quick": {(2, 8): 1.8, (4, 4): 2.4}, "full": {(2, 8): 1.0}}
+    monkeypatch.setattr(packing_rates, "GAINS", gains)
+    programs = packing_rates.measured_programs
+    assert [programs(["quick"], cores) for cores in (32, 16, 15, 8)] == [4, 4, 1, 1]
+    assert programs(["full"], 16) == 1, "two programs gain nothing"
+    assert programs(["quick", "full"], 16) == programs(["quick", "unmeasured"], 16) == programs([], 16) == 1
+
+
+def test_the_table_of_auto_is_the_committed_measurement():
+    measured = {}
+    for path in RESULTS.glob("*.csv"):
+        for row in read_csv(path):
+            if row["programs"] != "1":
+                key = int(row["programs"]), int(row["cores_each"])
+                measured.setdefault(row["env"], {})[key] = float(row["wall_gain"])
+    assert measured == packing_rates.GAINS
