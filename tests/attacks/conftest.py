@@ -1,0 +1,56 @@
+"""A finished tiny run that the attacks damage, and what a command about it may say."""
+
+import shutil
+
+import pytest
+
+from tests.cli.process import run, snapshot
+
+TASK = "tabletop_organization"
+SET = ("--set", "hidden_sizes=[16]", "batch_size=16", "random_steps=20")
+LENGTHS = ("--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40")
+
+
+def training(folder, *others, task=TASK, algo="fbrl"):
+    """Return the arguments of a tiny run into `folder`."""
+    return ["train", task, "--algo", algo, "--out", str(folder), *LENGTHS, *others, *SET]
+
+
+def one_line(code, err, *words):
+    """Assert that a command was refused with exit code 2 and one readable line that has all `words`."""
+    lines = err.strip().splitlines()
+    assert code == 2, (code, err[-500:])
+    assert len(lines) == 1, err[-500:]
+    assert lines[0].startswith("earl-jax: ")
+    assert len(lines[0]) < 2000
+    assert all(word in lines[0] for word in words), lines[0]
+
+
+def refused(code, err):
+    """Assert exit code 2 with one line, the parser's usage, or the cause of each run that a report leaves out."""
+    assert "Traceback" not in err
+    if any(word in err for word in ("usage:", "helptext", "none of the runs can be shown")):
+        assert code == 2
+    else:
+        one_line(code, err)
+
+
+def contents(folder):
+    """Return the files of a folder without its lock."""
+    return {path: content for path, content in snapshot(folder).items() if path.name != ".lock"}
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """The folder of a finished run of fbrl, two seeds and 120 steps."""
+    folder = tmp_path_factory.mktemp("attacks") / "whole"
+    code, _, err = run(*training(folder))
+    assert code == 0, err
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path, monkeypatch):
+    """A copy of the finished run, `run` in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    return shutil.copytree(whole, tmp_path / "run")

@@ -1,0 +1,48 @@
+"""An error in any part of a user's task or method keeps its traceback, whatever its type."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from earl_jax import InputError, algos, cli, envs, register_algo, register_env
+from earl_jax.algos.naive import Naive
+from earl_jax.envs.tabletop import TabletopOrganization
+from tests.attacks.conftest import training
+
+ERRORS = {
+    "ValueError": lambda: "".index("x"),
+    "TypeError": lambda: 1 + "",
+    "KeyError": lambda: {}["goal"],
+    "ZeroDivisionError": lambda: 1 // 0,
+    "FileNotFoundError": lambda: Path("/nowhere/weights.npz").read_bytes(),
+    "JSONDecodeError": lambda: json.loads("{"),
+    "UnicodeDecodeError": lambda: b"\xff".decode(),
+}
+TASK_PARTS = ("reset", "success", "reward", "sample_goal", "transition")
+METHOD_PARTS = ("init_state", "phase_length", "next_goal", "update_state")
+CASES = [("task", part, "FileNotFoundError") for part in TASK_PARTS]
+CASES += [("method", part, "ValueError") for part in METHOD_PARTS]
+CASES += [("task", "transition", kind) for kind in ERRORS] + [("method", "next_goal", kind) for kind in ERRORS]
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch):
+    for registry in (envs._ENVS, algos._ALGOS):
+        monkeypatch.setattr(registry, "_table", dict(registry._table))
+
+
+@pytest.mark.parametrize(("what", "part", "kind"), CASES, ids=" ".join)
+def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path):
+    def erring(self, *arguments, **options):
+        ERRORS[kind]()
+
+    base, register = (TabletopOrganization, register_env) if what == "task" else (Naive, register_algo)
+    assert hasattr(base, part)
+    cls = type("Erring", (base,), {part: erring, "name": "erring"})
+    register("erring", cls)
+    with pytest.raises(Exception) as raised:  # noqa: PT011
+        cli.main(training(tmp_path / "run", **({"task": "erring"} if what == "task" else {"algo": "erring"})))
+    assert type(raised.value).__name__ == kind
+    assert not isinstance(raised.value, InputError)
+    assert any(entry.path.samefile(__file__) and entry.name == "erring" for entry in raised.traceback)
