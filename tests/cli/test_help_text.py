@@ -8,22 +8,23 @@ from earl_jax.cli.main import COMMANDS
 from tests.cli.process import run
 
 
-@pytest.fixture(params=COMMANDS)
-def page(request, monkeypatch):
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_defaults_and_values_in_words(command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
-    code, out, _ = run(request.param, "--help")
+    code, page, _ = run(command, "--help")
+    assert (code, f"usage: earl-jax {command}" in page) == (0, True)
+    assert not re.search(r"None|\(default: \)|\[\[|\bSTR\b|\.\.\.\]\]|\|\{", page)
+
+
+def test_help_lists_the_commands():
+    commands = [
+        "list", "train", "resume", "sweep", "search", "reproduce", "evaluate", "plot", "table", "best", "compare", "render",
+        "report", "demos", "import-demos", "quickstart",
+    ]  # fmt: skip
+    code, page, _ = run("--help")
     assert code == 0
-    return out
-
-
-def test_help_says_defaults_in_words(page):
-    assert "None" not in page
-    assert "(default: )" not in page
-
-
-def test_help_names_values_without_nested_brackets(page):
-    assert "[[" not in page
-    assert not re.search(r"\bSTR\b|\.\.\.\]\]", page)
+    assert sorted(commands) == sorted(COMMANDS)
+    assert [command for command in commands if command not in page] == []
 
 
 @pytest.mark.parametrize(

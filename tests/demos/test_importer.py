@@ -171,15 +171,6 @@ def test_a_pickle_that_takes_too_long_is_refused(tmp_path, monkeypatch):
         importer.read(pickled(tmp_path / "demo.pkl", arrays()))
 
 
-def test_the_command_refuses_an_attack_in_one_line_and_writes_nothing(tmp_path, capsys):
-    path = pickled(tmp_path / "attack.pkl", SYSTEM)
-    with pytest.raises(SystemExit) as stop:
-        main(["import-demos", str(path)])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_files_that_are_too_large_or_not_regular_are_refused_unread(tmp_path):
     large, pipe = tmp_path / "large.pkl", tmp_path / "pipe.pkl"
     large.touch()
