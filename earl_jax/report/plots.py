@@ -10,9 +10,8 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.life_columns import SHARES
 from earl_jax.report.runs import Curves, labels, read_all
-from earl_jax.report.scores import trailing
+from earl_jax.report.scores import SHARES, trailing
 from earl_jax.report.style import (
     LINE_STYLES,
     PICTURES,

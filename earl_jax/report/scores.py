@@ -1,6 +1,7 @@
 """The scores of runs: means over windows of evaluations, crossings, and the row of a method that tables show."""
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.statistics import Estimate, stderr
-from earl_jax.report.life_columns import life_values
 from earl_jax.report.published import LEVELS, published_beside
 from earl_jax.report.runs import Curves, options_text
 
@@ -17,6 +19,15 @@ WINDOW = 10
 """Evaluations in the trailing mean of drawn curves, and in the final score of a seed."""
 CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
+SHARES = frozenset({"deployed/success", WIDE, FORWARD, BACK, ALIVE})
+"""Metrics that are shares, from 0 to 1."""
+MEANS = {
+    "forward_success": (FORWARD, "forward", 2),
+    "back_success": (BACK, "back", 2),
+    "alive": (ALIVE, "alive", 2),
+    "still_steps": (STILL, "still", 0),
+}
+"""By the name of a row's value: the metric of which it is the mean over seeds, its heading, and digits after the point."""
 
 
 def recent_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
@@ -77,6 +88,29 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         **_crossing_columns(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
+
+
+def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | None]:
+    """Return the values of a row from `metrics [N, E]`, over the last `last` evaluations; None for a missing metric.
+
+    `wide` is the mean over seeds with Student's 95 % interval; the others are means of what was measured.
+    """
+    values: dict[str, float | None] = dict.fromkeys(("wide", "wide_low", "wide_high", *MEANS))
+    if WIDE in metrics:
+        interval = mean_interval(last_mean(metrics[WIDE], last))
+        values |= {"wide": interval.value, "wide_low": interval.low, "wide_high": interval.high}
+    for name, (metric, _, _) in MEANS.items():
+        if metric in metrics:
+            values[name] = _mean(metrics[metric][:, -last:])
+    return values
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """Return the mean of the `values` that are not nan; None without any."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mean = float(np.nanmean(values))
+    return None if np.isnan(mean) else mean
 
 
 def _crossing_columns(curves: Curves) -> dict[str, int | None]:

@@ -15,10 +15,9 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.life_columns import life_headings, life_texts
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, labels, options_text, read_all
-from earl_jax.report.scores import last_mean, row_of
+from earl_jax.report.scores import MEANS, last_mean, row_of
 
 GAP = "  "
 EMPTY = {"", "-"}
@@ -26,6 +25,7 @@ HEADER = (
     "env", "algo", "seeds", "steps", "deployed, mean [95 %]", "seeds over 0.5", "published", "continuing", "published",
     "to 0.5 [95 %]", "to 0.9 [95 %]", "steps/reward",
 )  # fmt: skip
+WIDE_HEADING = "wide, mean [95 %]"
 
 
 def tabulate(folders: Sequence[Path], last: int = 1, metric: str | None = None) -> list[dict[str, Any]]:
@@ -98,7 +98,7 @@ def header_of(rows: list[dict[str, Any]]) -> Sequence[str]:
     """Return the header of rows of `tabulate`."""
     if "metric" in rows[0]:
         return ("env", "algo", "seeds", "steps", f"{rows[0]['metric']}, mean [95 %]")
-    return (*HEADER, *life_headings(rows))
+    return (*HEADER, *_life_headings(rows))
 
 
 def lines_of(rows: list[dict[str, Any]]) -> list[list[Any]]:
@@ -113,7 +113,7 @@ def lines_of(rows: list[dict[str, Any]]) -> list[list[Any]]:
 
 
 def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
-    headings = life_headings(rows)
+    headings = _life_headings(rows)
     return [
         [
             row["env"], row["algo"], f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}", f"{row['steps']:,}",
@@ -122,10 +122,26 @@ def _lines(rows: list[dict[str, Any]]) -> list[list[Any]]:
             row["published_deployed"] or "-", f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})",
             row["published_continuing"] or "-", *(_reached(row, level) for level in LEVELS),
             "-" if row["steps_per_reward"] is None else f"{row['steps_per_reward']:.1f}",
-            *life_texts(row, headings),
+            *_life_texts(row, headings),
         ]
         for row in rows
     ]  # fmt: skip
+
+
+def _life_headings(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the headings of those columns that a row has a value for."""
+    headings = [WIDE_HEADING] if any(row["wide"] is not None for row in rows) else []
+    return headings + [heading for name, (_, heading, _) in MEANS.items() if any(row[name] is not None for row in rows)]
+
+
+def _life_texts(row: dict[str, Any], headings: list[str]) -> list[str]:
+    """Return the texts of `row` under `headings`."""
+    texts = {WIDE_HEADING: "-"}
+    if row["wide"] is not None:
+        texts[WIDE_HEADING] = interval_text(row["wide"], row["wide_low"], row["wide_high"])
+    for name, (_, heading, digits) in MEANS.items():
+        texts[heading] = "-" if row[name] is None else f"{row[name]:,.{digits}f}"
+    return [texts[heading] for heading in headings]
 
 
 def notes_of(rows: list[dict[str, Any]]) -> list[str]:

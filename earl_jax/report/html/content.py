@@ -8,7 +8,7 @@ from earl_jax.report.html.curves import POINTS, panels
 from earl_jax.report.html.leaderboard import leaderboard
 from earl_jax.report.html.lines import Line
 from earl_jax.report.html.media import VideoEmbedder, maps
-from earl_jax.report.html.origin import changed_options, date_range, date_text, origins, run_card, values_of
+from earl_jax.report.html.origin import changed_options, origins, run_card, values_of
 from earl_jax.report.html.page_tables import paper_table, seed_table
 from earl_jax.report.html.policy_videos import PolicyVideos
 from earl_jax.report.published import INTERVAL_RULE
@@ -62,7 +62,7 @@ def _facts(lines: Sequence[Line], runs: Sequence[RunFolder]) -> list[tuple[str, 
     return [
         ("Runs", f"{len(runs)}, with {seeds} seeds and {steps_text(steps)} steps in total"),
         ("Methods", ", ".join(dict.fromkeys(line.group.algo for line in lines))),
-        ("Dates", f"{date_range(runs)}; this page, {date_text(datetime.datetime.now(datetime.UTC))}"),
+        ("Date", f"this page, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; each run has its own in its config.json"),
         ("Hardware", values_of(runs, "device")),
         ("Versions", "; ".join(f"{name} {values_of(runs, key)}" for name, key in versions.items())),
         ("Commit", values_of(runs, "commit", short_commit)),

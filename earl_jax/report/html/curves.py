@@ -10,9 +10,8 @@ from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.html.lines import Line
-from earl_jax.report.life_columns import SHARES
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
-from earl_jax.report.scores import WINDOW, trailing
+from earl_jax.report.scores import SHARES, WINDOW, trailing
 
 POINTS = 250
 """Most evaluations drawn of a line; more would only make the page larger."""

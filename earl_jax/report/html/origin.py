@@ -1,6 +1,5 @@
 """Where the numbers of a page come from: options, commands that repeat a run, versions and machines."""
 
-import datetime
 import json
 import shlex
 from collections.abc import Callable, Sequence
@@ -89,25 +88,6 @@ def values_of(runs: Sequence[RunFolder], name: str, text: Callable[[str], str] =
     return ", ".join(dict.fromkeys(text(provenance(run).get(name, UNKNOWN)) for run in runs))
 
 
-def date_range(runs: Sequence[RunFolder]) -> str:
-    """Return the days, in UTC, of the first start of `runs` and of their last evaluation."""
-    moments = [moment for run in runs for moment in (_created(run), _modified(run.metrics))]
-    first, last = date_text(min(moments)), date_text(max(moments))
-    return first if first == last else f"{first} to {last}"
-
-
-def _created(run: RunFolder) -> datetime.datetime:
-    """Return when the run was created: by its config, or else by the time of that file."""
-    try:
-        return datetime.datetime.fromisoformat(recorded(run)["provenance"]["created"]).astimezone(datetime.UTC)
-    except (KeyError, TypeError, ValueError):
-        return _modified(run.config_file)
-
-
-def _modified(path: Path) -> datetime.datetime:
-    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
-
-
 def report_command(folders: Sequence[Path], out: Path, videos: bool) -> str:
     """Return the command that makes the page again."""
     return shlex.join(["earl-jax", "report", *map(str, folders), "--out", str(out), *["--videos"] * videos])
@@ -118,8 +98,3 @@ def option_text(value: Any) -> str:
     if isinstance(value, str):
         return value
     return json.dumps(np.asarray(value).tolist() if hasattr(value, "shape") else value, default=str)
-
-
-def date_text(moment: datetime.datetime) -> str:
-    """Return a date such as 3 May 2026."""
-    return f"{moment.day} {moment:%B %Y}"
