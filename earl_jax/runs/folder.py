@@ -252,8 +252,8 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     try:
         values = json.loads(read_bytes(file, LARGEST_CONFIG))
         if values.get("format", ...) != FORMAT:
-            found = f"its format is {brief(values['format'])}" if "format" in values else "it names no format"
-            raise InputError(f"{found}, and this version of earl_jax reads {FORMAT}")
+            named = f"its format is {brief(values['format'])}" if "format" in values else "it names no format"
+            raise InputError(f"{named}, and this version of earl_jax reads {FORMAT}")
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")

@@ -263,12 +263,11 @@ def test_the_engine_that_trains_is_recorded(folder):
     assert folder.config_file.stat().st_mtime_ns == written
 
 
-@pytest.mark.parametrize("number", [0, 3, "2", None, [2]])
-def test_another_format_is_an_error_of_one_line(folder, number):
+@pytest.mark.parametrize("change", [{"format": number} for number in (0, 3, "2", None, [2])] + [{}])
+def test_another_format_is_an_error_of_one_line(folder, change):
     values = json.loads(folder.config_file.read_text())
-    for change, cause in (({**values, "format": number}, "its format is"), ({**values}, "it names no format")):
-        if cause == "it names no format":
-            del change["format"]
-        folder.config_file.write_text(json.dumps(change))
-        with pytest.raises(ValueError, match=rf"{cause}.*, and this version of earl_jax reads 2$"):
-            RunFolder.open(folder.path)
+    del values["format"]
+    folder.config_file.write_text(json.dumps({**values, **change}))
+    cause = "its format is .*" if change else "it names no format"
+    with pytest.raises(ValueError, match=rf"config\.json is damaged: {cause}, and this version of earl_jax reads 2$"):
+        RunFolder.open(folder.path)
