@@ -30,15 +30,6 @@ def test_a_folder_is_locked_by_one_process_until_it_ends(tmp_path):
         assert (tmp_path / ".lock").exists()
 
 
-def test_a_lock_that_is_a_symbolic_link_is_not_followed(tmp_path):
-    (tmp_path / "mine").write_text("all of it")
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run/.lock").symlink_to(tmp_path / "mine")
-    with pytest.raises(ValueError, match=r"run/\.lock is a link"), locked(tmp_path / "run"):
-        pass
-    assert (tmp_path / "mine").read_text() == "all of it"
-
-
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "config.json"
     write_atomically(path, "old")
