@@ -1,16 +1,23 @@
 """Tests of the worker: runs that share a program give the results that each gives alone, in separate folders."""
 
+import contextlib
+import io
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
 from earl_jax.algos import method_for
 from earl_jax.envs import make
 from earl_jax.runs.folder import RunFolder
+from earl_jax.sweeps import __main__ as process
 from earl_jax.sweeps import planner, worker
 from earl_jax.training import load_lanes, runner, train
-from earl_jax.training.runner import Run
 from tests.conftest import TINY, assert_equal_trees
 from tests.sweeps.conftest import LENGTHS, NAMES
 
@@ -112,42 +119,66 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
     assert_equal_runs(out, separate_folders)
 
 
-def test_a_folder_has_at_most_one_worker(tmp_path, grid):
-    plan = planner.plan(grid, tmp_path)
-    plan["runs"] = {NAMES[0]: plan["runs"][NAMES[0]]}
-    folder = RunFolder.create(tmp_path / NAMES[0], worker.parse_config(plan["runs"][NAMES[0]]["config"]), "kinematic")
-    with folder.claimed():
-        succeeded, events = work(plan, tmp_path)
-    assert not succeeded
-    assert "is in use by another process" in events[0][2]["why"]
-    assert not folder.metrics.exists()
-
-
-def test_a_folder_is_usable_after_a_kill_during_its_creation(tmp_path, grid):
-    run = Run.resolve(worker.parse_config(planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]))
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run/config.json.part").write_text("{")
-    with worker.claimed(tmp_path / "run", run) as folder:
-        opened = RunFolder.open(folder.path)
-        assert opened.config.steps == 120
-        assert json.loads(opened.config_file.read_text())["engine"] == "kinematic"
-
-
-def test_a_folder_with_other_files_is_refused(tmp_path, grid):
-    run = Run.resolve(worker.parse_config(planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]))
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other/thesis.tex").write_text("all of it")
-    with pytest.raises(ValueError, match="not an empty folder"), worker.claimed(tmp_path / "other", run):
-        pass
-
-
-def test_a_run_in_a_damaged_folder_fails_with_its_cause(tmp_path, grid, capsys):
-    plan = planner.plan(grid, tmp_path)
-    (tmp_path / NAMES[0]).mkdir(parents=True)
-    (tmp_path / NAMES[0] / "config.json").write_text("{}")
-    (tmp_path / NAMES[0] / "metrics.csv").write_text("step,seed\n40,0\n")
-    runs = {NAMES[0]: plan["runs"][NAMES[0]]["config"]}
-    assert worker.serve(json.dumps({"out": str(tmp_path), "runs": runs})) == 1
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"config.json": "{}", "metrics.csv": "step,seed\n40,0\n"}, "config.json is damaged"),
+        ({"thesis.tex": "all of it"}, "not an empty folder"),
+        (None, "is in use by another process"),
+    ],
+)
+def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, capsys, content, message):
+    fields = planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]
+    path = tmp_path / NAMES[0]
+    with contextlib.ExitStack() as stack:
+        if content is None:
+            stack.enter_context(RunFolder.create(path, worker.parse_config(fields), "kinematic").claimed())
+        else:
+            path.mkdir(parents=True)
+            for name, text in content.items():
+                (path / name).write_text(text)
+        assert worker.serve(json.dumps({"out": str(tmp_path), "runs": {NAMES[0]: fields}})) == 1
     event = json.loads(capsys.readouterr().out)
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
-    assert "config.json is damaged" in event["why"]
+    assert message in event["why"]
+    assert content is None or (path / next(iter(content))).read_text() == next(iter(content.values()))
+
+
+def test_a_worker_keeps_to_its_cores_and_its_progress(monkeypatch):
+    calls = []
+    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cores: calls.append((pid, cores)), raising=False)
+    monkeypatch.setattr(sys, "stdin", io.StringIO('{"out": "", "runs": {}, "progress": false}'))
+    monkeypatch.setattr(worker, "work", lambda *_, progress, **options: calls.append(progress) or True)
+    assert process.main(["work", "--cores", "2", "3"]) == 0
+    assert calls == [(0, [2, 3]), False]
+
+
+BUSY = """
+import re, sys
+from earl_jax.sweeps.__main__ import end_with_pipe
+end_with_pipe(0)
+print("ready", flush=True)
+re.match("(a*)*b", "a" * 40)  # takes years, and no other thread runs meanwhile
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system sends no SIGIO")
+def test_a_worker_ends_with_its_launcher_in_code_that_holds_the_lock():
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", BUSY], **pipes) as busy:
+        assert busy.stdout.readline() == b"ready\n"
+        time.sleep(0.1)
+        busy.stdin.close()
+        assert busy.wait(timeout=10) == -signal.SIGIO
+
+
+@pytest.mark.parametrize("command", [["work"], ["plan", "nowhere.toml", "--out", "out"]])
+def test_a_worker_ends_with_its_launcher_while_it_imports(command):
+    command = [sys.executable, "-m", "earl_jax.sweeps", *command, "--end-with-stdin"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as importing:
+        os.write(importing.stdin.fileno(), b'{"out": "", "runs": {}}\n' if "work" in command else b"")
+        time.sleep(0.5)
+        began = time.monotonic()
+        importing.stdin.close()
+        assert importing.wait(timeout=10) != 0
+    assert time.monotonic() - began < 2, "importing takes longer"
