@@ -114,13 +114,3 @@ def test_braxs_own_sac_learns_from_a_lifetime(python):
     assert after["step"] >= 4000
     assert all(math.isfinite(after[f"training/{name}_loss"]) for name in ("actor", "critic", "alpha"))
     assert after["eval/episode_reward"] > before["eval/episode_reward"] + 200
-
-
-def test_braxs_own_trainers_fail_on_this_jax_as_documented():
-    from earl_jax.adapters import brax
-
-    if jax.__version_info__ < (0, 10):
-        pytest.skip("brax's trainers run on this jax")
-    assert "device_put_replicated" in brax.__doc__
-    with pytest.raises(AttributeError, match="device_put_replicated"):
-        jax.device_put_replicated(jnp.zeros(()), jax.local_devices())

@@ -1,8 +1,6 @@
 """The gymnasium adapter: gymnasium's checker, and the rules of lifetimes and episodes."""
 
 import dataclasses
-import subprocess
-import sys
 import warnings
 
 import gymnasium
@@ -62,15 +60,6 @@ def test_gymnasiums_checker_has_no_remarks(mode):
 @pytest.mark.parametrize("name", list_envs())
 def test_gymnasiums_checker_has_no_remarks_on_any_task(name, pictures):
     assert check(name, "train", **pictures) == []
-
-
-@pytest.mark.slow
-def test_an_id_with_its_module_needs_no_import():
-    name = f"earl_jax.adapters.gymnasium:{env_id('sawyer_door')}"
-    code = f"import gymnasium; print(gymnasium.make('{name}').reset(seed=0)[0])"
-    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert finished.stdout.startswith("[")
-    assert "WARN" not in finished.stderr
 
 
 def test_every_task_has_an_id(monkeypatch):
@@ -275,21 +264,3 @@ def test_invalid_arguments_are_refused():
         lanes.reset(options={"reset_mask": np.array([1, 0, 1])})
     with pytest.raises(ValueError, match="no option goal"):
         lanes.reset(options={"goal": 1})
-
-
-def test_gymnasiums_videos_of_episodes_and_of_a_lifetime(tmp_path):
-    pytest.importorskip("moviepy", reason="RecordVideo needs moviepy: pip install moviepy")
-    small = {"render_mode": "rgb_array", "width": 96, "height": 64}
-    episodes = gymnasium.make(env_id(TABLETOP), mode="eval", eval_horizon=4, **small)
-    lifetime = gymnasium.make(env_id(TABLETOP), **small)
-    for name, env, trigger in (
-        ("episodes", episodes, {"episode_trigger": lambda number: True}),
-        ("lifetime", lifetime, {"step_trigger": lambda number: number % 6 == 0, "video_length": 3}),
-    ):
-        recorded = gymnasium.wrappers.RecordVideo(env, str(tmp_path / name), **trigger)
-        recorded.reset(seed=0)
-        for _ in range(8):
-            if recorded.step(STAY)[3]:
-                recorded.reset()
-        recorded.close()
-        assert len(list((tmp_path / name).glob("*.mp4"))) >= 2

@@ -10,7 +10,7 @@ import pytest
 from earl_jax import InputError
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner import sac
-from earl_jax.algos.learner.cloning import Demonstrations, clone, cloning_loss
+from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.training import lifetime
@@ -119,13 +119,6 @@ def test_bc_needs_demonstrations():
     env = make("minitaur_pen")
     with pytest.raises(InputError, match="bc needs demonstrations to clone, and minitaur_pen has none"):
         prepare(make_problem(env, eval_every=40), tiny_method("bc"), 2, 120)
-
-
-def test_the_steps_of_a_controller_are_its_own_or_all_of_them():
-    demos = Demonstrations(np.arange(6.0).reshape(3, 2), np.zeros((3, 1)), np.array([0, 1, 0]))
-    np.testing.assert_array_equal(demos.of(0).obs, [[0, 1], [4, 5]])
-    alone = demos._replace(controller=np.zeros(3, int))
-    np.testing.assert_array_equal(alone.of(1).obs, alone.obs)
 
 
 def test_bc_trains_by_name_with_finite_metrics():

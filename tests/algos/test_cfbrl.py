@@ -226,14 +226,6 @@ def test_without_learning_the_agent_stays_as_cloned(problem):
     assert_equal_trees(end.lanes.agent, start.lanes.agent)
 
 
-def test_moved_approaches_are_cloned_with_their_old_goal(rows):
-    _, changed, to_clone = transformed(rows, demonstrated=True, translated=1.0)
-    still = distance(rows.state, rows.next_state) < 0.001
-    assert (np.asarray(changed) & still).any()
-    assert to_clone[still].all()
-    assert not to_clone[np.asarray(changed) & ~still].any()
-
-
 def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
     keys = jax.random.split(KEY, 400)
     starts = jax.jit(jax.vmap(env.reset_uniform))(keys)
@@ -331,6 +323,7 @@ def test_a_phase_explores_after_its_patience_with_actions_that_are_held(problem)
     assert (blocks[0] != blocks[1]).any()
 
 
+@pytest.mark.slow
 def test_it_trains_on_a_task_without_translations_and_on_a_dense_one():
     for task in (make("sawyer_door"), make("tabletop_organization", reward_type="dense")):
         result = tiny_train("cfbrl", task, pretrain_steps=2, warmup=0.0)

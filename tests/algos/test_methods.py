@@ -68,10 +68,6 @@ def test_methods_with_one_controller_draw_any_task_goal(env, algo):
     assert method.phase_length(env, TASK) == (1000 if algo == "naive" else 200)
 
 
-def test_the_episode_length_of_naive_is_an_option(env):
-    assert make_algo("naive", episode_length=400).phase_length(env, TASK) == 400
-
-
 def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(problem):
     method = tiny_method("naive", episode_length=8, global_clock=True)
     state = make_train_state(problem, method, [0, 1])

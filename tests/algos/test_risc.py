@@ -115,13 +115,6 @@ def test_the_success_critics_learn_which_goal_is_reached():
     assert after[1] < 0.2
 
 
-def test_time_outs_are_bootstrapped_by_default_and_random_steps_are_the_released_ones():
-    method = make_algo("risc")
-    assert method.sac.timeout_bootstrap is True
-    assert method.sac.random_steps == 10_000
-    assert make_algo("risc", timeout_bootstrap=False).sac.timeout_bootstrap is False
-
-
 def test_risc_trains_by_name_and_fills_one_replay_from_both_phases(env):
     short = dataclasses.replace(env, eval_horizon=20)
     result = tiny_train("risc", short, conservative_factor=0.5, earliest_switch=0.1)

@@ -104,18 +104,6 @@ def test_jobs_are_answered_in_any_order_and_memory_is_reused():
         np.testing.assert_array_equal(calls[1].answer, 2 * first + 2)
 
 
-def test_memory_and_events_are_allocated_for_the_first_jobs_only(driver):
-    stream = cuda.Stream(double, WIDTH, 7)
-    counts = []
-    for value in range(3 * cuda.DEPTH):
-        call = Call(value)
-        call.start(stream)
-        call.finish(stream)
-        counts.append((driver.calls.count("cuMemHostAlloc"), driver.calls.count("cuEventCreate")))
-    assert counts[0] == counts[-1]
-    assert driver.calls.count("cuCtxSetCurrent") == driver.calls.count("cuCtxGetCurrent") == 1
-
-
 @pytest.mark.usefixtures("driver")
 def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
     stream, call = cuda.Stream(double, WIDTH, 7), Call(5)

@@ -155,20 +155,6 @@ def test_a_broken_lane_on_c_does_not_change_the_others():
         np.testing.assert_array_equal(after.obs[lane], unbroken.obs[lane])
 
 
-def test_few_rows_use_few_threads():
-    worker_pool = c.WorkerPool(c.host_of(make("sawyer_door", engine="c").simulator, 0), 16)
-    assert [worker_pool._threads(rows) for rows in (1, 5, 16, 50, 64, 65)] == [1, 5, 8, 12, 12, 16]
-
-
-def test_a_worker_pool_keeps_the_simulations_of_a_few_numbers_of_rows():
-    simulator = make("cheetah_run", engine="c").simulator
-    worker_pool = c.WorkerPool(c.host_of(simulator, 0), 1)
-    width = sum(part.shape[1] for part in worker_pool.host.simulations(1, 1).outputs) + simulator.mujoco_model().nv
-    for count in range(1, c.ROW_COUNTS + 3):
-        worker_pool.advance(np.zeros((count, width + simulator.mujoco_model().nu), np.float32))
-    assert list(worker_pool.simulations) == list(range(3, c.ROW_COUNTS + 3))
-
-
 @dataclasses.dataclass(frozen=True)
 class Unbound:
     """An actuator without a method `bind`."""

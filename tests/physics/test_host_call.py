@@ -65,12 +65,6 @@ def test_an_error_on_the_host_is_raised_by_the_program():
         jax.block_until_ready(jax.jit(lambda row: start_and_finish("test.refuse", row))(ROWS[0]))
 
 
-def test_a_second_registration_replaces_the_first():
-    service.register("test.replaced", double, 2)
-    service.register("test.replaced", lambda rows, stream: -rows[:, :2], 2)
-    np.testing.assert_array_equal(service.step("test.replaced", ROWS[0], 2), -ROWS[0, :2])
-
-
 STEP_WITH_CACHE = """
 import sys, jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])

@@ -79,11 +79,6 @@ def test_an_accelerator_is_left_alone(fake_scan, monkeypatch):
     assert not mjx_compat.is_guarded(fake_scan)
 
 
-def test_the_version_of_jaxlib_is_compared_as_numbers(monkeypatch):
-    monkeypatch.setattr(metadata, "version", lambda package: {"jaxlib": "0.10.2"}[package])
-    assert mjx_compat._jaxlib_version() == (0, 10)
-
-
 def cone_rows(sizes, key):
     """Return the constraint rows, the contacts and the cones of contacts with `sizes` rows, and the sum as MJX forms it."""
     first, total, joints = 3, 3 + sum(sizes) + 1, 4
@@ -111,12 +106,3 @@ def test_mjx_without_the_function_of_its_solver_is_an_error_that_names_the_versi
     monkeypatch.setattr(importlib, "import_module", lambda name, *rest: modules.get(name) or import_module(name, *rest))
     with pytest.raises(ImportError, match=r"has no solver\._update_gradient"):
         mjx_compat.sum_cones_by_contact()
-
-
-def test_the_solver_is_changed_once():
-    solver = importlib.import_module("mujoco.mjx._src.solver")
-    mjx_compat.sum_cones_by_contact()
-    first = solver._update_gradient
-    mjx_compat.sum_cones_by_contact()
-    assert solver._update_gradient is first
-    assert first.__wrapped__.__module__ == solver.__name__

@@ -63,38 +63,6 @@ def test_replace_hides_the_geoms_of_the_model():
     assert MODEL.find("worldbody/geom").get("group") is None
 
 
-def test_geoms_of_an_overlay_have_its_class_or_their_own():
-    merged = merge(MODEL, mjcf('<body name="hand"><geom size="4"/><geom class="goal_marker" size="5"/></body>'))
-    classes = {geom.get("size"): geom.get("class") for geom in merged.iter("geom")}
-    assert classes == {"1": None, "2": None, "3": None, "4": "overlay", "5": "goal_marker"}
-
-
-def test_lights_assets_and_cameras_of_an_overlay_replace_those_of_the_model():
-    overlay = (
-        '<asset><material name="paint" rgba="0 1 0 1"/></asset><worldbody><camera name="eye" pos="0 0 1"/></worldbody>'
-    )
-    merged = merge(MODEL, mjcf(overlay))
-    assert [material.get("rgba") for material in merged.iter("material")] == ["0 1 0 1"]
-    assert [camera.get("pos") for camera in merged.iter("camera")] == ["0 0 1"]
-    assert not list(merged.iter("light"))
-
-
-def test_a_camera_is_aimed_at_a_point():
-    merged = merge(MODEL, mjcf('<worldbody><camera name="new" pos="0 -2 0" at="0 0 0"/></worldbody>'))
-    axes = np.array(merged.find(".//camera[@name='new']").get("xyaxes").split(), float).reshape(2, 3)
-    np.testing.assert_allclose(axes / np.linalg.norm(axes, axis=1)[:, None], [[1, 0, 0], [0, 0, 1]], atol=1e-12)
-
-
-def test_the_size_of_a_geom_scales_its_mesh():
-    overlay = (
-        '<asset><mesh name="ball" builtin="sphere"/></asset>'
-        '<worldbody><geom mesh="ball" size="1 2 3"/><geom mesh="ball" size="1 2 3"/></worldbody>'
-    )
-    merged = merge(MODEL, mjcf(overlay))
-    assert [mesh.get("scale") for mesh in merged.iter("mesh")] == [None, "1 2 3"]
-    assert {geom.get("mesh") for geom in merged.iter("geom") if geom.get("mesh")} == {"ball 1 2 3"}
-
-
 def test_an_overlay_of_an_unknown_body_is_refused():
     with pytest.raises(ValueError, match="the body 'foot', but the model has none"):
         merge(MODEL, mjcf('<body name="foot"/>'))

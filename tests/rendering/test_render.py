@@ -8,7 +8,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.rendering import render
-from earl_jax.rendering.actors import ACTINGS, actor_of, episodes
+from earl_jax.rendering.actors import actor_of, episodes
 from earl_jax.rendering.scenes import Scene
 from earl_jax.rendering.sheets import GAP
 from tests.conftest import tiny_options
@@ -106,19 +106,10 @@ def test_a_failed_film_leaves_no_file(graphics, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_pace_follows_the_control_step_of_the_task():
-    assert make("sawyer_door").step_seconds == 0.0125
-    assert make(TASK).step_seconds == 0.1
-
-
 def test_a_trained_policy_that_ships_reaches_goals_within_its_episodes():
     actor = actor_of(TASK, method="vaprl")
     assert actor.acting == "policy"
     assert next(episodes(actor)).reached
-
-
-def test_the_actings_are_those_of_the_command():
-    assert set(ACTINGS) == {"policy", "expert", "demos", "random"}
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from earl_jax.algos import make_algo
-from earl_jax.algos.learner import networks
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.networks import TanhNormal, apply, mlp
 from earl_jax.algos.learner.sac import SAC, Batch
@@ -92,11 +91,6 @@ def update_agents(*options):
     return lowered.compile()(*arguments)[0]
 
 
-def update_text(precision):
-    """Return the text of the lowered update."""
-    return lower_update(precision)[0].as_text()
-
-
 def relative_errors(actual, exact):
     """Return the relative distance of every leaf from `exact`."""
     return [
@@ -134,30 +128,6 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs):
     assert max(relative_errors(coarse, exact)) < 0.02
     assert {leaf.dtype for leaf in jax.tree.leaves(coarse)} == {jnp.dtype("float32")}
     np.testing.assert_allclose(apply(network, params, x[0, 0], "bf16"), coarse[0][0, 0], rtol=1e-5, atol=1e-5)
-
-
-def test_the_default_precision_leaves_the_networks_unchanged(monkeypatch):
-    usual, low = update_text("tf32"), update_text("bf16")
-    monkeypatch.setattr(networks, "apply", lambda network, params, x, precision: network.apply(params, x))
-    assert usual == update_text("tf32")
-    assert "bf16" in low
-    assert "optimization_barrier" in low  # keeps the actor's forward passes separate
-    assert "bf16" not in usual
-
-
-def test_bf16_critics_of_all_lanes_are_products_with_the_same_batch_axes():
-    """A GPU is measurably slower on the transposed products that critics with shared inputs would be."""
-    sac, batch = SMALL.replace(precision="bf16"), make_batch(64)
-    critics = jax.vmap(lambda key: init(key, sac, 4, 2).critics)(jax.random.split(jax.random.key(0), 3))
-    obs, action = [jnp.tile(part, (3, 1, 1)) for part in (batch.obs, batch.action)]
-
-    def loss(critic, obs, action):
-        return jnp.square(sac_lib.q_values(sac, critic, obs, action)).sum()
-
-    text = jax.jit(jax.vmap(jax.grad(loss))).lower(critics, obs, action).as_text()
-    products = [line for line in text.splitlines() if "dot_general" in line]
-    assert len(products) == 6
-    assert all("batching_dims = [0, 1] x [0, 1]" in line for line in products)
 
 
 def test_float32_requests_full_float32_forward_and_backward():
