@@ -66,7 +66,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
         for lane, seed in enumerate(line.seeds):
             values = [scores[lane, -1], last_mean(scores[lane])]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
-            texts = ["–" if math.isnan(value) else f"{value:,.4g}" for value in values]
+            texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
             rows.append({"line": line, "seed": seed, "texts": texts})
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     return {"head": [name, f"mean of the last {WINDOW}", *(panel.title for panel in panels)], "rows": rows}
