@@ -162,7 +162,14 @@ ONE = "1 program at a time on each of 2 GPUs, 4 cores each"
             [],
         ),
         ("unused", 3, "ab", ONE, []),
-        ("unused", "auto", "ab", ONE, []),
+        ("unused", "auto", "abcd", ONE, []),
+        (
+            "measured",
+            "auto",
+            "abcd",
+            "2 programs at a time on each of 2 GPUs, 2 cores each through the MPS daemon started for them",
+            ["start devices=", "quit"],
+        ),
         ("on a CPU", 2, "ac", "2 programs at a time, 4 cores each", []),
         ("on a CPU", "auto", "ac", "1 program at a time, 8 cores each", []),
     ],
@@ -171,6 +178,7 @@ def test_slots_depend_on_mps_and_on_the_number_of_programs(
     gpus, grid, workers, tmp_path, monkeypatch, mps, per_device, groups, line, log
 ):
     {"broken": gpus.break_mps, "running": gpus.run_daemon}.get(mps, lambda: None)()
+    monkeypatch.setattr(packing_rates, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if mps == "measured" else {})
     if mps == "on a CPU":
         monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     folder, lines = workers(RECORD, groups), []
@@ -179,18 +187,9 @@ def test_slots_depend_on_mps_and_on_the_number_of_programs(
     assert lines[-1].endswith(f"{len(groups)} done now, 0 failed")
     records = read_records(folder)
     assert {len(record["cores"]) for record in records.values()} == {int(line.partition(" core")[0].split()[-1])}
-    assert all("CUDA_MPS_PIPE_DIRECTORY" not in record for record in records.values())
+    assert {"CUDA_MPS_PIPE_DIRECTORY" in record for record in records.values()} == {mps == "measured"}
     assert all(record["progress"] is (per_device == "auto" and mps == "on a CPU") for record in records.values())
     assert gpus.log == log
-
-
-def test_auto_takes_the_measured_number_of_the_tasks_of_a_sweep(gpus, grid, workers, tmp_path, monkeypatch):
-    monkeypatch.setattr(packing_rates, "GAINS", {"sawyer_door": {(2, 2): 1.8}})
-    workers(RECORD)
-    lines = []
-    launcher.sweep(grid, tmp_path / "out", per_device="auto", emit=lines.append)
-    assert lines[1].startswith("2 programs at a time on each of 2 GPUs, 2 cores each")
-    assert gpus.log == ["start devices=", "quit"]
 
 
 SAVE = """
@@ -227,8 +226,7 @@ def test_a_signal_reaches_all_workers_and_no_other_group_starts(
     assert gpus.log == ([] if per_device is None else ["start devices=", "quit"])
 
 
-@pytest.mark.parametrize("handler", ["save_and_end", "signal.SIG_IGN"])
-@pytest.mark.parametrize("end", ["second signal", "error"])
+@pytest.mark.parametrize(("end", "handler"), [("error", "save_and_end"), ("second signal", "signal.SIG_IGN")])
 def test_a_second_signal_or_an_error_ends_all_workers_and_the_daemon(
     gpus, grid, workers, tmp_path, monkeypatch, capfd, end, handler
 ):
