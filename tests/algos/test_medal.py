@@ -199,6 +199,7 @@ def test_the_demonstrated_states_are_those_of_whole_demonstrations(env):
     assert env.success(obs[-12:]).all()
 
 
+@pytest.mark.slow
 def test_medal_writes_its_own_columns_and_resumes_with_them(tmp_path):
     tiny_train("medal", phase_steps=PHASE, steps=80, out=tmp_path / "run", checkpoint_every=40)
     result = resume(tmp_path / "run", steps=120)

@@ -75,7 +75,9 @@ def planned_runs(name, scale, tmp_path, envs=None, **options):
     return path, grid.read(path)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("figure2", "tradeoff") else ()) for name in FILES]
+)
 def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, request):
     """In this order: the runs of the first table serve all but figure 2 and the trade-off."""
     request.getfixturevalue("planner_in_process" if name == "figure2" else "in_process")

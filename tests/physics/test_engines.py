@@ -25,6 +25,11 @@ FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
 """For MJX, whose programs compile for half a minute; the door's is compiled with the suite's own options."""
 
 
+def param(name, fast):
+    """Return the parameter `name`: slow, because MJX compiles a program for it, unless it is the `fast` one."""
+    return pytest.param(name, marks=() if name == fast else pytest.mark.slow)
+
+
 def compile_lanes(name, engine, function):
     fast = engine == "mjx" and name != "sawyer_door"
     return jax.jit(jax.vmap(function), compiler_options=FAST_TO_COMPILE if fast else {})
@@ -58,7 +63,7 @@ def assert_demonstrations_agree(actual, expected, contact_mm):
     assert 1e3 * np.linalg.norm(actual[..., 4:] - expected[..., 4:], axis=-1).mean() < contact_mm
 
 
-@EVERY_SAWYER
+@pytest.mark.parametrize("name", [param(name, "sawyer_door") for name in ("sawyer_door", "sawyer_peg")])
 def test_mjx_and_c_agree_tightly_before_contact_and_on_average_in_contact(name):
     assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
 
@@ -104,7 +109,7 @@ def assert_joints_agree(name, actual, expected):
     np.testing.assert_allclose(actual[:, :EARLY_STEPS], expected[:, :EARLY_STEPS], atol=EARLY_TOLERANCE)
 
 
-@pytest.mark.parametrize("name", TOLERANCES)
+@pytest.mark.parametrize("name", [param(name, "minitaur_pen") for name in TOLERANCES])
 def test_mjx_and_c_move_the_joints_of_the_other_tasks_alike(name):
     actual, expected = joint_positions(name, "mjx"), joint_positions(name, "c")
     assert np.ptp(expected, axis=1).max() > 0.05, "something moves"

@@ -43,6 +43,7 @@ echo "Submitted batch job 7"
     return tmp_path
 
 
+@pytest.mark.slow
 def test_an_array_has_one_task_per_program_group(grid, cluster):
     grid.write_text(GRID.replace("steps = 120", "steps = 40"))
     out, lines = cluster / "out", []

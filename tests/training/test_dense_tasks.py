@@ -15,9 +15,10 @@ from tests.conftest import assert_all_finite, make_problem, make_train_state, ti
 TASKS = ("dhand_lightbulb", "franka_kitchen", "minitaur_pen")
 PAIRS = [
     *((task, "fbrl") for task in TASKS),
-    ("minitaur_pen", "naive"),
-    ("minitaur_pen", "r3l"),
-    ("franka_kitchen", "oracle"),
+    *(
+        pytest.param(*pair, marks=pytest.mark.slow)
+        for pair in (("minitaur_pen", "naive"), ("minitaur_pen", "r3l"), ("franka_kitchen", "oracle"))
+    ),
 ]
 """A return to the start is the only phase whose reward the task computes; the other methods learn from the stored one."""
 EVAL_HORIZON = 6

@@ -65,6 +65,7 @@ def reports():
     return run_on_four_devices(COMPARE + TOO_MANY_DEVICES)
 
 
+@pytest.mark.slow
 def test_four_devices_train_as_one_does_without_a_collective(reports):
     report, _ = reports
     assert report["devices"] == 4
@@ -74,6 +75,7 @@ def test_four_devices_train_as_one_does_without_a_collective(reports):
     assert report["error"] < 1e-4, "products over other numbers of lanes round differently"
 
 
+@pytest.mark.slow
 def test_an_impossible_number_of_devices_is_an_error_that_names_possible_ones(reports):
     with pytest.raises(ValueError, match=r"2 devices requested, but 1 available \(cpu\)"):
         lane_mesh(2, 8)

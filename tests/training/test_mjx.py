@@ -73,7 +73,9 @@ def assert_learns(first, last, steps=STEPS):
     assert np.abs(np.diff(stored, axis=0)).max(axis=(0, 2)).min() > 1e-3, "the simulation moves"
 
 
-@pytest.mark.parametrize("algo", ALGOS)
+@pytest.mark.parametrize(
+    "algo", [pytest.param(algo, marks=() if algo == "fbrl" else pytest.mark.slow) for algo in ALGOS]
+)
 def test_every_method_learns_in_one_scan_with_mjx(pendulum, algo):
     assert_learns(*trained(pendulum, algo))
 
