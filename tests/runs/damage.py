@@ -258,5 +258,3 @@ LINKS = {
     "link at tensorboard/events": _link("tensorboard/events.out.tfevents.0"),
 }  # fmt: skip
 """Links where a run writes."""
-
-DAMAGES = {**TABLE, **READABLE, **CONFIG, **LOGS, **CHECKPOINTS, **IGNORED, **LINKS}
