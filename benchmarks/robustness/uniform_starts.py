@@ -25,7 +25,7 @@ from earl_jax.envs import Env, State
 from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import deployed
-from earl_jax.metrics.robustness import relative_drop
+from earl_jax.metrics.statistics import relative_drop
 from earl_jax.paper.tasks import training_steps
 from earl_jax.physics import PhysicsState
 from earl_jax.report.runs import read

@@ -7,7 +7,7 @@ Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are 
 
 from typing import Any, NamedTuple
 
-from earl_jax.metrics.namespace import namespace_of
+from earl_jax.metrics.statistics import namespace_of
 
 
 class Scores(NamedTuple):

@@ -1,4 +1,4 @@
-"""Statistics over seeds: mean, standard error, interquartile mean and stratified-bootstrap intervals.
+"""Statistics over seeds: mean, standard error, interquartile mean, relative drops and stratified-bootstrap intervals.
 
 Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", section 4.
 
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.namespace import namespace_of, plain
 
 RESAMPLES = 2000
 
@@ -33,6 +32,20 @@ class Summary(NamedTuple):
     low: Any
     high: Any
     seeds: int
+
+
+def namespace_of(*arrays: Any) -> Any:
+    """Return the array module of `arrays`: `jax.numpy` if one of them is a JAX array or traced, else `numpy`.
+
+    It is the array API's `__array_namespace__`; lists and Python numbers count as NumPy's.
+    """
+    modules = [array.__array_namespace__() for array in arrays if hasattr(array, "__array_namespace__")]
+    return next((module for module in modules if module is not np), np)
+
+
+def plain(value: Any) -> Any:
+    """Return a NumPy scalar as a Python float, which tables and JSON take; a JAX array as it is."""
+    return float(value) if namespace_of(value) is np else value
 
 
 def stderr(scores: Any) -> Any:
@@ -97,6 +110,29 @@ def difference(scores: Any, others: Any) -> Estimate:
         for group in (scores, others)
     ]
     return Estimate(value, *percentile_interval(means[0] - means[1]))
+
+
+def relative_drop(before: Any, after: Any) -> Estimate:
+    """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
+
+    Seeds are resampled in pairs. Resamples whose mean of `before` is 0 are left out. The result is nan if `before` is 0.
+    Source: Sharma et al. 2022, figure 5, the loss of success from starts that differ from those of training.
+    """
+    xp = namespace_of(before, after)
+    before, after = xp.asarray(before, float), xp.asarray(after, float)
+    value = _drop(xp, before, after)
+    if len(before) < 2:
+        return _without_interval(plain(value))
+    picks = np.random.default_rng(0).integers(len(before), size=(RESAMPLES, len(before)))
+    drops = xp.where(xp.isnan(value), 0.0, _drop(xp, before[picks], after[picks]))
+    low, high = xp.nanquantile(drops, np.array([0.025, 0.975])) + 0.0 * value  # nan if the value is
+    return Estimate(plain(value), plain(low), plain(high))
+
+
+def _drop(xp: Any, before: Any, after: Any) -> Any:
+    """Return the relative drops [...] of `before [..., seeds]` and `after`, nan where `before` is 0."""
+    mean = before.mean(axis=-1)
+    return 1 - after.mean(axis=-1) / xp.where(mean > 0, mean, np.nan)
 
 
 def percentile_interval(resampled: Any, ends: tuple[float, float] = (0.025, 0.975)) -> tuple[Any, Any]:

@@ -1,6 +1,8 @@
-"""Measures of the spread of visited positions over a lane's map.
+"""Measures of a map of visited positions: its spread, its distance to given places, and the shares near these and in corners.
 
-Source: Sharma et al. 2022, figure 4, which shows such maps without a measure; the measures are ours.
+Source: Sharma et al. 2022, figure 4, whose text says that resets keep an agent near the initial and goal distributions
+and that without them it goes further away, into the corners. The paper prints no measure; these are ours. All functions
+take NumPy or JAX arrays and can be traced by `jit`.
 """
 
 import math
@@ -8,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.metrics.namespace import namespace_of, plain
+from earl_jax.metrics.statistics import namespace_of, plain
 
 MEASURES = ("covered", "entropy", "concentration")
 TOP_SHARE = 0.01
 """The share of bins, the most visited ones, whose visits `concentration` sums."""
+CORNER = 0.1
+"""Side of a corner of the map, as a share of the map's side."""
 
 
 def measure(visits: Any) -> dict[str, Any]:
@@ -28,3 +32,43 @@ def measure(visits: Any) -> dict[str, Any]:
     entropy = 0.0 - (visited * xp.log(visited)).sum() / math.log(max(flat.size, 2))
     values = (shares > 0).mean(), entropy, shares[: math.ceil(TOP_SHARE * flat.size)].sum()
     return {name: plain(value) for name, value in zip(MEASURES, values, strict=True)}
+
+
+def bin_centres(map_bounds: np.ndarray, bins: int) -> np.ndarray:
+    """Return the centres [B, B, 2] of `bins` by `bins` bins over `map_bounds`, [[x, y] low, [x, y] high]."""
+    low, high = np.asarray(map_bounds, float)
+    shares = (np.arange(bins) + 0.5) / bins
+    return low + np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1) * (high - low)
+
+
+def mean_distance(visits: Any, map_bounds: np.ndarray, places: np.ndarray) -> Any:
+    """Return the mean over `visits` [..., B, B] of the distance from the bin's centre to the nearest of `places` [K, 2].
+
+    The result [...] is in the unit of the map, and 0 without visits.
+    """
+    return _mean(visits, _to_nearest(map_bounds, visits.shape[-1], places))
+
+
+def share_near(visits: Any, map_bounds: np.ndarray, places: np.ndarray, radius: float) -> Any:
+    """Return the share [...] of `visits` [..., B, B] in bins with their centre within `radius` of one of `places` [K, 2]."""
+    near = _to_nearest(map_bounds, visits.shape[-1], places) <= radius
+    return _mean(visits, near.astype(float))
+
+
+def share_in_corners(visits: Any) -> Any:
+    """Return the share [...] of `visits` [..., B, B] in the four corners, squares with a tenth of the map's side."""
+    centres = bin_centres(np.array([[0.0, 0.0], [1.0, 1.0]]), visits.shape[-1])
+    corners = np.all(np.minimum(centres, 1 - centres) < CORNER, axis=-1)
+    return _mean(visits, corners.astype(float))
+
+
+def _to_nearest(map_bounds: np.ndarray, bins: int, places: np.ndarray) -> np.ndarray:
+    """Return the distance [B, B] of each bin's centre to the nearest of `places` [K, 2]."""
+    offsets = bin_centres(map_bounds, bins)[:, :, None] - np.asarray(places, float)
+    return np.linalg.norm(offsets, axis=-1).min(axis=-1)
+
+
+def _mean(visits: Any, values: np.ndarray) -> Any:
+    """Return the mean [...] of `values` [B, B] over `visits` [..., B, B]."""
+    total = visits.sum(axis=(-2, -1))
+    return (visits * values).sum(axis=(-2, -1)) / (total + (total == 0))

@@ -12,8 +12,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.errors import InputError
-from earl_jax.metrics.robustness import relative_drop
-from earl_jax.metrics.statistics import Estimate, mean_of
+from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
 from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach, save
 from earl_jax.report.tables import markdown_table, write

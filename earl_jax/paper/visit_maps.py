@@ -12,8 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.distances import mean_distance, share_in_corners, share_near
-from earl_jax.metrics.visitation import measure
+from earl_jax.metrics.visitation import mean_distance, measure, share_in_corners, share_near
 from earl_jax.paper.tasks import FIGURE4_GOAL_RADIUS
 from earl_jax.report.style import method_order, task_order
 from earl_jax.report.tables import write

@@ -51,15 +51,6 @@ def test_equal_methods_are_told_apart_in_five_per_cent_of_the_experiments(draw, 
     assert 0.02 <= rejections(draw, permutation_p, sizes, runs=600) <= 0.07
 
 
-def test_the_old_rule_of_an_interval_around_one_mean_cries_wolf():
-    """Our mean against 1.96 population standard errors of the other five seeds, as verdicts were made before."""
-
-    def outside(scores, others):
-        return float(abs(scores.mean() - others.mean()) <= 1.96 * others.std() / math.sqrt(5))
-
-    assert rejections(normal, outside, (5, 5)) > 0.2
-
-
 def test_welch_equals_scipy():
     rng = np.random.default_rng(3)
     scores, others = rng.normal(0.3, 1.0, 5), rng.normal(0.0, 2.0, 9)

@@ -1,31 +1,38 @@
-"""The metrics of a life, from counts whose values are known."""
+"""The metrics of a life from counts whose values are known: phases, movements, rewards and interventions."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from earl_jax.metrics.continuing import Counters, continuing
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL, advance_life, init_life, life_metrics
 
 FORWARD_PHASE, BACK_PHASE = True, False
 
 
-def mug_at(env, x):
-    state = env.reset(jax.random.key(0))
-    return state.replace(data=state.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
+@pytest.fixture(scope="module")
+def start(env):
+    return jax.jit(env.reset)(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
-def advance(env):
-    return jax.jit(lambda life, x, *rest: advance_life(life, env, mug_at(env, x), *rest))
+def after(env, start):
+    """Return a function that gives the counts after `steps`: mug's x, phase, over, reached."""
 
+    def mug_at(x):
+        return start.replace(data=start.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
 
-def after(env, advance, *steps):
-    """Return the counts after `steps`: mug's x, phase, over, reached."""
-    life = init_life(env, mug_at(env, 0.0))
-    for number, (x, *flags) in enumerate(steps, 1):
-        life = advance(life, x, *(jnp.asarray(flag) for flag in flags), jnp.asarray(number))
-    return life
+    first = jax.jit(lambda: init_life(env, mug_at(0.0)))()
+    advance = jax.jit(lambda life, x, *rest: advance_life(life, env, mug_at(x), *rest))
+
+    def after(*steps):
+        life = first
+        for number, (x, *flags) in enumerate(steps, 1):
+            life = advance(life, x, *map(np.asarray, flags), number)
+        return life
+
+    return after
 
 
 def values(life, step, alive_steps=3, phases=2, sparse=True):
@@ -33,35 +40,46 @@ def values(life, step, alive_steps=3, phases=2, sparse=True):
     return life, {name: float(value) for name, value in metrics.items()}
 
 
-def test_success_shares_count_the_phases_that_ended_since_the_last_evaluation(env, advance):
+def test_success_shares_count_the_phases_that_ended_since_the_last_evaluation(after):
     steps = [(0.0, FORWARD_PHASE, True, True), (0.0, FORWARD_PHASE, True, False), (0.0, BACK_PHASE, True, True)]
-    life, first = values(after(env, advance, *steps, (0.0, BACK_PHASE, False, False)), 4)
+    life, first = values(after(*steps, (0.0, BACK_PHASE, False, False)), 4)
     assert (first[FORWARD], first[BACK]) == (0.5, 1.0)
     _, second = values(life, 4)
-    assert np.isnan(second[FORWARD])
-    assert np.isnan(second[BACK])
+    assert np.isnan([second[FORWARD], second[BACK]]).all()
 
 
-def test_a_lane_is_alive_if_both_directions_were_reached_recently(env, advance):
-    both = after(env, advance, (0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, True))
+def test_a_lane_is_alive_if_both_directions_were_reached_recently(after):
+    both = after((0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, True))
     assert values(both, 4)[1][ALIVE] == 1
     assert values(both, 5)[1][ALIVE] == 0, "the forward goal was reached 4 steps ago"
     assert values(both, 5, alive_steps=4)[1][ALIVE] == 1
-    stuck = after(env, advance, (0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, False))
+    stuck = after((0.0, FORWARD_PHASE, True, True), (0.0, BACK_PHASE, True, False))
     assert values(stuck, 3)[1][ALIVE] == 1, "too young to be lost"
     assert values(stuck.replace(reached_at=jnp.array([9, 0])), 9)[1][ALIVE] == 0
 
 
-def test_a_direction_without_a_goal_does_not_count(env, advance):
-    forward_only = after(env, advance, (0.0, FORWARD_PHASE, True, True)).replace(reached_at=jnp.array([9, 0]))
+def test_a_direction_without_a_goal_does_not_count(after):
+    forward_only = after((0.0, FORWARD_PHASE, True, True)).replace(reached_at=jnp.array([9, 0]))
     assert values(forward_only, 9)[1][ALIVE] == 1
     assert values(forward_only, 9, phases=1)[1].keys() == {FORWARD, ALIVE, STILL}
     assert values(forward_only, 9, sparse=False)[1].keys() == {STILL}
 
 
-def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(env, advance):
+def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(after):
     steps = [(x, FORWARD_PHASE, False, False) for x in (0.5, 0.505, 0.506, 0.507)]
-    assert values(after(env, advance, *steps), 4)[1][STILL] == 3
+    assert values(after(*steps), 4)[1][STILL] == 3
     creeping = [(0.006 * number, FORWARD_PHASE, False, False) for number in range(1, 4)]
-    assert values(after(env, advance, *creeping), 3)[1][STILL] == 1, "slow movements add up"
-    assert values(after(env, advance, (0.0, FORWARD_PHASE, False, False)), 1)[1][STILL] == 1
+    assert values(after(*creeping), 3)[1][STILL] == 1, "slow movements add up"
+    assert values(after((0.0, FORWARD_PHASE, False, False)), 1)[1][STILL] == 1
+
+
+def test_the_reward_is_averaged_over_the_lifetime_and_the_window_and_counts_are_reported_unchanged(start):
+    counts = {"interventions": jnp.asarray(2), "faults": jnp.asarray(1), "reached": jnp.asarray(4)}
+    first = Counters(window_reward=jnp.asarray(3.0), total_reward=jnp.asarray(0.0), diagnostics={}, life=None, **counts)
+    counters, metrics = continuing(first, start, jnp.asarray(10.0), jnp.asarray(10.0))
+    assert float(metrics["continuing/reward"]) == float(metrics["continuing/recent"]) == pytest.approx(0.3)
+    assert {name: int(metrics[name]) for name in counts} == {"interventions": 2, "faults": 1, "reached": 4}
+    counters = counters.replace(window_reward=counters.window_reward + 1.0)
+    _, metrics = continuing(counters, start, jnp.asarray(20.0), jnp.asarray(10.0))
+    assert float(metrics["continuing/reward"]) == pytest.approx(0.2)
+    assert float(metrics["continuing/recent"]) == pytest.approx(0.1)

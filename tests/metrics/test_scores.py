@@ -1,15 +1,24 @@
-"""J_D, D(A) and C(A) against sums by hand."""
+"""J_D, D(A) and C(A) against sums by hand, and the steps at which a curve reaches a level."""
+
+import math
 
 import numpy as np
 import pytest
 
+from earl_jax.metrics.crossings import crossing, trailing_mean
 from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
 
 STEPS, SCORES = np.array([10, 30]), np.array([[1.0, 0.5], [0.0, 0.3]])
+MILLION = np.arange(10_000, 1_000_001, 10_000)
 
 
-def test_the_area_weights_an_evaluation_by_the_steps_before_it():
+def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_steps_before_it():
     np.testing.assert_allclose(deployed_area(STEPS, SCORES), [2 / 3, 0.2])
+    metrics = {"deployed/success": SCORES, "continuing/reward": np.array([[0.1, 0.2], [0.0, 0.4]])}
+    scores = lifetime_scores(STEPS, metrics, "deployed/success")
+    assert scores.final.tolist() == [0.5, 0.3]
+    assert scores.deployed == pytest.approx([2 / 3, 0.2])
+    assert scores.continuing.tolist() == [0.2, 0.4]
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():
@@ -17,9 +26,34 @@ def test_regret_is_the_sum_of_gaps_to_the_optimum():
     np.testing.assert_allclose(regret(STEPS, SCORES, 1.0), gaps.sum(axis=1))
 
 
-def test_a_lifetime_has_three_scores():
-    metrics = {"deployed/success": SCORES, "continuing/reward": np.array([[0.1, 0.2], [0.0, 0.4]])}
-    scores = lifetime_scores(STEPS, metrics, "deployed/success")
-    assert scores.final.tolist() == [0.5, 0.3]
-    assert scores.deployed == pytest.approx([2 / 3, 0.2])
-    assert scores.continuing.tolist() == [0.2, 0.4]
+def test_the_window_of_a_trailing_mean_is_measured_in_steps():
+    ramp = np.linspace(0.01, 1.0, 100)
+    means = trailing_mean(MILLION, ramp)
+    assert np.isnan(means[:9]).all()
+    assert means[9] == pytest.approx(ramp[:10].mean())
+    assert means[-1] == pytest.approx(ramp[-10:].mean())
+    np.testing.assert_allclose(trailing_mean(MILLION[1::2], ramp[1::2])[-1], ramp[-9::2].mean())
+
+
+def test_a_crossing_is_that_of_the_mean_curve_and_nan_where_none_is():
+    scores = np.stack([MILLION >= 300_000, MILLION >= 500_000]).astype(float)
+    assert crossing(MILLION, scores, 0.5).value == 390_000
+    assert crossing(MILLION, scores, 0.9).value == 570_000
+    assert math.isnan(crossing(MILLION, scores, 1.1).value)
+    single = crossing(MILLION, scores[:1], 0.5)
+    assert (single.value, math.isnan(single.low), math.isnan(single.high)) == (340_000, True, True)
+
+
+def test_the_interval_of_five_seeds_holds_the_crossing_of_the_population():
+    """Seeds take off at a random step; an evaluation is the mean of ten episodes."""
+    rng = np.random.default_rng(0)
+
+    def scores(seeds):
+        starts = rng.normal(400_000, 80_000, (seeds, 1))
+        return rng.binomial(10, 1 / (1 + np.exp((starts - MILLION) / 40_000))) / 10
+
+    true = crossing(MILLION, scores(5000), 0.5).value
+    intervals = [crossing(MILLION, scores(5), 0.5) for _ in range(300)]
+    inside = [interval.low <= true and not interval.high < true for interval in intervals]
+    assert np.mean(inside) >= 0.93
+    assert np.mean([interval.low > 100_000 for interval in intervals]) > 0.9, "the interval says something"

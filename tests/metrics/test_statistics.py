@@ -1,14 +1,31 @@
-"""Statistics against published formulas and by hand."""
+"""Statistics over seeds: against published formulas, by hand, and inside `jit` and `vmap` against NumPy."""
 
+import math
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
-from earl_jax.metrics import statistics
+from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
+from earl_jax.metrics.statistics import (
+    bootstrap,
+    difference,
+    iqm,
+    mean_of,
+    relative_drop,
+    stderr,
+    summarise,
+)
+
+RUNS, SEEDS = 3, 9
+STEPS = np.array([10, 30, 40])
 
 
 def test_summary_by_hand():
     scores = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0])
-    summary = statistics.summarise(scores)
+    summary = summarise(scores)
     assert summary.mean == pytest.approx(0.625)
     assert summary.stderr == pytest.approx(np.sqrt(((scores - 0.625) ** 2).mean()) / np.sqrt(8))
     assert summary.iqm == pytest.approx(np.mean([0.4, 0.6, 0.8, 1.0]))
@@ -18,34 +35,76 @@ def test_summary_by_hand():
 
 def test_published_standard_errors_are_population_deviations():
     """Five seeds of which one failed: table cells like the paper's 0.80 (0.11) divide by n, not n - 1."""
-    assert statistics.stderr(np.array([0.0, 1, 1, 1, 1])) == pytest.approx(0.4 / np.sqrt(5))
+    assert stderr(np.array([0.0, 1, 1, 1, 1])) == pytest.approx(0.4 / np.sqrt(5))
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 10, 31])
+def test_the_interquartile_mean_on_the_host_has_the_bits_of_scipy(count):
+    table = np.random.default_rng(count).normal(size=(count, 5))
+    np.testing.assert_array_equal(iqm(table), stats.trim_mean(table, 0.25, axis=None))
+    np.testing.assert_array_equal(iqm(table, axis=0), stats.trim_mean(table, 0.25, axis=0))
 
 
 def test_the_bootstrap_interval_covers_the_truth_at_about_its_level():
     rng = np.random.default_rng(0)
-    intervals = [statistics.bootstrap(rng.normal(size=20), np.mean, seed=i) for i in range(200)]
-    covered = np.mean([low <= 0 <= high for low, high in intervals])
-    assert 0.87 <= covered <= 0.98
+    means = [bootstrap(rng.normal(size=20), np.mean, seed=i) for i in range(200)]
+    assert 0.87 <= np.mean([low <= 0 <= high for low, high in means]) <= 0.98
 
 
 def test_bootstrap_is_stratified_and_reproducible():
     """Two tasks of constant but different scores: resampling within tasks gives one value."""
     table = np.tile([0.0, 1.0], (10, 1))
-    assert statistics.bootstrap(table) == statistics.bootstrap(table) == (0.5, 0.5)
+    assert bootstrap(table) == bootstrap(table) == (0.5, 0.5)
     noisy = np.random.default_rng(1).normal(size=(10, 2))
-    assert statistics.bootstrap(noisy, seed=3) == statistics.bootstrap(noisy, seed=3)
+    assert bootstrap(noisy, seed=3) == bootstrap(noisy, seed=3)
 
 
 @pytest.mark.parametrize("bad", [[], [np.nan, 1.0], [[1.0], [2.0]]])
 def test_empty_or_non_finite_scores_are_refused(bad):
     with pytest.raises(ValueError, match="finite scores"):
-        statistics.summarise(np.array(bad))
+        summarise(np.array(bad))
 
 
-def test_the_interval_of_a_difference_covers_its_resamples():
-    assert statistics.difference(np.array([5.0, 6.0]), np.array([1.0, 2.0])) == (4, 3, 5)
-    no_difference = statistics.difference(np.ones(3), np.arange(3))
+def test_differences_and_drops_by_hand():
+    assert difference(np.array([5.0, 6.0]), np.array([1.0, 2.0])) == (4, 3, 5)
+    no_difference = difference(np.ones(3), np.arange(3))
     assert no_difference.low < 0 < no_difference.high
-    single_seed = statistics.difference(np.ones(1), np.zeros(5))
+    single_seed = difference(np.ones(1), np.zeros(5))
     assert single_seed.value == 1
     assert np.isnan([single_seed.low, single_seed.high]).all()
+    assert relative_drop(np.array([1.0, 0.5]), np.array([0.5, 0.25])) == pytest.approx((0.5, 0.5, 0.5))
+    assert relative_drop(np.array([1.0, 0.0]), np.array([0.4, 0.0])) == pytest.approx((0.6, 0.6, 0.6))
+    assert math.isnan(relative_drop(np.zeros(2), np.array([0.4, 0.0])).value)
+
+
+def every_metric(curves, others):
+    """Return all metrics of one run's `curves` and `others` [SEEDS, len(STEPS)] by name."""
+    first, last, other = curves[:, 0], curves[:, -1], others[:, 0]
+    return {
+        "regret": regret(STEPS, curves, 1.0),
+        "scores": lifetime_scores(STEPS, {"success": curves, "continuing/reward": others}, "success"),
+        "iqm": (iqm(curves), iqm(curves, axis=0), iqm(curves, axis=-1)),
+        "stderr": stderr(curves),
+        "bootstrap": (bootstrap(curves), bootstrap(first, level=0.8, seed=3)),
+        "summary": summarise(deployed_area(STEPS, curves)),
+        "mean": (mean_of(last), mean_of(last[:1])),
+        "difference": (difference(first, other), difference(curves[:1], others)),
+        "drop": relative_drop(first, other),
+        "drop from 0": relative_drop(0 * first, other),
+        "rare success": relative_drop(first * (np.arange(SEEDS) < 1), other),
+        "one seed's drop": relative_drop(first[:1], other[:1]),
+    }
+
+
+def test_metrics_of_a_batch_of_runs_in_one_program_equal_numpys():
+    curves, others = np.random.default_rng(0).uniform(size=(2, RUNS, SEEDS, len(STEPS))).astype(np.float32)
+    actual = jax.jit(jax.vmap(every_metric))(curves, others)
+    results = [every_metric(*run) for run in zip(curves, others, strict=True)]
+    assert not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(results))
+    expected = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2e-6, atol=2e-6), actual, expected)
+
+
+def test_a_score_that_is_not_finite_propagates_on_the_device():
+    summary = jax.jit(summarise)(jnp.array([0.0, np.nan, 1.0]))
+    assert np.isnan([summary.mean, summary.iqm, summary.low]).all()
