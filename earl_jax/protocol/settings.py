@@ -88,15 +88,10 @@ class Continuing(Setting):
 
     def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
         """Return the protocol of a lifetime in `env`."""
-        change = env.goal_change if self.goal_change is None else self.goal_change
-        return Protocol(
+        return dataclasses.replace(
+            super().protocol(env, eval_every, eval_episodes),
             train_horizon=self._horizon(plain_task(env)),
-            eval_horizon=env.eval_horizon,
-            eval_every=eval_every,
-            eval_episodes=eval_episodes,
-            intervention_chance=self.intervention_chance,
-            alive_steps=self.alive_steps,
-            goal_change=change,
+            goal_change=env.goal_change if self.goal_change is None else self.goal_change,
         )
 
     def _horizon(self, task: Env) -> int:

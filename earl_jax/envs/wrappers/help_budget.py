@@ -5,7 +5,7 @@ Source: Sharma et al. 2022, appendix on irreversible states. docs/irreversible.m
 
 import dataclasses
 import functools
-import math
+import operator
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
+from earl_jax import assets, options
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
@@ -21,6 +21,11 @@ from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """The largest share of an exactly spent budget that float32 rounding can leave."""
+
+
+def _of_task(name: str) -> Any:
+    """Return the property of a wrapper that is `name` of its task."""
+    return property(operator.attrgetter(f"task.{name}"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,11 +47,11 @@ class HelpBudget(Env):
     eval_horizon: int = dataclasses.field(init=False, repr=False)
     demo_file: str | None = dataclasses.field(init=False, repr=False)
     task: Env
-    budget: float
-    help_cost: float = 1.0
-    enforced_cost: float = 1.0
-    help_above: float = 0.98
-    absorbed_reward: float = 0.0
+    budget: float = dataclasses.field(metadata=options.within("(0, 1000000000]"))
+    help_cost: float = dataclasses.field(default=1.0, metadata=options.within("[0, 1000000000]"))
+    enforced_cost: float = dataclasses.field(default=1.0, metadata=options.within("[0, 1000000000]"))
+    help_above: float = dataclasses.field(default=0.98, metadata=options.within("[-1, 1)"))
+    absorbed_reward: float = dataclasses.field(default=0.0, metadata=options.within("[-1000000000, 1000000000]"))
 
     ends: ClassVar[bool] = True
 
@@ -56,76 +61,39 @@ class HelpBudget(Env):
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()
-        if not (self.budget > 0 and math.isfinite(self.budget)):
-            raise InputError(f"budget must be above 0 and finite, not {self.budget}")
-        for field in ("help_cost", "enforced_cost"):
-            if not (getattr(self, field) >= 0 and math.isfinite(getattr(self, field))):
-                raise InputError(f"{field} must be at least 0 and finite, not {getattr(self, field)}")
-        if not -1 <= self.help_above < 1:
-            raise InputError(f"help_above must lie in [-1, 1), not {self.help_above}")
-        if not math.isfinite(self.absorbed_reward) or (self.task.sparse and self.absorbed_reward):
-            kind = "0 with a sparse reward, which is a success bit" if self.task.sparse else "finite"
-            raise InputError(f"absorbed_reward must be {kind}, not {self.absorbed_reward}")
+        options.check_intervals("help budget", self)
+        if self.task.sparse and self.absorbed_reward:
+            raise InputError(
+                f"absorbed_reward must be 0 with a sparse reward, which is a success bit, not {self.absorbed_reward}"
+            )
 
-    @property
-    def name(self) -> str:
-        return self.task.name
-
-    @property
-    def title(self) -> str:
-        return self.task.title
-
-    @property
-    def step_seconds(self) -> float:
-        return self.task.step_seconds
-
-    @property
-    def map_unit(self) -> str:
-        return self.task.map_unit
+    name = _of_task("name")
+    title = _of_task("title")
+    step_seconds = _of_task("step_seconds")
+    map_unit = _of_task("map_unit")
+    map_bounds = _of_task("map_bounds")
+    map_starts = _of_task("map_starts")
+    map_goals = _of_task("map_goals")
+    goal_change = _of_task("goal_change")
+    continuing_horizon = _of_task("continuing_horizon")
+    goal_size = _of_task("goal_size")
+    goal_states = _of_task("goal_states")
+    initial_states = _of_task("initial_states")
+    engine = _of_task("engine")
+    resolved_engine = _of_task("resolved_engine")
+    model = _of_task("model")
+    sparse = _of_task("sparse")
+    reward_scale = _of_task("reward_scale")
+    has_demos = _of_task("has_demos")
+    demo_directions = _of_task("demo_directions")
 
     @property
     def action_size(self) -> int:
         return self.task.action_size + 1
 
     @property
-    def goal_change(self) -> int:
-        return self.task.goal_change
-
-    @property
-    def continuing_horizon(self) -> int | None:
-        return self.task.continuing_horizon
-
-    @property
-    def map_bounds(self) -> np.ndarray | None:
-        return self.task.map_bounds
-
-    @property
-    def map_starts(self) -> np.ndarray | None:
-        return self.task.map_starts
-
-    @property
-    def map_goals(self) -> np.ndarray | None:
-        return self.task.map_goals
-
-    @property
     def state_size(self) -> int:
         return self.task.state_size + 1
-
-    @property
-    def goal_size(self) -> int:
-        return self.task.goal_size
-
-    @property
-    def engine(self) -> str:
-        return self.task.engine
-
-    @property
-    def resolved_engine(self) -> str:
-        return self.task.resolved_engine
-
-    @property
-    def model(self) -> str:
-        return self.task.model
 
     def render_state(self, state: State) -> Any:
         return self.task.render_state(state.data)
@@ -135,22 +103,6 @@ class HelpBudget(Env):
 
     def for_lanes(self, lanes: int) -> "HelpBudget":
         return dataclasses.replace(self, task=self.task.for_lanes(lanes))
-
-    @property
-    def sparse(self) -> bool:
-        return self.task.sparse
-
-    @property
-    def reward_scale(self) -> float:
-        return self.task.reward_scale
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return self.task.goal_states
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return self.task.initial_states
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         return self.task.sample_goal(key)
@@ -274,14 +226,6 @@ class HelpBudget(Env):
     def expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [a + 1] of the task's scripted controller, which never requests help."""
         return jnp.append(self.task.expert(self.task_obs(obs)), -1.0)
-
-    @property
-    def has_demos(self) -> bool:
-        return self.task.has_demos
-
-    @property
-    def demo_directions(self) -> tuple[str, ...]:
-        return self.task.demo_directions
 
     def demos(self, direction: str) -> assets.Demos:
         """Return the task's demonstrations with a full budget and no request for help. Errors as the task's."""

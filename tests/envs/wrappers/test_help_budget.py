@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import HelpBudget, make
-from earl_jax.protocol import Protocol
+from earl_jax.protocol import Deployment, Protocol
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem
-from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, take_lane, tiny_method, to_numpy
+from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, tiny_method
 from tests.envs.chain import Chain
 
 LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
@@ -21,25 +21,28 @@ DISCOUNT = 0.9
 
 def start_state(env, position=None, asked=0, enforced=0):
     """Return a state of `env` with the chain's goal, at `position` after so many interventions."""
-    state = jax.jit(lambda: env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0])))()
-    if position is None:
-        return state
-    inner = env.task.state_at(position, state.data.info["goal"])
-    left = jnp.float32(env.budget - asked * env.help_cost - enforced * env.enforced_cost)
-    info = {**state.info, "asked": jnp.int32(asked), "enforced": jnp.int32(enforced), "budget": left}
-    return env._augmented(inner, info)
+    state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0]))
+    inner = env.task.state_at(env.task.start if position is None else position, state.data.info["goal"])
+    left = env.budget - asked * env.help_cost - enforced * env.enforced_cost
+    counts = {"asked": jnp.asarray(asked, jnp.int32), "enforced": jnp.asarray(enforced, jnp.int32)}
+    return env._augmented(inner, {**state.info, **counts, "budget": jnp.asarray(left, jnp.float32)})
 
 
-def run_actions(env, actions, state=None):
-    """Return the states [T + 1] before and after every one of the `actions [T, a]`."""
-    first = start_state(env) if state is None else state
+def run_actions(env, actions, **start):
+    """Return the states [T + 1] before and after every one of the `actions [T, a]`, from `start_state`."""
 
     @jax.jit
-    def run(first, actions):
+    def run(actions, start):
+        first = start_state(env, **start)
         _, rest = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
         return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
 
-    return run(first, jnp.asarray(actions))
+    return jax.device_get(run(np.asarray(actions), start))
+
+
+def state_of(states, step):
+    """Return the state at `step` of those that `run_actions` returns."""
+    return jax.tree.map(lambda leaf: leaf[step], states)
 
 
 def describe(tree):
@@ -65,7 +68,7 @@ def test_moving_right_falls_every_four_steps_until_an_intervention_exceeds_the_b
 @pytest.mark.parametrize(("budget", "cost", "last"), [(6.3, 0.7, 9), (2.7, 0.9, 3), (9000.0, 0.9, 10_000)])
 def test_an_exactly_spent_budget_ends_the_lifetime_in_float32_too(budget, cost, last):
     env = HelpBudget(Chain(), budget=budget, help_cost=cost)
-    states = run_actions(env, np.tile(HELP, (3, 1)), start_state(env, 0, asked=last - 2))
+    states = run_actions(env, np.tile(HELP, (3, 1)), asked=last - 2)
     assert states.done.tolist() == [0, 0, 1, 1]
 
 
@@ -90,10 +93,10 @@ def computed_quality(env):
     chain, budget = env.task, int(env.budget)
     grid = np.meshgrid(range(chain.cliff), range(1, budget + 1), range(3))
     positions, lefts, moves = (part.ravel() for part in grid)
-    actions = jnp.stack([LEFT, RIGHT, HELP])[moves]
+    actions = np.stack([LEFT, RIGHT, HELP])[moves]
     kind = "asked" if env.help_cost == 1 else "enforced"
     step = jax.jit(jax.vmap(lambda p, left, a: env.step(start_state(env, p, **{kind: budget - left}), a)))
-    after = step(positions, lefts, actions)
+    after = jax.device_get(step(positions, lefts, actions))
     following, rest = np.rint(after.obs[:, 0]).astype(int), np.rint(after.info["budget"]).astype(int)
     quality = np.zeros((chain.cliff, budget + 1, 3))
     for _ in range(400):
@@ -137,41 +140,47 @@ def test_help_discards_the_move_and_has_its_own_cost_even_beside_the_cliff():
 @pytest.mark.parametrize(("above", "requests"), [(0.98, [0, 0, 1]), (-1.0, [0, 1, 1])])
 def test_only_a_last_component_above_the_threshold_requests_help(above, requests):
     env = HelpBudget(Chain(), budget=9.0, help_above=above)
-    actions = jnp.array([[1.0, -1.0], [1.0, 0.98], [1.0, 5.0]])
-    assert [env.step(start_state(env), action).info["asked"] for action in actions] == requests
+    states = run_actions(env, np.float32([[1.0, -1.0], [1.0, 0.98], [1.0, 5.0]]))
+    assert np.diff(states.info["asked"]).tolist() == requests
 
 
 def test_every_intervention_draws_a_new_start_from_rho():
     env = HelpBudget(make("tabletop_organization", wide=True), budget=9.0)
-    step, request = jax.jit(env.step), jnp.array([0, 0, 0, 1.0])
-    first, same, other = (step(env.reset(jax.random.key(seed)), request) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.obs, same.obs)
-    assert len({float(state.obs[0]) for state in (first, other, step(first, request))}) == 3
+
+    @jax.jit
+    def starts(key):
+        first = env.step(env.reset(key), jnp.array([0, 0, 0, 1.0]))
+        return jnp.stack([first.obs, env.step(first, jnp.array([0, 0, 0, 1.0])).obs])
+
+    first, same, other = (np.asarray(starts(jax.random.key(seed))) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, same)
+    assert len({*first[:, 0].tolist(), *other[:1, 0].tolist()}) == 3
 
 
 def test_a_hard_intervention_costs_nothing_and_restores_nothing():
     env = HelpBudget(Chain(start=1), budget=5.0)
-    before = take_lane(run_actions(env, [HELP, RIGHT]), -1)
-    after = env.intervene(jax.random.key(3), before)
+    intervene = jax.jit(lambda state: env.intervene(jax.random.key(3), state))
+    states = run_actions(env, [HELP, RIGHT, HELP, HELP, HELP, HELP])
+    before, ended = state_of(states, 2), state_of(states, 6)
+    after = intervene(before)
     assert describe(after) == describe(before)
     assert (after.obs[0], before.obs[0]) == (1, 2)
     assert (after.info["budget"], after.info["asked"], after.done) == (4, 1, 0)
     assert after.obs[1] == before.obs[1] == np.float32(0.8)
-    ended = take_lane(run_actions(env, np.tile(HELP, (5, 1))), -1)
     assert ended.done == 1
-    assert_equal_trees(env.intervene(jax.random.key(3), ended), ended)
+    assert_equal_trees(intervene(ended), ended)
 
 
 def test_the_absorbing_end_lasts_and_earns_the_absorbed_reward():
     env = HelpBudget(Chain(reward_type="dense"), budget=1.0, absorbed_reward=-7.0)
     states = run_actions(env, [RIGHT, HELP, LEFT, HELP, RIGHT])
     np.testing.assert_array_equal(states.reward[1:], [-2, -7, -7, -7, -7])
-    first, *later = (take_lane(states, step) for step in (2, 3, 4, 5))
+    first, *later = (state_of(states, step) for step in (2, 3, 4, 5))
     for state in later:
         assert_equal_trees(state, first)
     assert first.obs.tolist() == [1, 0, 3]
-    assert env.goal_reward(first, jnp.zeros(1)) == env.reward(first.obs) == -7
-    assert not HelpBudget(Chain(goal=1), budget=1.0).success(jnp.array([1.0, 0.0, 1.0]))
+    assert env.goal_reward(first, np.zeros(1, np.float32)) == env.reward(first.obs) == -7
+    assert not HelpBudget(Chain(goal=1), budget=1.0).success(np.float32([1.0, 0.0, 1.0]))
 
 
 def test_a_fault_is_an_enforced_intervention_after_which_the_state_is_finite():
@@ -181,38 +190,40 @@ def test_a_fault_is_an_enforced_intervention_after_which_the_state_is_finite():
     np.testing.assert_array_equal(states.done, [0, 0, 0, 0, 1, 1])
     assert_all_finite(states)
     assert not jax.vmap(env.fault)(states).any()
-    assert env.task.fault(env.task.step(env.task.reset(jax.random.key(0)), jnp.array([-1.0])))
+    broken = jax.jit(lambda: env.task.step(env.task.reset(jax.random.key(0)), jnp.array([-1.0])))()
+    assert env.task.fault(broken)
 
 
-TASKS = {"chain": Chain(), "peg": make("sawyer_peg", engine="c", reward_type="dense")}
-
-
-@pytest.mark.parametrize("name", TASKS)
-def test_the_wrapper_keeps_the_contract_of_an_env_and_moves_like_its_task(name):
-    env, lanes, steps = HelpBudget(TASKS[name], 2.0), 3, 3
+@pytest.mark.parametrize("task", [Chain(), make("sawyer_peg", reward_type="dense")], ids=lambda task: task.name)
+def test_the_wrapper_keeps_the_contract_of_an_env_and_moves_like_its_task(task):
+    env, lanes, steps = HelpBudget(task, 2.0), 3, 3
     keys = jax.random.split(jax.random.key(0), lanes)
-    actions = jax.random.uniform(jax.random.key(1), (steps, lanes, env.action_size), minval=-1, maxval=1)
-    actions = actions.at[:, 1, -1].set(1.0)
-    first = state = jax.jit(jax.vmap(env.reset))(keys)
-    alone = [take_lane(state, lane) for lane in range(lanes)]
-    inner = [single.data for single in alone]
-    both = jax.jit(lambda state, inner, a: (env.step(state, a), env.task.step(inner, a[:-1])))
-    step = jax.jit(jax.vmap(env.step))
+    actions = np.random.default_rng(0).uniform(-1, 1, (steps, lanes, env.action_size)).astype(np.float32)
+    actions[:, 1, -1] = 1.0
+
+    @jax.jit
+    def both(state, action):
+        """Return the states of all lanes beside those of the plain task with the same actions."""
+        helped, inner = state
+        return jax.vmap(env.step)(helped, action), jax.vmap(task.step)(inner, action[:, :-1])
+
+    helped = jax.jit(jax.vmap(env.reset))(keys)
+    state = helped, helped.data
     for action in actions:
-        state = step(state, action)
-        pairs = [both(*each) for each in zip(alone, inner, action, strict=True)]
-        alone, inner = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    assert describe(state) == describe(first)
-    assert describe(alone[0]) == describe(jax.eval_shape(env.intervene, keys[0], alone[0]))
-    assert_equal_trees(state, jax.tree.map(lambda *leaves: jnp.stack(leaves), *alone), rtol=1e-6, atol=1e-6)
-    assert state.done.tolist() == [0, 1, 0]
+        state = both(state, action)
+    assert describe(state[0]) == describe(helped) == describe(jax.eval_shape(jax.vmap(env.intervene), keys, helped))
+    helped, inner = jax.device_get(state)
+    assert helped.done.tolist() == [0, 1, 0]
+    goals = inner.obs[:, : env.goal_size]
+    rewards = [jax.jit(jax.vmap(each.goal_reward))(states, goals) for each, states in ((env, helped), (task, inner))]
     for lane in (0, 2):
-        assert_equal_trees((alone[lane].data, alone[lane].reward), (inner[lane], inner[lane].reward))
-        np.testing.assert_array_equal(env.task_obs(alone[lane].obs), inner[lane].obs)
-    goal = inner[2].obs[: env.goal_size]
-    assert env.goal_reward(alone[2], goal) == env.task.goal_reward(inner[2], goal)
+        ours, theirs = state_of(helped, lane), state_of(inner, lane)
+        assert_equal_trees((ours.data, ours.reward), (theirs, theirs.reward))
+        np.testing.assert_array_equal(np.delete(ours.obs, task.state_size), theirs.obs)
+        assert rewards[0][lane] == rewards[1][lane]
+    alone = [jax.eval_shape(lambda tree: jax.tree.map(lambda leaf: leaf[0], tree), tree) for tree in state]
     pending = jax.eval_shape(env.start_step, alone[0], actions[0, 0])
-    inner_pending = jax.eval_shape(env.task.start_step, inner[0], actions[0, 0, :-1])
+    inner_pending = jax.eval_shape(task.start_step, alone[1], actions[0, 0, :-1])
     assert pending.ticket is inner_pending.ticket is None
     assert describe(pending.payload) == (((), bool, False), describe(inner_pending.payload))
     assert hash(env) == hash(dataclasses.replace(env)) != hash(dataclasses.replace(env, budget=3.0))
@@ -221,25 +232,22 @@ def test_the_wrapper_keeps_the_contract_of_an_env_and_moves_like_its_task(name):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"budget": 0.0}, "budget must be above 0"),
-        ({"budget": np.inf}, "and finite"),
-        ({"help_cost": -1.0}, "help_cost must be at least 0"),
-        ({"enforced_cost": np.nan}, "enforced_cost must be at least 0"),
+        ({"budget": 0.0}, r"budget must lie in \(0, 1000000000\], not 0\.0"),
+        ({"budget": np.inf}, "budget must lie in"),
+        ({"help_cost": -1.0}, "help_cost must lie in"),
+        ({"enforced_cost": np.nan}, "enforced_cost must lie in"),
         ({"help_above": 1.0}, r"help_above must lie in \[-1, 1\)"),
         ({"absorbed_reward": -1.0}, "absorbed_reward must be 0 with a sparse reward"),
-        ({"task": Chain(reward_type="dense"), "absorbed_reward": np.nan}, "absorbed_reward must be finite"),
+        ({"task": Chain(reward_type="dense"), "absorbed_reward": np.nan}, "absorbed_reward must lie in"),
         ({"task": HelpBudget(Chain(), 1.0)}, "without a budget of its own"),
     ],
 )
-def test_invalid_options_are_refused(options, message):
+def test_invalid_options_and_actions_of_the_tasks_own_size_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         HelpBudget(**{"task": Chain(), "budget": 1.0, **options})
-
-
-def test_an_action_of_the_tasks_own_size_is_refused():
     env = HelpBudget(Chain(), 1.0)
     with pytest.raises(ValueError, match=r"takes \(2,\)"):
-        env.step(start_state(env), jnp.zeros(1))
+        jax.eval_shape(lambda: env.step(start_state(env), jnp.zeros(1)))
 
 
 def test_a_lane_at_its_absorbing_end_stops_learning_and_storing_while_the_other_goes_on():
@@ -258,26 +266,31 @@ def test_a_lane_at_its_absorbing_end_stops_learning_and_storing_while_the_other_
     assert after.lanes.env_state.done.tolist() == [1, 0]
     assert after.replay.counts[:, 0].tolist() == [5, 10]
     assert after.lanes.env_state.info["asked"].tolist() == [100, 10]
-    ended = [take_lane(state.lanes, 0) for state in (before, after)]
+    ended, other = ([state_of(state.lanes, lane) for state in jax.device_get((before, after))] for lane in (0, 1))
     kept = [(lane.agent, lane.method_state, lane.env_state.data.data, lane.env_state.info["budget"]) for lane in ended]
     assert_equal_trees(*kept)
     assert ended[1].counters.window_reward == ended[0].counters.window_reward
-    actors = [take_lane(state.lanes.agent.actor, 1) for state in (before, after)]
-    for old, new in zip(*map(jax.tree.leaves, actors), strict=True):
-        assert (to_numpy(old) != to_numpy(new)).any()
+    for old, new in zip(*(jax.tree.leaves(lane.agent.actor) for lane in other), strict=True):
+        assert (old != new).any()
 
 
 def test_the_wrapper_has_the_properties_of_its_task():
     task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
-    env = HelpBudget(task, budget=4.0)
+    env = Deployment(budget=4.0).wrap(task)
     assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
     assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.ends) == (77, 9, True, "kinematic", True)
     assert (env.title, env.step_seconds, env.map_unit) == (task.title, task.step_seconds, task.map_unit)
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
-    state = env.reset_uniform(jax.random.key(0))
-    task_obs = env.task_obs(state.obs)
-    np.testing.assert_array_equal(env.map_position(state.obs), task_obs[:2])
-    np.testing.assert_array_equal(env.expert(state.obs), [*task.expert(task_obs), -1])
+
+    def answers(key):
+        state, wide = env.reset_uniform(key), env.reset_wide(key)
+        task_obs = env.task_obs(state.obs)
+        return (env.map_position(state.obs), env.expert(state.obs)), (task_obs[:2], task.expert(task_obs)), wide
+
+    (position, action), (task_position, task_action), wide = jax.jit(answers)(jax.random.key(0))
+    np.testing.assert_array_equal(position, task_position)
+    np.testing.assert_array_equal(action, [*task_action, -1])
+    assert (wide.obs.shape, float(wide.info["budget"])) == ((env.obs_size,), 4.0)
     wrapped_peg = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
     assert wrapped_peg.task.engine == wrapped_peg.engine == "c"
     assert wrapped_peg.continuing_horizon == 50_000
