@@ -53,11 +53,6 @@ class MujocoEnv(Env):
         return dataclasses.replace(self, engine=fastest_engine(self.engine_cost, lanes))
 
     @property
-    def model(self) -> str:
-        """The MJCF of this task: its name in assets, or a path."""
-        return self.name
-
-    @property
     def actuator(self) -> Actuator | None:
         """Converts the command of a control step into the controls of each substep; None applies the command itself."""
         return None

@@ -62,11 +62,6 @@ class Simulator:
             return command, memory
         return self.actuator(xp, qpos, qvel, command, memory)
 
-    @property
-    def variation_size(self) -> int:
-        """Length k of a lane's `constants`."""
-        return sum(getattr(self.mujoco_model(), field).size for field in self.varied)
-
     def variation(self, constants: Any) -> dict[str, Any]:
         """Return a lane's `constants [k]` as the model fields `varied`, in their shapes."""
         shapes = {field: getattr(self.mujoco_model(), field).shape for field in self.varied}

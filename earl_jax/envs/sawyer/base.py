@@ -174,14 +174,18 @@ class Sawyer(MujocoEnv):
         del key
 
     def fault(self, state: State) -> jax.Array:
-        object_position, hand = state.obs[self.state_size - 3 : self.state_size], state.obs[:3]
+        object_position, hand = self.object_in(state.obs), state.obs[:3]
         inside = ((object_position >= self.object_low) & (object_position <= self.object_high)).all()
         inside &= ((hand >= HAND_LOW - 0.2) & (hand <= HAND_HIGH + 0.2)).all()
         return super().fault(state) | ~inside
 
     def object_position(self, state: State) -> jax.Array:
         """Return the observed position [3] of the object in `state`, metres."""
-        return state.obs[self.state_size - 3 : self.state_size]
+        return self.object_in(state.obs)
+
+    def object_in(self, obs: jax.Array) -> jax.Array:
+        """Return the observed position [..., 3] of the object in `obs [..., o]`, metres."""
+        return obs[..., self.state_size - 3 : self.state_size]
 
     def goal_from(self, state: jax.Array) -> jax.Array:
         goal = jnp.broadcast_to(jnp.asarray(self.goal_states[0]), state.shape)
@@ -189,9 +193,7 @@ class Sawyer(MujocoEnv):
 
     def to_goal(self, obs: jax.Array) -> jax.Array:
         """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""
-        return jnp.linalg.norm(
-            obs[..., self.state_size - 3 : self.state_size] - obs[..., self.obs_size - 3 : self.obs_size], axis=-1
-        )
+        return jnp.linalg.norm(self.object_in(obs) - obs[..., self.obs_size - 3 : self.obs_size], axis=-1)
 
     def success(self, obs: jax.Array) -> jax.Array:
         return self.to_goal(obs) <= self.radius[self.variant]

@@ -129,7 +129,7 @@ class SawyerDoor(Sawyer):
     def reward(self, obs: jax.Array) -> jax.Array:
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
-        hand, handle = obs[..., :3], obs[..., self.state_size - 3 : self.state_size]
+        hand, handle = obs[..., :3], self.object_in(obs)
         hand_start = jnp.asarray(self.pose.target, jnp.float32)
         reach = jnp.linalg.norm(hand_start - handle, axis=-1) + 0.1
         margin = jnp.linalg.norm(DOOR - obs[..., self.obs_size - 3 :], axis=-1)
@@ -138,8 +138,7 @@ class SawyerDoor(Sawyer):
         return jnp.where(self.to_goal(obs) < GOAL_RADIUS, 10.0, 3.0 * near + 6.0 * placed)
 
     def expert(self, obs: jax.Array) -> jax.Array:
-        handle, goal = obs[self.state_size - 3 : self.state_size], obs[self.obs_size - 3 :]
-        return experts.door(obs[:3], handle, goal)
+        return experts.door(obs[:3], self.object_in(obs), obs[self.obs_size - 3 :])
 
 
 def handle_at(angle: jax.Array) -> jax.Array:

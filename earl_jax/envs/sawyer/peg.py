@@ -161,7 +161,7 @@ class SawyerPeg(Sawyer):
 
     def irreversible(self, state: State) -> jax.Array:
         """Return whether the peg is off the table (a `fault`: its middle is past an edge) or out of reach."""
-        middle = state.obs[self.state_size - 3 : self.state_size] - HEAD
+        middle = self.object_in(state.obs) - HEAD
         return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
 
     def translation(self, key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
@@ -174,7 +174,7 @@ class SawyerPeg(Sawyer):
 
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
-        return obs[..., self.state_size - 3 : self.state_size - 1]
+        return self.object_in(obs)[..., :2]
 
     @property
     def map_starts(self) -> np.ndarray:
@@ -208,14 +208,14 @@ class SawyerPeg(Sawyer):
         side = jnp.array([0.0, OPENING / 2, 0.0]) * grip
         below = obs[:3] - jnp.array([0.0, 0.0, 0.045])
         tips = jnp.stack([below - side, below + side])
-        return self._dense(obs, start, _caging(tips, obs[self.state_size - 3 : self.state_size], start, jnp.zeros(())))
+        return self._dense(obs, start, _caging(tips, self.object_in(obs), start, jnp.zeros(())))
 
     def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
         return self.reward(obs) if self.sparse else self._dense(obs, info["start"], info["grasp"])
 
     def _dense(self, obs: jax.Array, start: jax.Array, grasp: jax.Array) -> jax.Array:
         """Return Meta-World's peg-insertion reward [] as released with EARL, for one `obs [o]`."""
-        hand, head = obs[:3], obs[self.state_size - 3 : self.state_size]
+        hand, head = obs[:3], self.object_in(obs)
         goal, scale = obs[-3:], jnp.array([1.0, 2.0, 2.0])
         grasp_position = head - HEAD + GRASP
         left = jnp.linalg.norm((head - goal) * scale)
