@@ -1,4 +1,4 @@
-"""Cheetah and fish: numbers, rewards and starts alone, and all of it against dm_control if that is installed."""
+"""Cheetah and fish: masses, rewards and starts alone, and all of it against dm_control if that is installed."""
 
 import dataclasses
 import importlib.util
@@ -13,9 +13,10 @@ import pytest
 from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.dm_control.cheetah_run import settle
-from tests.conftest import take_lane
+from tests.envs.programs import START_COUNT, first_state, program, run_actions, starts
 
 TASKS = ("cheetah_run", "fish_swim")
+CHEETAH, FISH = map(make, TASKS)
 EVERY_TASK = pytest.mark.parametrize("name", TASKS)
 STEPS = 100
 FIELDS = """qpos0 qpos_spring jnt_type jnt_axis jnt_pos jnt_stiffness jnt_limited dof_damping dof_armature dof_invweight0
@@ -24,25 +25,6 @@ FIELDS = """qpos0 qpos_spring jnt_type jnt_axis jnt_pos jnt_stiffness jnt_limite
 BODY_FIELDS = "body_pos body_quat body_mass body_subtreemass body_ipos body_iquat body_inertia"
 OPTIONS = """timestep integrator solver iterations tolerance ls_iterations ls_tolerance cone jacobian impratio gravity density
     viscosity wind disableflags enableflags"""
-
-
-@pytest.fixture(scope="module")
-def cheetah():
-    return make("cheetah_run", engine="c")
-
-
-@pytest.fixture(scope="module")
-def fish():
-    return make("fish_swim", engine="c")
-
-
-def reset_lanes(env, count):
-    return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
-
-
-@pytest.fixture(scope="module")
-def fish_states(fish):
-    return reset_lanes(fish, 500)
 
 
 @pytest.fixture(scope="module")
@@ -70,67 +52,61 @@ def test_cheetah_and_fish_have_the_masses_of_the_suite_and_visual_geoms_have_non
     assert fish.body_mass.sum() == pytest.approx(0.0288 + 0.00053617 + 0.00263894 + 2 * 0.00125664, rel=1e-5)
 
 
-def test_cheetah_speed_and_reward_by_mujocos_own_momentum(cheetah):
+def test_cheetah_speed_and_reward_by_mujocos_own_momentum():
     obs = np.random.default_rng(0).normal(size=(60, 17)) * np.repeat([2.0, 1.0, 9.0], [2, 6, 9])
-    model, sparse = cheetah.simulator.mujoco_model(), dataclasses.replace(cheetah, reward_type="sparse")
-    functions = (cheetah.speed, cheetah.reward, cheetah.success, sparse.reward)
-    values = [np.asarray(jax.jit(function)(jnp.asarray(obs, jnp.float32))) for function in functions]
-    data = mujoco.MjData(model)
-    for row, (speed, reward, success, bit) in zip(obs, zip(*values, strict=True), strict=True):
+    model, data, expected = CHEETAH.simulator.mujoco_model(), mujoco.MjData(CHEETAH.simulator.mujoco_model()), []
+    for row in obs:
         data.qpos[1:], data.qvel[:] = row[:8], row[8:]
         mujoco.mj_forward(model, data)
         mujoco.mj_subtreeVel(model, data)
-        expected = data.subtree_linvel[1, 0]
-        assert speed == pytest.approx(expected, abs=1e-5)
-        assert reward == pytest.approx(np.clip(expected / 10, 0, 1), abs=1e-5)
-        assert success == bit == (expected >= 10)
-    assert 3 < values[2].sum() < 57
+        expected.append(data.subtree_linvel[1, 0])
+    expected, rows = np.array(expected), obs.astype(np.float32)
+    np.testing.assert_allclose(program(CHEETAH, "speed")(rows), expected, atol=1e-5)
+    np.testing.assert_allclose(program(CHEETAH, "reward")(rows), np.clip(expected / 10, 0, 1), atol=1e-5)
+    np.testing.assert_array_equal(program(CHEETAH, "success")(rows), expected >= 10)
+    sparse = dataclasses.replace(CHEETAH, reward_type="sparse")
+    np.testing.assert_array_equal(program(sparse, "reward")(rows), expected >= 10)
+    assert 3 < (expected >= 10).sum() < 57
 
 
-def test_the_settling_procedure_reproduces_the_shipped_cheetah_starts(cheetah):
+def test_the_settling_procedure_reproduces_the_shipped_cheetah_starts():
     shipped, settled = assets.starts("cheetah_run"), settle()
     assert shipped["qpos"].shape == (512, 9)
     np.testing.assert_allclose(shipped["qpos"], settled["qpos"], atol=1e-5)
     np.testing.assert_allclose(shipped["qvel"], settled["qvel"], atol=1e-4)
-    states = reset_lanes(cheetah, 300)
-    rows = {tuple(row) for row in shipped["qpos"].tolist()}
-    drawn = {tuple(row) for row in np.asarray(states.data.qpos).tolist()}
-    assert drawn <= rows
-    assert len(drawn) > 150
-    np.testing.assert_array_equal(states.obs, np.hstack([states.data.qpos[:, 1:], states.data.qvel]))
+    data = starts(CHEETAH).data
+    drawn = {tuple(row) for row in np.asarray(data.qpos).tolist()}
+    assert drawn <= {tuple(row) for row in shipped["qpos"].tolist()}
+    assert len(drawn) > START_COUNT / 2
+    np.testing.assert_array_equal(starts(CHEETAH).obs, np.hstack([data.qpos[:, 1:], data.qvel]))
     with pytest.raises(ValueError, match=r"no starts for 'fish_swim'; choose from .*cheetah_run"):
         assets.starts("fish_swim")
 
 
-def test_crossing_the_end_of_the_lap_does_not_change_the_observation(cheetah):
-    start = cheetah.reset(jax.random.key(0))
-    step = jax.jit(cheetah.step)
-
-    def run(position):
-        qvel = start.data.qvel.at[0].set(9.0)
-        state = start.replace(data=start.data.replace(qpos=start.data.qpos.at[0].set(position), qvel=qvel))
-        for _ in range(5):
-            state = step(state, jnp.full(6, 0.3))
-        return state
-
-    middle, end = run(0.0), run(99.9)
-    np.testing.assert_allclose(middle.obs, end.obs, atol=1e-4)
-    assert float(middle.data.qpos[0]) > 0.3
-    assert -100.0 < float(end.data.qpos[0]) < -99.0
+def test_crossing_the_end_of_the_lap_does_not_change_the_observation():
+    start = first_state(CHEETAH)
+    qpos, qvel = (np.tile(part, (2, 1)) for part in (start.data.qpos, start.data.qvel))
+    qpos[:, 0], qvel[:, 0] = [0.0, 99.9], 9.0
+    lanes = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
+    lanes = lanes.replace(data=lanes.data.replace(qpos=jnp.asarray(qpos), qvel=jnp.asarray(qvel)))
+    states = run_actions(CHEETAH, lanes, np.full((5, 2, 6), 0.3, np.float32))
+    np.testing.assert_allclose(states.obs[-1, 0], states.obs[-1, 1], atol=1e-4)
+    middle, end = states.data.qpos[-1, :, 0].tolist()
+    assert middle > 0.3
+    assert -100.0 < end < -99.0
 
 
-def test_fish_mouth_frame_and_reward_by_mujocos_geometry(fish, fish_states):
-    model = fish.simulator.mujoco_model()
+def test_fish_mouth_frame_and_reward_by_mujocos_geometry():
+    model = FISH.simulator.mujoco_model()
     mouth, target, trunk = model.geom("mouth").id, model.geom("target").id, model.body("trunk").id
     radii = model.geom_size[[mouth, target], 0].sum()
     away = 0.016 * np.arange(12)[:, None] * np.array([0.6, 0.0, 0.8])
-    states = take_lane(fish_states, slice(12)).replace(info={"goal": jnp.asarray(fish.goal_states[:12])})
-    states = jax.jit(jax.vmap(fish.step))(states, jnp.asarray(np.linspace(-1, 1, 60).reshape(12, 5), jnp.float32))
-    np.testing.assert_array_equal(states.data.mocap_pos[:, 0], fish.goal_states[:12], "the target is drawn at the goal")
-    obs = np.hstack([states.obs[:, :33], states.obs[:, 21:24] + away])
-    values = [
-        np.asarray(jax.jit(f)(jnp.asarray(obs, jnp.float32))) for f in (fish.reward, fish.success, fish.target_seen)
-    ]
+    first = starts(FISH, count=12).replace(info={"goal": jnp.asarray(FISH.goal_states[:12])})
+    actions = np.linspace(-1, 1, 60, dtype=np.float32).reshape(1, 12, 5)
+    states = jax.tree.map(lambda leaf: leaf[0], run_actions(FISH, first, actions))
+    np.testing.assert_array_equal(states.data.mocap_pos[:, 0], FISH.goal_states[:12], "the target is drawn at the goal")
+    obs = np.hstack([states.obs[:, :33], states.obs[:, 21:24] + away]).astype(np.float32)
+    values = [np.asarray(program(FISH, name)(obs)) for name in ("reward", "success", "target_seen")]
     for lane, (row, reward, success, seen) in enumerate(zip(obs, *values, strict=True)):
         data = mujoco.MjData(model)
         data.qpos[:], data.mocap_pos[:] = states.data.qpos[lane], row[33:]
@@ -143,32 +119,33 @@ def test_fish_mouth_frame_and_reward_by_mujocos_geometry(fish, fish_states):
         distance = max(np.linalg.norm(gap) - radii, 0.0) / (2 * radii)
         assert reward == pytest.approx((7 * 0.1 ** (distance**2) + (upright + 1) / 2) / 8, abs=1e-5)
         assert success == (lane < 3)
-    sparse = dataclasses.replace(fish, reward_type="sparse").reward(jnp.asarray(obs, jnp.float32))
+    sparse = program(dataclasses.replace(FISH, reward_type="sparse"), "reward")(obs)
     np.testing.assert_array_equal(sparse, np.arange(12) < 3)
 
 
-def test_fish_starts_have_any_orientation_and_slightly_bent_joints(fish_states):
-    qpos = np.asarray(fish_states.data.qpos)
-    np.testing.assert_array_equal(qpos[:, :3], np.tile(np.float32([0, 0, 0.1]), (500, 1)))
+def test_fish_starts_have_any_orientation_and_slightly_bent_joints_and_are_near_an_initial_state():
+    states = starts(FISH)
+    qpos = np.asarray(states.data.qpos)
+    np.testing.assert_array_equal(qpos[:, :3], np.tile(np.float32([0, 0, 0.1]), (START_COUNT, 1)))
     np.testing.assert_allclose(np.linalg.norm(qpos[:, 3:7], axis=1), 1.0, rtol=1e-6)
     np.testing.assert_allclose(qpos[:, 3:7].mean(axis=0), 0.0, atol=0.1)
     np.testing.assert_allclose((qpos[:, 3:7] ** 2).mean(axis=0), 0.25, atol=0.04)
     assert np.abs(qpos[:, 7:]).max() <= 0.2
     assert np.ptp(qpos[:, 7:], axis=0).min() > 0.38
-    assert not np.asarray(fish_states.data.qvel).any()
-    np.testing.assert_array_equal(fish_states.data.mocap_pos[:, 0], fish_states.info["goal"])
+    assert not np.asarray(states.data.qvel).any()
+    np.testing.assert_array_equal(states.data.mocap_pos[:, 0], states.info["goal"])
+    np.testing.assert_allclose(np.linalg.norm(FISH.initial_states - [0, 0, 0.1], axis=1), 0.0745, rtol=1e-5)
+    mouths = np.asarray(states.obs[:, 21:24])
+    nearest = np.linalg.norm(mouths[:, None] - FISH.initial_states, axis=-1).min(axis=1)
+    assert nearest.max() < 0.045, "every start is a success of some backward goal"
 
 
-def test_fish_goals_cover_the_box_of_the_suite_and_initial_states_cover_the_starts(fish, fish_states):
-    goals = fish.goal_states
+def test_fish_goals_cover_the_box_of_the_suite():
+    goals = FISH.goal_states
     np.testing.assert_allclose([goals.min(axis=0), goals.max(axis=0)], [[-0.4, -0.4, 0.1], [0.4, 0.4, 0.3]], rtol=1e-6)
-    assert len({tuple(row) for row in goals.tolist()}) == len(goals) == 405
+    assert len({tuple(row) for row in goals.tolist()}) == len(goals)
     points = np.random.default_rng(0).uniform([-0.4, -0.4, 0.1], [0.4, 0.4, 0.3], (2000, 3))
     assert np.linalg.norm(points[:, None] - goals, axis=-1).min(axis=1).max() < 0.0751
-    mouths = np.asarray(fish_states.obs[:, 21:24])
-    np.testing.assert_allclose(np.linalg.norm(fish.initial_states - [0, 0, 0.1], axis=1), 0.0745, rtol=1e-5)
-    nearest = np.linalg.norm(mouths[:, None] - fish.initial_states, axis=-1).min(axis=1)
-    assert nearest.max() < 0.045, "every start is a success of some backward goal"
 
 
 def load_original(suite, name, seed):
@@ -225,7 +202,7 @@ def test_a_hundred_steps_equal_those_of_dm_control(suite, name, seed):
     From the original's own state, a step differs by one rounding to float32: 1e-6 of the fastest joint. Over the run (1 s or
     4 s), contacts amplify rounding errors. The largest error seen is 4e-6; 1e-5 leaves room for other compilers.
     """
-    env, original = make(name, engine="c"), load_original(suite, name, seed)
+    env, original = make(name), load_original(suite, name, seed)
     data, start = original.physics.data, env.reset(jax.random.key(seed))
     if name == "fish_swim":
         start = env.with_goal(start, jnp.asarray(original.physics.named.model.geom_pos["target"], jnp.float32))
@@ -237,7 +214,7 @@ def test_a_hundred_steps_equal_those_of_dm_control(suite, name, seed):
         fields = ("qpos", "qvel", "qacc_warmstart")
         return state.replace(data=state.data.replace(**{f: jnp.asarray(getattr(data, f), jnp.float32) for f in fields}))
 
-    state, step = with_original_data(start), jax.jit(env.step)
+    state, step = with_original_data(start), program(env, "step")
     for action in np.random.default_rng(seed).uniform(-1, 1, (STEPS, env.action_size)).astype(np.float32):
         single, state, expected = step(with_original_data(state), action), step(state, action), original.step(action)
         expected_obs = np.concatenate([np.atleast_1d(part) for part in expected.observation.values()])

@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.physics.replay_demos import start_state
 from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.envs.minitaur.motors import MinitaurMotors
 from earl_jax.physics.engines import c
-from tests.conftest import take_lane
+from tests.envs.programs import first_state, program, run_actions, starts
 
 EVERY_SAWYER = pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
 NEEDS_WARP = pytest.mark.skipif(
@@ -25,34 +24,30 @@ FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
 """For MJX, whose programs compile for half a minute; the door's is compiled with the suite's own options."""
 
 
-def param(name, fast):
-    """Return the parameter `name`: slow, because MJX compiles a program for it, unless it is the `fast` one."""
-    return pytest.param(name, marks=() if name == fast else pytest.mark.slow)
+def slow_but(fast, names):
+    """Return the parameters `names`, all slow but `fast`, because MJX compiles a program for each."""
+    return [pytest.param(name, marks=() if name == fast else pytest.mark.slow) for name in names]
 
 
-def compile_lanes(name, engine, function):
-    fast = engine == "mjx" and name != "sawyer_door"
-    return jax.jit(jax.vmap(function), compiler_options=FAST_TO_COMPILE if fast else {})
+def play(name, env, states, actions, observe):
+    """Return what `observe` takes from the states [lanes, T, ...] of `env` under `actions [lanes, T, a]`."""
 
+    def step(state, action):
+        state = env.step(state, action)
+        return state, observe(state)
 
-def reset_lanes(env, count):
-    return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), count))
+    lanes = jax.vmap(lambda state, actions: jax.lax.scan(step, state, actions)[1])
+    fast = env.engine == "mjx" and name != "sawyer_door"
+    return np.asarray(jax.jit(lanes, compiler_options=FAST_TO_COMPILE if fast else {})(states, actions))
 
 
 def observe_demonstrations(name, engine, episodes=2, steps=60):
     """Return the observed states [episodes, steps, 7] when `engine` plays the first shipped demonstrations."""
     env, demos = make(name, engine=engine), assets.demos(name, "forward")
     firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
-    actions = jnp.asarray(np.stack([demos.actions[first : first + steps] for first in firsts]))
-
-    def step(state, action):
-        state = env.step(state, action)
-        return state, state.obs[:7]
-
-    starts = [start_state(env, np.hstack([demos.states[first], demos.goals[first]])) for first in firsts]
-    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
-    play = compile_lanes(name, engine, lambda state, actions: jax.lax.scan(step, state, actions)[1])
-    return np.asarray(play(states, actions))
+    actions = np.stack([demos.actions[first : first + steps] for first in firsts])
+    states = jax.jit(jax.vmap(env.state_from_demo))(demos.states[firsts], demos.goals[firsts])
+    return play(name, env, states, actions, lambda state: state.obs[:7])
 
 
 def assert_demonstrations_agree(actual, expected, contact_mm):
@@ -63,7 +58,7 @@ def assert_demonstrations_agree(actual, expected, contact_mm):
     assert 1e3 * np.linalg.norm(actual[..., 4:] - expected[..., 4:], axis=-1).mean() < contact_mm
 
 
-@pytest.mark.parametrize("name", [param(name, "sawyer_door") for name in ("sawyer_door", "sawyer_peg")])
+@pytest.mark.parametrize("name", slow_but("sawyer_door", ["sawyer_door", "sawyer_peg"]))
 def test_mjx_and_c_agree_tightly_before_contact_and_on_average_in_contact(name):
     assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
 
@@ -94,14 +89,8 @@ def joint_positions(name, engine, lanes=2):
     """Return joint positions [lanes, STEPS, nq] under slow sines, with a phase and a speed for each action."""
     env = make(name, engine=engine)
     time, number = np.arange(STEPS)[:, None], np.arange(env.action_size)
-    actions = jnp.asarray(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number), jnp.float32)
-
-    def step(state, action):
-        state = env.step(state, action)
-        return state, state.data.qpos
-
-    play = compile_lanes(name, engine, lambda state: jax.lax.scan(step, state, actions)[1])
-    return np.asarray(play(reset_lanes(env, lanes)))
+    actions = np.float32(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number))
+    return play(name, env, starts(env, count=lanes), np.stack([actions] * lanes), lambda state: state.data.qpos)
 
 
 def assert_joints_agree(name, actual, expected):
@@ -109,7 +98,8 @@ def assert_joints_agree(name, actual, expected):
     np.testing.assert_allclose(actual[:, :EARLY_STEPS], expected[:, :EARLY_STEPS], atol=EARLY_TOLERANCE)
 
 
-@pytest.mark.parametrize("name", [param(name, "minitaur_pen") for name in TOLERANCES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TOLERANCES)
 def test_mjx_and_c_move_the_joints_of_the_other_tasks_alike(name):
     actual, expected = joint_positions(name, "mjx"), joint_positions(name, "c")
     assert np.ptp(expected, axis=1).max() > 0.05, "something moves"
@@ -132,32 +122,30 @@ def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
         return host(rows, stream)
 
     monkeypatch.setattr(c, "host_of", lambda simulator, memory: count_rows)
-    states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), reset_lanes(env, 6))
+    states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), starts(env, count=6))
     action = jnp.array([0.3, -0.2, 0.1, -1.0])
     nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)
     nested.obs.block_until_ready()
     assert row_counts == [6]
-    alone = jax.jit(env.step)(take_lane(states, (1, 2)), action)
+    alone = program(env, "step")(jax.tree.map(lambda leaf: leaf[1, 2], states), action)
     np.testing.assert_allclose(nested.obs[1, 2], alone.obs, rtol=1e-6, atol=1e-6)
 
 
 def test_the_sensors_lag_the_state_by_one_substep():
-    env = make("sawyer_door", engine="c", substeps=1)
-    state = jax.jit(env.reset)(jax.random.key(0))
-    after = jax.jit(env.step)(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
+    env = make("sawyer_door", substeps=1)
+    state = first_state(env)
+    after = program(env, "step")(state, jnp.array([1.0, 1.0, -1.0, 1.0]))
     np.testing.assert_allclose(after.obs[:3], state.obs[:3], atol=1e-6)
     assert np.abs(np.asarray(after.data.qpos[:9] - state.data.qpos[:9])).max() > 1e-4
 
 
 def test_a_broken_lane_on_c_does_not_change_the_others():
     env = make("sawyer_peg", engine="c")
-    states = reset_lanes(env, 3)
+    states = starts(env, count=3)
     broken = states.replace(data=states.data.replace(qvel=states.data.qvel.at[1].set(jnp.nan)))
-    step = jax.jit(jax.vmap(lambda s: env.step(s, jnp.ones(4))))
-    after, unbroken = step(broken), step(states)
-    assert np.asarray(jax.jit(jax.vmap(env.fault))(after)).tolist() == [False, True, False]
-    for lane in (0, 2):
-        np.testing.assert_array_equal(after.obs[lane], unbroken.obs[lane])
+    after, unbroken = (run_actions(env, each, np.ones((1, 3, 4), np.float32)) for each in (broken, states))
+    assert jax.jit(jax.vmap(jax.vmap(env.fault)))(after).tolist() == [[False, True, False]]
+    np.testing.assert_array_equal(after.obs[0, ::2], unbroken.obs[0, ::2])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +160,7 @@ class Unbound:
 
 def test_c_calls_an_actuator_that_cannot_be_bound_before_every_substep():
     env = make("minitaur_pen", engine="c")
-    state, command = jax.jit(env.reset)(jax.random.key(0)).data, jnp.linspace(0, 2, 8)
+    state, command = first_state(env).data, jnp.linspace(0, 2, 8)
     unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
     (actual, _), (expected, _) = jax.jit(unbound.step)(state, command), jax.jit(env.simulator.step)(state, command)
     assert np.abs(np.asarray(expected.qvel - state.qvel)).max() > 0.1

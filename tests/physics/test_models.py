@@ -9,30 +9,26 @@ import pytest
 
 from earl_jax import physics
 from earl_jax.envs import make
+from tests.envs.programs import first_state, program
 
 
-def moved_state(env):
-    state = env.reset(jax.random.key(0))
+@pytest.fixture(scope="module")
+def moved(env):
+    """The state of the kinematic task after two steps."""
+    state = first_state(env)
     for action in ([1.0, 0.5, 0.0], [1.0, -0.2, 0.0]):
-        state = env.step(state, jnp.array(action))
+        state = program(env, "step")(state, jnp.array(action))
     return state
 
 
-def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env):
-    state = moved_state(env)
-    model, data = physics.load_model(env.name), physics.mujoco_data(env.name, state.data)
+def test_mujoco_and_mjx_draw_gripper_and_mug_at_their_observed_positions(env, moved):
+    model, data = physics.load_model(env.name), physics.mujoco_data(env.name, moved.data)
     for body, part in (("gripper", slice(0, 2)), ("mug", slice(2, 4))):
-        np.testing.assert_allclose(data.xpos[model.body(body).id][:2], state.obs[part], atol=1e-6)
-    assert model.nu == 0
-    assert data.ncon == 0
-
-
-def test_mjx_data_agree_with_mujoco_data(env):
-    state = moved_state(env)
-    ours = jax.jit(lambda data: physics.mjx_data(env.name, data))(state.data)
-    theirs = physics.mujoco_data(env.name, state.data)
-    np.testing.assert_allclose(ours.xpos, theirs.xpos, atol=1e-6)
-    np.testing.assert_allclose(ours.qpos, theirs.qpos, atol=1e-7)
+        np.testing.assert_allclose(data.xpos[model.body(body).id][:2], moved.obs[part], atol=1e-6)
+    assert (model.nu, data.ncon) == (0, 0)
+    ours = jax.jit(lambda data: physics.mjx_data(env.name, data))(moved.data)
+    np.testing.assert_allclose(ours.xpos, data.xpos, atol=1e-6)
+    np.testing.assert_allclose(ours.qpos, data.qpos, atol=1e-7)
 
 
 def test_coasters_are_drawn_at_the_goals(env):
@@ -43,7 +39,7 @@ def test_coasters_are_drawn_at_the_goals(env):
 
 
 def test_a_lane_carries_the_integration_state_alone(env):
-    data = env.reset(jax.random.key(0)).data
+    data = first_state(env).data
     assert sum(leaf.size for leaf in jax.tree.leaves(data)) == 4 + 4 + 4 + 1
 
 

@@ -1,0 +1,47 @@
+"""Programs of tasks that several tests share: each is traced once in a process and compiled once in the suite."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+
+START_COUNT = 500
+
+
+@functools.cache
+def program(env, method):
+    """Return the method of `env` with that name as one program; called eagerly, every operation would be one."""
+    return jax.jit(getattr(env, method))
+
+
+@functools.cache
+def first_state(env):
+    return program(env, "reset")(jax.random.key(0))
+
+
+@functools.cache
+def starts(env, method="reset", count=START_COUNT):
+    """Return the states of `count` lanes after a reset, or another method that takes a key."""
+    keys = jax.random.split(jax.random.key(0), count)
+    return jax.jit(jax.vmap(getattr(env, method)))(keys)
+
+
+@functools.cache
+def lanes_program(env):
+    """Return the program `run(states, actions)`: all states [T, lanes, ...] after each of the `actions [T, lanes, a]`."""
+
+    def step(states, action):
+        states = jax.vmap(env.step)(states, action)
+        return states, states
+
+    return jax.jit(lambda states, actions: jax.lax.scan(step, states, actions)[1])
+
+
+def run_actions(env, states, actions):
+    """Return the states [T, lanes, ...] after each of the `actions [T, lanes, a]`, from `states` of these lanes."""
+    return lanes_program(env)(states, actions)
+
+
+def as_lane(state):
+    """Return `state` as a batch of one lane."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)

@@ -1,0 +1,124 @@
+"""Positions on a task's map, and uniform and wide starts: where they lie, and which tasks have them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax import assets
+from earl_jax.envs import list_envs, make, start_of, tabletop
+from earl_jax.envs.sawyer import door
+from earl_jax.envs.sawyer import peg as sawyer_peg
+from tests.envs.programs import START_COUNT, first_state, program, starts
+
+SPARSE = ["sawyer_door", "sawyer_peg", "tabletop_organization"]
+PEG_OPTIONS = [{}, {"listed": True}, {"wide": True}, {"reset_at_goal": True}]
+BODIES = {
+    "dhand_lightbulb": lambda env, state: state.data.qpos[23:25],
+    "fish_swim": lambda env, state: state.data.qpos[:2] + 0.0745 * state.obs[24:33].reshape(3, 3)[:2, 2],
+    "minitaur_pen": lambda env, state: state.data.qpos[:2],
+    "sawyer_door": lambda env, state: jnp.array(env.pose.hand[:2]),
+    "sawyer_peg": lambda env, state: (state.data.qpos[9:12] + sawyer_peg.HEAD)[:2],
+    "tabletop_organization": lambda env, state: state.data.qpos[:2],
+}
+"""The position of the body on the map of each task that has one."""
+
+
+def nearest(positions, places):
+    """Return the distance of each of `positions [n, 2]` to the nearest of `places [k, 2]`."""
+    return np.linalg.norm(np.asarray(positions)[:, None] - places, axis=-1).min(axis=1)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_map_position_is_that_of_the_body_and_lies_within_the_bounds(name):
+    env = make(name)
+    state = first_state(env)
+    position = np.asarray(env.map_position(state.obs))
+    np.testing.assert_allclose(position, BODIES[name](env, state), atol=1e-6)
+    assert ((env.map_bounds[0] <= position) & (position <= env.map_bounds[1])).all()
+    np.testing.assert_array_equal(env.map_position(np.stack([state.obs] * 2)), [position, position])
+
+
+def test_the_papers_variant_of_the_peg_has_the_same_map_position():
+    released, paper = (make("sawyer_peg", variant=variant) for variant in ("released", "paper"))
+    np.testing.assert_array_equal(*(env.map_position(first_state(env).obs) for env in (released, paper)))
+    assert not paper.irreversible(first_state(paper))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("tabletop_organization", {}), ("minitaur_pen", {}), *[("sawyer_peg", options) for options in PEG_OPTIONS]],
+)
+def test_starts_lie_near_the_listed_positions_of_the_map_and_none_is_irreversible(name, options):
+    env = make(name, **options)
+    assert nearest(env.map_position(starts(env).obs), env.map_starts).max() < 0.03
+    assert (env.map_bounds[0] <= env.map_goals).all()
+    assert (env.map_goals <= env.map_bounds[1]).all()
+    assert not jax.jit(jax.vmap(env.irreversible))(starts(env)).any()
+    if env.goal_size == env.state_size:
+        goals = np.asarray(env.map_position(jnp.asarray(np.tile(env.goal_states, 2))))
+        assert options.get("reset_at_goal") or nearest(goals, env.map_goals).max() < 1e-6
+
+
+def test_tasks_without_a_map_uniform_or_wide_starts_say_so():
+    for name in set(list_envs()) - set(BODIES):
+        assert make(name).map_bounds is None
+        with pytest.raises(ValueError, match=f"{name} has no map"):
+            make(name).map_position(jnp.zeros(46))
+    assert make("tabletop_organization", wide=True).map_starts is None
+    assert make("sawyer_door").map_goals is None
+    with pytest.raises(ValueError, match="sawyer_peg has no uniform distribution"):
+        make("sawyer_peg").reset_uniform(jax.random.key(0))
+    assert [name for name in list_envs() if make(name).reset_wide] == SPARSE
+    assert all(make(name, reward_type="dense").reset_wide is None for name in SPARSE)
+    with pytest.raises(ValueError, match="franka_kitchen has no wide starts"):
+        start_of(make("franka_kitchen"), "wide")
+
+
+def test_uniform_starts_cover_the_table_with_a_free_mug_and_every_goal(env):
+    obs = np.asarray(starts(env, "reset_uniform").obs)
+    counts = np.stack([np.histogram(column, 4, (-tabletop.LIMIT, tabletop.LIMIT))[0] for column in obs[:, :4].T])
+    assert counts.sum() == 4 * START_COUNT
+    assert (abs(counts - START_COUNT / 4) < 50).all()
+    np.testing.assert_array_equal(obs[:, 4:6], -1)
+    assert len(np.unique(obs[:, 6:], axis=0)) == 4
+    np.testing.assert_array_equal(starts(env, "reset_uniform").data.qpos, obs[:, :4])
+
+
+@pytest.mark.parametrize(
+    ("name", "other"), [*[(name, "reset_wide") for name in SPARSE], ("tabletop_organization", "reset_uniform")]
+)
+def test_other_starts_have_the_layout_of_ordinary_ones(name, other):
+    env = make(name)
+    trees = [jax.eval_shape(start, jax.random.key(0)) for start in (env.reset, getattr(env, other))]
+    described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), tree) for tree in trees]
+    assert described[0] == described[1]
+
+
+@pytest.mark.parametrize("name", SPARSE)
+def test_hardly_a_wide_start_is_a_success_and_half_of_the_arms_lie_off_the_demonstrations(name):
+    env = make(name)
+    obs = starts(env, "reset_wide").obs
+    assert np.asarray(program(env, "success")(obs)).mean() <= 0.002
+    if name == "tabletop_organization":
+        return
+    demos = assets.demos(name, "forward")
+    first = demos.states[np.append(True, demos.ends[:-1])]
+    low, high = first[:, 4:7].min(axis=0) - 0.02, first[:, 4:7].max(axis=0) + 0.02
+    far = ((obs[:, 4:7] < low) | (obs[:, 4:7] > high)).any(axis=1)
+    assert 0.35 < far.mean() < 0.7
+
+
+def test_the_door_is_anywhere_with_the_arm_at_rest_and_clear_of_it():
+    env = make("sawyer_door")
+    states = starts(env, "reset_wide")
+    angles, hands = np.asarray(states.data.qpos[:, 9]), np.unique(np.asarray(states.obs[:, :3]).round(4), axis=0)
+    assert angles.min() < -1.3
+    assert -0.3 < angles.max() <= -door.NOISE + 1e-4
+    assert len(hands) == 17, "the ordinary pose and sixteen others"
+    away, above = np.linalg.norm(hands[:, :2] - door.HINGE, axis=1), hands[:, 2]
+    assert ((away > 0.45) | (hands[:, 0] < -0.17) | (above > 0.3)).all()
+    moved = jax.jit(jax.vmap(lambda state: env.step(state, jnp.array([0.0, 0.0, 0.0, -1.0]))))(states)
+    resting = np.abs(np.asarray(states.data.qvel)).max(axis=1) == 0
+    assert 0.4 < resting.mean() < 0.6
+    np.testing.assert_allclose(moved.obs[resting, :7], states.obs[resting, :7], atol=1e-4)
