@@ -1,9 +1,6 @@
 """Behaviour cloning: the actor learns the demonstrations before the first step, and nothing afterwards."""
 
-import dataclasses
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,28 +8,24 @@ from earl_jax import InputError
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.cloning import clone, cloning_loss
-from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.training import lifetime
 from earl_jax.training.demo_rows import demonstrations
 from earl_jax.training.plan import prepare
 from earl_jax.training.state import seed_keys
+from tests.algos.lives import OPTIONS, lived
 from tests.conftest import (
-    advance,
     assert_equal_trees,
     make_problem,
     make_train_state,
     take_lane,
     tiny_method,
-    tiny_train,
-    without_shares,
 )
 
-CLONED = {"pretrain_steps": 60, "pretrain_rate": 3e-3}
 
-
-def lane_actor(state, lane=0, controller=0):
-    return jax.tree.map(lambda leaf: leaf[lane, controller], state.lanes.agent.actor)
+def lane_actor(state):
+    """Return the actor of the first lane."""
+    return jax.tree.map(lambda leaf: leaf[0, 0], state.lanes.agent.actor)
 
 
 def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(problem):
@@ -51,31 +44,15 @@ def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(probl
     assert cross[1][1] < cross[1][0]
 
 
-def test_bc_acts_by_its_mode_and_does_not_learn(problem):
-    method = tiny_method("bc", random_steps=0, **CLONED)
-    first = make_train_state(problem, method, [0, 1])
-    last = advance(problem, method, first, 40)
+def test_bc_acts_by_its_mode_and_does_not_learn():
+    method, first, last = lived("bc")
     assert_equal_trees(last.lanes.agent, first.lanes.agent)
     lane, own = take_lane(first.lanes, 0), take_lane(method, 0)
-    obs, actor = lane.env_state.obs, lane_actor(first)
-    np.testing.assert_allclose(
-        sac.act(own.sac, actor, obs, jax.random.key(3), 3), sac.greedy(own.sac, actor, obs, 3), atol=1e-6
-    )
-    start = int(first.replay.row)
-    np.testing.assert_allclose(last.replay.action[start, 0], sac.greedy(own.sac, actor, obs, 3), atol=1e-5)
+    obs, actor, key = lane.env_state.obs, lane_actor(first), jax.random.key(3)
+    drawn, mode = jax.jit(lambda: (sac.act(own.sac, actor, obs, key, 3), sac.greedy(own.sac, actor, obs, 3)))()
+    np.testing.assert_allclose(drawn, mode, atol=1e-6)
+    np.testing.assert_allclose(last.replay.action[int(first.replay.row), 0], mode, atol=1e-5)
     assert all(not np.asarray(value).any() for value in last.lanes.counters.diagnostics.values())
-
-
-def test_bc_alternates_task_goals_and_initial_states(env):
-    problem = make_problem(dataclasses.replace(env, eval_horizon=15))
-    method = tiny_method("bc", random_steps=0, **CLONED)
-    state, seen = make_train_state(problem, method, [0, 1]), []
-    for _ in range(2):
-        is_task = np.asarray(state.lanes.goal_indices.goal) < problem.goals.tasks
-        np.testing.assert_array_equal(is_task, np.asarray(state.lanes.phase) == TASK)
-        seen += np.asarray(state.lanes.phase).tolist()
-        state = advance(problem, method, state, 20)
-    assert set(seen) == {TASK, RETURN}
 
 
 def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program(problem):
@@ -83,49 +60,38 @@ def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program
     assert make_algo("bc", random_steps=20).sac.random_steps == 20
     assert make_algo("naive").sac.random_steps == 1000
     assert prepare(problem, tiny_method("bc", random_steps=0), 2, 120).random_steps == 0
-    method = tiny_method("bc", random_steps=0, **CLONED)
-    demos = demonstrations(problem, method)
-    errors = [
-        float(cloning_loss(lane_actor(make_train_state(problem, m, [0, 1])), m.sac, demos.obs, demos.action))
-        for m in (method, tiny_method("bc", random_steps=0, pretrain_steps=1))
-    ]
-    assert errors[0] < 0.8 * errors[1]
+    method, cloned, _ = lived("bc")
+    demos, blank = demonstrations(problem, method), make_train_state(problem, tiny_method("naive"), [0, 1])
+    error = jax.jit(lambda actor: cloning_loss(actor, method.sac, demos.obs, demos.action))
+    assert error(lane_actor(cloned)) < 0.8 * error(lane_actor(blank))
 
 
-def test_any_method_can_clone_first_and_has_the_actor_of_bc(problem):
-    options = {"random_steps": 0, "pretrain_log_std": -20.0, **CLONED}
-    cloned = make_train_state(problem, tiny_method("bc", **options), [0, 1])
-    for algo in ("risc", "vaprl"):
-        actor = make_train_state(problem, tiny_method(algo, **options), [0, 1]).lanes.agent.actor
-        assert_equal_trees(actor, cloned.lanes.agent.actor, rtol=1e-4, atol=1e-5)
-    noisy = make_train_state(problem, tiny_method("risc", **{**options, "pretrain_log_std": None}), [0, 1])
-    kernels = [state.lanes.agent.actor["params"]["hidden_1"]["kernel"][..., 3:] for state in (noisy, cloned)]
-    assert [bool(kernel.any()) for kernel in kernels] == [True, False]
-    with pytest.raises(InputError, match="naive needs demonstrations to clone, and minitaur_pen has none"):
-        prepare(make_problem(make("minitaur_pen"), eval_every=40), tiny_method("naive", pretrain_steps=5), 2, 120)
+def test_any_method_can_clone_first_and_has_the_actor_of_bc_with_its_own_noise(problem):
+    noisy = make_train_state(problem, tiny_method("risc", **OPTIONS["bc"], pretrain_log_std=None), [0, 1])
+    layers, expected = (state.lanes.agent.actor["params"] for state in (noisy, lived("bc").start))
+    tolerance = {"rtol": 1e-4, "atol": 1e-5}
+    assert_equal_trees(layers["hidden_0"], expected["hidden_0"], **tolerance)
+    for name in ("kernel", "bias"):
+        own, cloned = layers["hidden_1"][name], expected["hidden_1"][name]
+        np.testing.assert_allclose(own[..., :3], cloned[..., :3], **tolerance)
+        assert (own[..., 3:] != cloned[..., 3:]).any()
+    assert not expected["hidden_1"]["kernel"][..., 3:].any()
 
 
 def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(problem, monkeypatch):
     both = demonstrations(problem, tiny_method("bc"))
     monkeypatch.setattr(type(problem.env), "demo_directions", property(lambda self: ("forward",)))
-    method = tiny_method("bc", controllers=2)
-    forward = demonstrations(problem, method)
+    forward = demonstrations(problem, tiny_method("bc", controllers=2))
     assert 0 < len(forward.obs) < len(both.obs)
     assert set(forward.controller.tolist()) == {0}
     assert len(forward.of(1).obs) == len(forward.obs)
 
 
-def test_bc_needs_demonstrations():
-    env = make("minitaur_pen")
-    with pytest.raises(InputError, match="bc needs demonstrations to clone, and minitaur_pen has none"):
-        prepare(make_problem(env, eval_every=40), tiny_method("bc"), 2, 120)
-
-
-def test_bc_trains_by_name_with_finite_metrics():
-    result = tiny_train("bc", random_steps=0, **CLONED)
-    assert all(np.isfinite(values).all() for values in without_shares(result.metrics).values())
-    assert not result.metrics["critic_loss"].any()
-    assert jnp.isfinite(result.policy(0)(jnp.zeros(12))).all()
+@pytest.mark.parametrize(("algo", "options"), [("bc", {}), ("naive", {"pretrain_steps": 5})])
+def test_cloning_needs_demonstrations(algo, options):
+    problem = make_problem(make("minitaur_pen"), eval_every=40)
+    with pytest.raises(InputError, match=f"{algo} needs demonstrations to clone, and minitaur_pen has none"):
+        prepare(problem, tiny_method(algo, **options), 2, 120)
 
 
 def test_a_lifetime_without_random_steps_is_one_program(problem):

@@ -7,17 +7,16 @@ import pytest
 
 from earl_jax import resume
 from earl_jax.algos import make_algo
-from earl_jax.algos.goals import GoalIndices, goal_table
+from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.demo_rows import demo_rows, demonstrations
-from tests.conftest import make_train_state, run_whole, take_lane, tiny_method, tiny_train, without_shares
+from tests.algos.lives import PHASE, lived
+from tests.conftest import CHUNK, take_lane, tiny_method, tiny_train, without_shares
 
 KEYS = jax.random.split(jax.random.key(0), 300)
-PHASE = 8
-"""Steps of a phase in these tests."""
 sample_own = jax.jit(replay_lib.sample_own, static_argnums=(2, 3))
 
 
@@ -29,35 +28,19 @@ def medal(env):
 
 
 @pytest.fixture(scope="module")
-def lived(problem):
-    """Return the start and the end of three phases with random actions: forward, back, forward."""
-    method = tiny_method("medal", phase_steps=PHASE)
-    start = make_train_state(problem, method, [0, 1])
-    return start, run_whole(problem, method, start, 3 * PHASE, explore=True)
-
-
-def reward(method, env, goals, batch, phase, classifier):
-    """Return the rewards of `method`, computed by one program."""
-    return jax.jit(lambda batch, classifier: method.reward(env, goals, batch, phase, classifier))(batch, classifier)
-
-
-def relabel(method, env, goals, batch, phase):
-    return jax.jit(lambda batch: method.relabel(KEYS[0], env, goals, batch, phase))(batch)
+def reward(env, medal):
+    """Return the method's rewards as a program of batch, phase and classifier."""
+    method, goals, _ = medal
+    return jax.jit(lambda *arguments: method.reward(env, goals, *arguments))
 
 
 def make_batch(states, goal, demonstrated=False, no_successor=False):
     size = len(states)
-    no = jnp.zeros(size, bool)
-    flags = TransitionFlags(jnp.broadcast_to(jnp.asarray(goal), size), no, no, no | no_successor, no)
-    return TransitionBatch(
-        row=jnp.arange(size),
-        state=jnp.asarray(states),
-        action=jnp.zeros((size, 3)),
-        next_state=jnp.asarray(states) + 1,
-        reward=jnp.full(size, 0.25),
-        flags=flags,
-        demonstrated=no | demonstrated,
-    )
+    no = np.zeros(size, bool)
+    flags = TransitionFlags(np.broadcast_to(goal, size), no, no, no | no_successor, no)
+    states, rewards = np.asarray(states, np.float32), np.full(size, 0.25, np.float32)
+    action = np.zeros((size, 3), np.float32)
+    return TransitionBatch(np.arange(size), states, action, states + 1, rewards, flags, no | demonstrated)
 
 
 def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(medal):
@@ -90,73 +73,56 @@ def test_mixup_takes_rows_and_labels_in_the_same_shares():
     assert shares[shares < 1].max() > 0.8
 
 
-@pytest.mark.parametrize("logit", [-3.0, 0.0, 2.0, 40.0])
-def test_the_backward_reward_is_the_released_formula(env, medal, logit):
-    method, goals, classifier = medal
-    params = jax.tree.map(jnp.zeros_like, classifier.params)
-    params["params"]["hidden_1"]["bias"] = jnp.array([logit])
+def test_the_backward_reward_is_the_released_formula(medal, reward):
+    _, goals, classifier = medal
     batch = make_batch(goals.table[:3], 0)
-    constant = classifier.replace(params=params)
-    expected = -np.log(1 - 1 / (1 + np.exp(-logit)) + 1e-10)
-    np.testing.assert_allclose(reward(method, env, goals, batch, RETURN, constant), [expected] * 3, rtol=1e-4)
-    np.testing.assert_array_equal(reward(method, env, goals, batch, TASK, constant), batch.reward)
+    blank = jax.tree.map(np.zeros_like, classifier.params["params"])
+    for logit in (-3.0, 0.0, 2.0, 40.0):
+        last = {**blank["hidden_1"], "bias": np.float32([logit])}
+        constant = classifier.replace(params={"params": {**blank, "hidden_1": last}})
+        expected = -np.log(1 - 1 / (1 + np.exp(-logit)) + 1e-10)
+        np.testing.assert_allclose(reward(batch, RETURN, constant), [expected] * 3, rtol=1e-4)
+        np.testing.assert_array_equal(reward(batch, TASK, constant), batch.reward)
 
 
-def test_the_reward_is_that_of_the_next_state_unless_a_reset_overwrote_it(env, medal):
-    method, goals, classifier = medal
-    states = jnp.asarray(goals.table[5:25])
-    goal = jnp.asarray(np.tile(goals.table[2], (20, 1)))
+def test_the_reward_is_that_of_the_next_state_unless_a_reset_overwrote_it(medal, reward):
+    _, goals, classifier = medal
+    states, goal = goals.table[5:8], np.tile(goals.table[2], (3, 1))
     for lost, state in ((False, states + 1), (True, states)):
-        batch = make_batch(states, 2, no_successor=lost)
-        logits = np.asarray(classifier.logits(classifier.params, jnp.concatenate([state, goal], axis=1)))
-        expected = np.logaddexp(0, logits)
-        np.testing.assert_allclose(reward(method, env, goals, batch, RETURN, classifier), expected, rtol=1e-4)
+        logits = np.asarray(classifier.logits(classifier.params, np.concatenate([state, goal], axis=1)))
+        rewards = reward(make_batch(states, 2, no_successor=lost), RETURN, classifier)
+        np.testing.assert_allclose(rewards, np.logaddexp(0, logits), rtol=1e-4)
 
 
-def test_a_way_back_draws_the_task_goal_that_the_next_attempt_keeps(medal):
-    method, goals, _ = medal
-    current = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
-    draw = jax.jit(jax.vmap(lambda key, phase: method.next_goal(key, goals, phase, current, ()), (0, None)))
-    back, forward = draw(KEYS, jnp.asarray(RETURN)), draw(KEYS, jnp.asarray(TASK))
-    assert set(np.asarray(back.goal).tolist()) == {0, 1, 2, 3}
-    np.testing.assert_array_equal(back.goal, back.task)
-    assert (forward.goal == 3).all()
-    assert (forward.task == 3).all()
-    assert bool(method.ends_on_success(jnp.asarray(TASK)))
-    assert not bool(method.ends_on_success(jnp.asarray(RETURN)))
-
-
-def test_phases_in_the_loop_keep_their_goals_and_lists(problem, lived):
-    start, end = lived
+def test_phases_in_the_loop_keep_their_goals_and_lists(problem):
+    """The lanes live a phase forward, one back and a half forward."""
+    _, start, end = lived("medal")
     first = int(start.replay.row)
-    flags = replay_lib.unpack(end.replay.flags[first : first + 3 * PHASE])
-    goals = np.asarray(flags.goal).reshape(3, PHASE, 2)
+    flags = replay_lib.unpack(end.replay.flags[first : first + CHUNK])
+    goals = np.asarray(flags.goal)
     assert (goals < problem.goals.tasks).all()
-    assert (goals == goals[:, :1]).all()
-    np.testing.assert_array_equal(goals[2], goals[1])
-    np.testing.assert_array_equal(np.asarray(flags.timeout)[:, 0], np.arange(1, 3 * PHASE + 1) % PHASE == 0)
-    own = end.replay.counts - start.replay.counts
-    np.testing.assert_array_equal(own, [[2 * PHASE, PHASE]] * 2)
+    assert (goals[:PHASE] == goals[0]).all()
+    assert (goals[PHASE:] == goals[PHASE]).all(), "an attempt keeps the goal of the way back before it"
+    np.testing.assert_array_equal(np.asarray(flags.timeout)[:, 0], np.arange(1, CHUNK + 1) % PHASE == 0)
+    np.testing.assert_array_equal(end.replay.counts - start.replay.counts, [[CHUNK - PHASE, PHASE]] * 2)
 
 
-def test_the_classifier_gets_states_of_ways_back_alone(lived):
-    start, end = lived
-    keys, first = jax.random.split(jax.random.key(5), 2), int(start.replay.row)
-    own = sample_own(end.replay, keys, RETURN, 200)
-    for lane in (0, 1):
-        assert set(np.asarray(own.row[lane]).tolist()) == set(range(first + PHASE, first + 2 * PHASE))
-    assert not own.demonstrated.any()
-    assert sample_own(start.replay, keys, RETURN, 200).demonstrated.all()
-
-
-def test_the_classifier_waits_for_the_first_way_back(problem, lived, medal):
+def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_one(problem, medal):
     method, goals, classifier = medal
+    _, start, end = lived("medal")
+    keys, first = jax.random.split(jax.random.key(5), 2), int(start.replay.row)
+    before, after = (sample_own(state.replay, keys, RETURN, method.own_rows) for state in (start, end))
+    for lane in (0, 1):
+        assert set(after.row[lane].tolist()) == set(range(first + PHASE, first + 2 * PHASE))
+    assert not after.demonstrated.any()
+    assert before.demonstrated.all()
     refresh = jax.jit(lambda own: method.refresh(KEYS[0], problem.env, goals, None, classifier, own))
-    keys = jax.random.split(jax.random.key(5), 2)
-    before, after = [refresh(take_lane(sample_own(state.replay, keys, RETURN, method.own_rows), 0)) for state in lived]
-    leaf = jax.tree.leaves(classifier.params)[0]
-    np.testing.assert_array_equal(jax.tree.leaves(before.params)[0], leaf)
-    assert np.abs(jax.tree.leaves(after.params)[0] - leaf).max() > 1e-3
+    leaf, unchanged, moved = (
+        jax.tree.leaves(state.params)[0]
+        for state in (classifier, *(refresh(take_lane(own, 0)) for own in (before, after)))
+    )
+    np.testing.assert_array_equal(unchanged, leaf)
+    assert np.abs(moved - leaf).max() > 1e-3
 
 
 def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_goal(problem):
@@ -169,14 +135,16 @@ def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_
 
 def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_own(medal, env):
     method, goals, _ = medal
-    batch = make_batch(np.zeros((400, 6)), np.repeat([1, goals.tasks], 200), demonstrated=np.arange(400) % 2 == 0)
-    back = relabel(method, env, goals, batch, RETURN)
+    demonstrated, backward = np.arange(400) % 2 == 0, np.arange(400) >= 200
+    batch = make_batch(np.zeros((400, 6)), np.where(backward, goals.tasks, 1), demonstrated)
+    relabel = jax.jit(lambda phase: method.relabel(KEYS[0], env, goals, batch, phase))
+    back = relabel(RETURN)
     goal = np.asarray(back.flags.goal)
-    np.testing.assert_array_equal(goal[:200], 1)
-    assert set(goal[200::2].tolist()) == {0, 1, 2, 3}
-    np.testing.assert_array_equal(goal[201::2], goals.tasks)  # no demonstration
-    np.testing.assert_array_equal(back.demonstrated, (np.arange(400) % 2 == 0) & (np.arange(400) >= 200))
-    np.testing.assert_array_equal(relabel(method, env, goals, batch, TASK).demonstrated, batch.demonstrated)
+    np.testing.assert_array_equal(goal[~backward], 1)
+    assert set(goal[backward & demonstrated].tolist()) == {0, 1, 2, 3}
+    np.testing.assert_array_equal(goal[backward & ~demonstrated], goals.tasks)
+    np.testing.assert_array_equal(back.demonstrated, demonstrated & backward)
+    np.testing.assert_array_equal(relabel(TASK).demonstrated, demonstrated)
 
 
 def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):

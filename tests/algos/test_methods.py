@@ -1,4 +1,4 @@
-"""Each method's own functions: goals, phases, rewards, curricula."""
+"""One contract for all methods, in a table, and the special functions of the paper's five."""
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,35 @@ from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags, unpack
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.demo_rows import demo_rows
-from tests.conftest import ALGOS, LATER_ALGOS, make_train_state, run_whole, take_lane, tiny_method
+from tests.algos.lives import OPTIONS, lived
+from tests.conftest import (
+    CHUNK,
+    assert_all_finite,
+    make_train_state,
+    run_whole,
+    take_lane,
+    tiny_method,
+    tiny_train,
+    without_shares,
+)
 
 KEYS = jax.random.split(jax.random.key(0), 300)
 CURRENT = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
+ANY, START = {0, 1, 2, 3}, {4}
+METHODS = {
+    "bc": (1, 2, 2, (True, True), 200, (ANY, ANY), (START, {3})),
+    "cfbrl": (1, 2, 2, (True, True), 200, (ANY, ANY), (START, {3})),
+    "fbrl": (2, 2, 2, (True, True), 200, (ANY, ANY), (START, {3})),
+    "medal": (2, 2, 2, (True, False), 300, ({3}, {3}), (ANY, ANY)),
+    "naive": (1, 1, 2, (True,), 1000, (ANY, ANY)),
+    "oracle": (1, 1, 2, (True,), 200, (ANY, ANY)),
+    "r3l": (2, 2, 2, (True, False), 200, (ANY, ANY), ({2}, {3})),
+    "risc": (1, 2, 4, (True, True), 200, (ANY, ANY), (START, {3})),
+    "rlpd": (1, 1, 2, (True,), 1000, (ANY, ANY)),
+    "vaprl": (1, 2, 4, (True, True), 200, ({3}, {3})),
+}
+"""Numbers of controllers, phases and critics; which phases end on success; the steps of a phase; the indices of goals and of task
+goals with which a task phase begins, and a return phase, if the goal was 2 and the task 3 before it."""
 
 
 def next_goals(method, goals, phase, method_state=()):
@@ -37,14 +62,54 @@ def make_batch(states, next_states, row, goal):
 
 
 def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
-    assert list_algos() == sorted([*ALGOS, *LATER_ALGOS])
-    with pytest.raises(ValueError, match=", ".join(list_algos())):
+    assert list_algos() == list(METHODS)
+    with pytest.raises(ValueError, match=", ".join(METHODS)):
         make_algo("ppo")
     with pytest.raises(ValueError, match=r"no option 'gamma'.*discount.*epsilon"):
         make_algo("vaprl", gamma=0.9)
     with pytest.raises(ValueError, match="exists already"):
         register_algo("naive", Method)
     assert make_algo("naive", hidden_sizes=[8, 8]).sac.hidden_sizes == (8, 8)
+
+
+@pytest.mark.parametrize("algo", METHODS)
+def test_a_method_has_its_phases_and_goals(env, algo):
+    method, goals = make_algo(algo), goal_table(env)
+    controllers, phases, critics, ends, steps, *goals_of_phases = METHODS[algo]
+    assert (method.name, method.controllers, method.phases, method.critics) == (algo, controllers, phases, critics)
+    assert method.resets == (algo == "oracle")
+    assert [bool(method.ends_on_success(jnp.asarray(phase))) for phase in range(phases)] == list(ends)
+    assert {method.phase_length(env, jnp.asarray(phase)) for phase in range(phases)} == {steps}
+    assert method.phase_age(jnp.asarray(3), jnp.asarray(7)) == 7
+    method_state = method.init_state(KEYS[0], env, goals) if algo == "vaprl" else ()
+    for phase, expected in enumerate(goals_of_phases):
+        drawn = next_goals(method, goals, phase, method_state)
+        assert tuple(set(indices.tolist()) for indices in drawn) == expected
+        if expected == (ANY, ANY):
+            np.testing.assert_array_equal(drawn.goal, drawn.task)
+
+
+@pytest.mark.parametrize("algo", OPTIONS)
+def test_a_method_beyond_the_papers_lives_for_some_steps(algo):
+    """The paper's five do so in tests/training/test_loop.py."""
+    method, start, end = lived(algo)
+    assert jax.tree.structure(start) == jax.tree.structure(end)
+    assert_all_finite((end.replay, end.lanes.agent, end.lanes.method_state))
+    assert int(end.step) == CHUNK
+    assert int(end.replay.row) - int(start.replay.row) == CHUNK
+    assert (end.replay.counts - start.replay.counts).sum(axis=1).tolist() == [CHUNK] * 2
+    kernels = [np.asarray(jax.tree.leaves(state.lanes.agent.actor)[-1]) for state in (start, end)]
+    moved = np.abs(kernels[1] - kernels[0]).reshape(2, method.controllers, -1).max(axis=-1)
+    assert (moved > 0).all() == (algo != "bc")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", OPTIONS)
+def test_a_method_beyond_the_papers_trains_by_name(algo):
+    result = tiny_train(algo, **OPTIONS[algo])
+    assert all(np.isfinite(values).all() for values in without_shares(result.metrics).values())
+    assert (result.metrics["critic_loss"][:, -1] > 0).all() == (algo != "bc")
+    assert jnp.isfinite(result.policy(0)(jnp.zeros(12))).all()
 
 
 def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):
@@ -59,15 +124,6 @@ def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):
     assert len(last) == 24
 
 
-@pytest.mark.parametrize("algo", ["naive", "oracle"])
-def test_methods_with_one_controller_draw_any_task_goal(env, algo):
-    method, goals = make_algo(algo), goal_table(env)
-    drawn = next_goals(method, goals, TASK)
-    np.testing.assert_array_equal(drawn.goal, drawn.task)
-    assert set(np.asarray(drawn.goal).tolist()) == {0, 1, 2, 3}
-    assert method.phase_length(env, TASK) == (1000 if algo == "naive" else 200)
-
-
 def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(problem):
     method = tiny_method("naive", episode_length=8, global_clock=True)
     state = make_train_state(problem, method, [0, 1])
@@ -76,32 +132,18 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
     state = run_whole(problem, method, state.replace(lanes=lanes), 16, explore=True)
     timeouts = np.asarray(unpack(state.replay.flags[first : first + 16]).timeout)
     np.testing.assert_array_equal(timeouts, np.tile(np.arange(1, 17)[:, None] % 8 == 0, 2))
-    assert make_algo("naive").phase_age(jnp.asarray(3), jnp.asarray(7)) == 7
 
 
-@pytest.mark.parametrize("fixed", [False, True])
-def test_phases_of_fbrl_have_a_fixed_length_on_request(fixed):
-    method = make_algo("fbrl", fixed_phases=fixed)
-    assert [bool(method.ends_on_success(jnp.asarray(phase))) for phase in (TASK, RETURN)] == [not fixed] * 2
-
-
-def test_fbrl_with_one_controller_is_one_agent_with_all_demonstrations(problem):
+def test_fbrl_has_phases_of_a_fixed_length_or_one_controller_on_request(problem):
+    fixed = make_algo("fbrl", fixed_phases=True)
+    assert not any(fixed.ends_on_success(jnp.asarray(phase)) for phase in (TASK, RETURN))
     method = tiny_method("fbrl", controllers=1)
     assert demo_rows(problem, method).listed(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
     state = jax.eval_shape(lambda: make_train_state(problem, method, [0, 1]))
     assert {leaf.shape[:2] for leaf in jax.tree.leaves(state.lanes.agent.actor)} == {(2, 1)}
-    goals = goal_table(problem.env)
-    assert (next_goals(method, goals, RETURN).goal == 4).all()
+    assert (next_goals(method, goal_table(problem.env), RETURN).goal == 4).all()
     with pytest.raises(ValueError, match=r"controllers must lie in \[1, 2\], not 3"):
         make_algo("fbrl", controllers=3)
-
-
-def test_fbrl_returns_to_initial_states_and_keeps_its_task(env):
-    method, goals = make_algo("fbrl"), goal_table(env)
-    back = next_goals(method, goals, RETURN)
-    assert (back.goal == 4).all()
-    assert (back.task == 3).all()
-    assert set(np.asarray(next_goals(method, goals, TASK).goal).tolist()) == {0, 1, 2, 3}
 
 
 def test_fbrl_gives_each_controller_its_own_demonstrations(problem):
@@ -113,136 +155,126 @@ def test_fbrl_gives_each_controller_its_own_demonstrations(problem):
     assert not demo_rows(problem, make_algo("r3l")).listed(1).size
 
 
-def test_r3l_ends_only_the_task_phase_on_success_and_keeps_its_goals_in_the_other(env):
-    method, goals = make_algo("r3l"), goal_table(env)
-    assert bool(method.ends_on_success(jnp.asarray(TASK)))
-    assert not bool(method.ends_on_success(jnp.asarray(RETURN)))
-    kept = next_goals(method, goals, RETURN)
-    assert (kept.goal == 2).all()
-    assert (kept.task == 3).all()
-
-
 def test_rnd_reward_and_scale_are_the_released_formulas(env):
     method, goals = make_algo("r3l"), goal_table(env)
-    method_state = method.init_state(jax.random.key(0), env, goals).replace(sigma=jnp.asarray(0.5))
-    states = goals.candidates[:64]
-    batch = make_batch(states, states, np.arange(64), 0)
-    errors = np.asarray(method_state.error(method_state.predictor, states))
-    np.testing.assert_allclose(method.reward(env, goals, batch, RETURN, method_state), errors / 0.5, rtol=1e-5)
-    np.testing.assert_array_equal(method.reward(env, goals, batch, TASK, method_state), batch.reward)
-    update = jax.jit(lambda method_state, phase: method.update_state(KEYS[0], env, goals, batch, phase, method_state))
-    learnt = update(method_state, jnp.asarray(RETURN))
-    assert float(learnt.sigma) == pytest.approx(0.99 * 0.5 + 0.01 * max(np.std(errors / 0.5), 1e-3), rel=1e-5)
-    after = method_state
+    state = jax.jit(lambda key: method.init_state(key, env, goals))(KEYS[0]).replace(sigma=jnp.asarray(0.5))
+    batch = make_batch(goals.candidates[:64], goals.candidates[:64], np.arange(64), 0)
+    rewards = jax.jit(lambda state, phase: method.reward(env, goals, batch, phase, state))
+    update = jax.jit(lambda state, phase: method.update_state(KEYS[0], env, goals, batch, phase, state))
+    errors = jax.jit(lambda state: state.error(state.predictor, batch.state))
+    before = np.asarray(errors(state))
+    np.testing.assert_allclose(rewards(state, RETURN), before / 0.5, rtol=1e-5)
+    np.testing.assert_array_equal(rewards(state, TASK), batch.reward)
+    expected = 0.99 * 0.5 + 0.01 * max(np.std(before / 0.5), 1e-3)
+    assert float(update(state, RETURN).sigma) == pytest.approx(expected, rel=1e-5)
+    after = state
     for _ in range(30):
-        after = update(after, jnp.asarray(RETURN))
-    assert float(after.error(after.predictor, states).mean()) < 0.7 * errors.mean()
-    unchanged = update(method_state, jnp.asarray(TASK))
+        after = update(after, RETURN)
+    assert errors(after).mean() < 0.7 * before.mean()
+    unchanged = update(state, TASK)
     assert float(unchanged.sigma) == 0.5
-    np.testing.assert_array_equal(unchanged.error(unchanged.predictor, states), errors)
+    np.testing.assert_array_equal(errors(unchanged), before)
 
 
-def test_vaprl_chooses_the_valued_state_nearest_the_start_or_else_the_best_valued(env):
-    method, goals = make_algo("vaprl", epsilon=0.1, nearest_fallback=False), goal_table(env)
+def test_the_preset_of_rlpd_has_its_papers_learner_and_updates_the_whole_ensemble_as_often_as_asked():
+    sac = make_algo("rlpd").sac
+    values = sac.timeout_bootstrap, sac.layer_norm, sac.demo_share, sac.ensemble, sac.target_subset, sac.backup_entropy
+    assert values == (True, True, 0.5, 10, 2, False)
+    assert make_algo("rlpd", utd=20).sac.utd == 20
+    _, start, end = lived("rlpd")
+    agent = end.lanes.agent
+    assert {leaf.shape[:3] for leaf in jax.tree.leaves(agent.critics)} == {(2, 1, 4)}
+    np.testing.assert_array_equal(agent.moments["critics"].count, [[3 * CHUNK], [3 * CHUNK]])
+    np.testing.assert_array_equal(agent.moments["actor"].count, [[CHUNK], [CHUNK]])
+    for old, new in zip(*(jax.tree.leaves(state.lanes.agent.critics) for state in (start, end)), strict=True):
+        assert (np.abs(np.asarray(new) - np.asarray(old)).max(axis=tuple(range(3, old.ndim))) > 0).all()
+
+
+@pytest.mark.parametrize("fallback", [False, True])
+def test_vaprl_chooses_the_valued_state_nearest_the_start_or_a_fallback(env, fallback):
+    method, goals = make_algo("vaprl", epsilon=0.1, nearest_fallback=fallback), goal_table(env)
+    choose = jax.jit(lambda values: method.choose(values, goals))
     distance = np.linalg.norm(goals.candidates - env.initial_states[0], axis=1)
-    values = np.zeros(len(distance), np.float32)
-    values[[50, 500, 900]] = [0.2, 0.9, 0.15]
-    able = np.array([50, 500, 900])
-    assert int(method.choose(jnp.asarray(values), goals)) == able[np.argmin(distance[able])]
-    assert int(method.choose(jnp.asarray(values / 100), goals)) == 500
-    everything = jnp.ones(len(distance))
-    assert distance[int(method.choose(everything, goals))] == distance.min()
-
-
-def test_vaprl_begins_at_the_state_nearest_the_start(env):
-    method, goals = make_algo("vaprl", epsilon=0.1), goal_table(env)
-    distance = np.linalg.norm(goals.candidates - env.initial_states[0], axis=1)
-    values = jnp.zeros(len(distance)).at[500].set(0.05)
+    values, able = np.zeros(len(distance), np.float32), np.array([50, 500, 900])
+    values[able] = [0.2, 0.9, 0.15]
+    assert int(choose(values)) == able[np.argmin(distance[able])]
     assert distance[500] > distance.min()
-    assert distance[int(method.choose(values, goals))] == distance.min()
-    assert int(method.choose(10 * values, goals)) == 500
+    assert distance[int(choose(values / 100))] == (distance.min() if fallback else distance[500])
+    assert distance[int(choose(np.ones(len(distance), np.float32)))] == distance.min()
 
 
 def test_vaprl_draws_its_next_task_when_it_returns(env):
     method, goals = make_algo("vaprl"), goal_table(env)
-    method_state = method.init_state(KEYS[0], env, goals)
-    values = method_state.values.at[:, 77].set(1.0)
-    back = next_goals(method, goals, RETURN, method_state.replace(values=values))
+    values = jnp.zeros((goals.tasks, len(goals.candidates))).at[:, 77].set(1.0)
+    back = next_goals(method, goals, RETURN, method.init_state(KEYS[0], env, goals).replace(values=values))
     assert (back.goal == 5 + 77).all()
-    assert set(np.asarray(back.task).tolist()) == {0, 1, 2, 3}
-    forward = next_goals(method, goals, TASK, method_state)
-    assert (forward.goal == 3).all()
-    assert (forward.task == 3).all()
+    assert set(back.task.tolist()) == ANY
 
 
 def test_vaprl_values_come_from_the_entropy_free_pair(problem):
-    method = tiny_method("vaprl", 1, reward_scale=10.0)
-    lane = take_lane(make_train_state(problem, method, [0]).lanes, 0)
-    lane_method = take_lane(method, 0)
+    method = take_lane(tiny_method("vaprl", 1, reward_scale=10.0), 0)
+    lane = take_lane(make_train_state(problem, tiny_method("vaprl", 1), [0]).lanes, 0)
 
     @jax.jit
-    def values(critics):
-        agent = lane.agent.replace(critics=critics)
-        return lane_method.refresh(KEYS[0], problem.env, problem.goals, agent, lane.method_state, None).values
+    def values(first, amount):
+        critics = lane.agent.critics["params"]
+        bias = jax.lax.dynamic_update_slice(critics["hidden_1"]["bias"], jnp.full((1, 2, 1), amount), (0, first, 0))
+        agent = lane.agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
+        return method.refresh(KEYS[0], problem.env, problem.goals, agent, lane.method_state, None).values
 
-    base = values(lane.agent.critics)
+    base = values(0, 0.0)
     assert base.shape == (4, len(problem.goals.candidates))
-
-    def shift_bias(first, stop, amount):
-        critics = jax.tree.map(jnp.copy, lane.agent.critics)
-        bias = critics["params"]["hidden_1"]["bias"]
-        critics["params"]["hidden_1"]["bias"] = bias.at[0, first:stop].add(amount)
-        return critics
-
-    np.testing.assert_allclose(values(shift_bias(0, 2, 5.0)), base, atol=1e-5)
-    np.testing.assert_allclose(values(shift_bias(2, 4, 5.0)), base + 0.5, atol=1e-5)
+    np.testing.assert_allclose(values(0, 5.0), base, atol=1e-5)
+    np.testing.assert_allclose(values(2, 5.0), base + 0.5, atol=1e-5)
 
 
-def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env):
-    method, goals = make_algo("vaprl", relabel_share=1.0, unmet_goals=False), goal_table(env)
-    row = len(goals.candidates) + 5
-    states = np.tile(env.goal_states[1], (4000, 1))
-    batch = make_batch(states, states, np.full(4000, row), 0)
-    relabel = jax.jit(lambda batch: method.relabel(jax.random.key(1), env, goals, batch, TASK))
-    new = relabel(batch)
-    assert len(set(np.asarray(new.flags.goal).tolist())) > 1500
-    expected = np.linalg.norm(goals.table[new.flags.goal][:, :4] - env.goal_states[1][:4], axis=1) <= 0.2
+RELABELLING = {unmet: make_algo("vaprl", relabel_share=1.0, unmet_goals=unmet) for unmet in (False, True)}
+"""VaPRL with another goal for every transition; with `unmet_goals`, only if its state does not meet it."""
+
+
+@pytest.fixture(scope="module")
+def relabel(env):
+    return jax.jit(lambda method, batch: method.relabel(jax.random.key(1), env, goal_table(env), batch, TASK))
+
+
+@pytest.fixture(scope="module")
+def batch(env):
+    """4000 transitions that were not demonstrated, at the second goal."""
+    states, goals = np.tile(env.goal_states[1], (4000, 1)), goal_table(env)
+    return make_batch(states, states, np.full(4000, len(goals.candidates) + 5), 0)
+
+
+def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env, relabel, batch):
+    new = relabel(RELABELLING[False], batch)
+    assert len(set(new.flags.goal.tolist())) > 1500
+    goals = goal_table(env).table[new.flags.goal]
+    expected = np.linalg.norm(goals[:, :4] - env.goal_states[1][:4], axis=1) <= 0.2
     np.testing.assert_array_equal(new.flags.reached, expected)
     np.testing.assert_array_equal(new.reward, expected.astype(np.float32))
     assert expected.any()
-    no_successor = batch._replace(flags=batch.flags._replace(no_successor=jnp.ones(4000, bool)))
-    assert (relabel(no_successor).flags.goal == 0).all()
+    ended = batch._replace(flags=batch.flags._replace(no_successor=jnp.ones(4000, bool)))
+    assert (relabel(RELABELLING[False], ended).flags.goal == 0).all()
 
 
-def test_vaprl_with_unmet_goals_keeps_the_goal_of_a_state_that_meets_the_new_one(env):
-    goals = goal_table(env)
-    states = np.tile(env.goal_states[1], (4000, 1))
-    batch = make_batch(states, states, np.full(4000, len(goals.candidates) + 5), 0)
-    drawn, kept = (
-        jax.jit(lambda batch, method=method: method.relabel(jax.random.key(1), env, goals, batch, TASK))(batch)
-        for method in (make_algo("vaprl", relabel_share=1.0, unmet_goals=unmet) for unmet in (False, True))
-    )
+def test_vaprl_keeps_the_goal_of_a_state_that_meets_the_new_one(relabel, batch):
+    drawn, kept = (relabel(RELABELLING[unmet], batch) for unmet in (False, True))
     met = np.asarray(drawn.flags.reached)
     assert 0 < met.sum() < 4000
     np.testing.assert_array_equal(kept.flags.goal, np.where(met, 0, drawn.flags.goal))
 
 
-def test_vaprl_relabels_demonstrations_with_their_own_later_states(env):
-    method, goals = make_algo("vaprl", relabel_share=1.0, unmet_goals=False), goal_table(env)
-    row = np.repeat(np.arange(100), 40)
+def test_vaprl_relabels_demonstrations_with_their_own_later_states(env, relabel):
+    goals, row = goal_table(env), np.repeat(np.arange(100), 40)
     batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row, 0)
-    relabel = jax.jit(lambda batch: method.relabel(jax.random.key(1), env, goals, batch, TASK))
-    later = np.asarray(relabel(batch).flags.goal) - 5
+    later = np.asarray(relabel(RELABELLING[False], batch).flags.goal) - 5
     assert (later > row).all()
     assert (later <= goals.ends[row]).all()
     assert len(set(later[row == 60].tolist())) > 20
 
 
-def test_time_outs_are_terminal_unless_bootstrapped(env):
-    goals = goal_table(env)
-    batch = make_batch(goals.candidates[:4], goals.candidates[1:5], np.arange(4), 0)
-    flags = batch.flags._replace(reached=jnp.array([1, 0, 1, 0], bool), timeout=jnp.array([0, 1, 0, 0], bool))
-    batch = batch._replace(flags=flags)
-    np.testing.assert_array_equal(make_algo("naive").terminal(batch, TASK), [True, True, True, False])
-    bootstrapped = make_algo("naive", timeout_bootstrap=True).terminal(batch, TASK)
-    np.testing.assert_array_equal(bootstrapped, [True, False, True, False])
+def test_time_outs_are_terminal_unless_bootstrapped():
+    batch = make_batch(*np.zeros((2, 4, 6)), np.arange(4), 0)
+    flags = batch.flags._replace(reached=np.array([1, 0, 1, 0], bool), timeout=np.array([0, 1, 0, 0], bool))
+    for bootstrap, expected in ((False, [True, True, True, False]), (True, [True, False, True, False])):
+        terminal = make_algo("naive", timeout_bootstrap=bootstrap).terminal(batch._replace(flags=flags), TASK)
+        assert terminal.tolist() == expected

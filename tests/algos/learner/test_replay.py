@@ -14,7 +14,8 @@ from earl_jax.training.scan import run_steps
 from tests.conftest import assert_equal_trees, make_train_state, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 2)
-NO_DEMO_SHARE = jnp.zeros(2)
+NO_DEMO_SHARE = np.zeros(2, np.float32)
+DRAWS = 200
 # Each is one program; called eagerly, every operation would be one.
 sample = jax.jit(replay.sample, static_argnums=3)
 write = jax.jit(replay.write)
@@ -53,48 +54,39 @@ def test_each_controller_samples_its_own_valid_rows():
     valid = [(True, True), (True, True), (False, True), (True, True), (True, False)]
     buffer = fill_replay(controllers, valid)
     for controller, expected in ((0, [{0, 4}, {2, 3}]), (1, [{1, 3}, {0, 1}])):
-        batch = sample(buffer, KEYS, np.full(2, controller, np.int32), 200, NO_DEMO_SHARE)
-        for lane in range(2):
-            row = np.asarray(batch.row[lane])
-            assert set(row.tolist()) == expected[lane]
-            np.testing.assert_allclose(batch.action[lane, :, 0], 10 * row + lane)
-            np.testing.assert_allclose(batch.next_state[lane, :, 0], 10 * row + lane + 1000)
-            np.testing.assert_allclose(batch.state[lane, :, 0], np.where(row == 0, 0, 990 + 10 * row + lane))
-            np.testing.assert_allclose(batch.reward[lane], 10 * row + lane)
-            np.testing.assert_array_equal(batch.flags.goal[lane], row)
+        batch = sample(buffer, KEYS, np.full(2, controller, np.int32), DRAWS, NO_DEMO_SHARE)
+        assert [set(rows.tolist()) for rows in batch.row] == expected
+        row, number = np.asarray(batch.row), 10 * np.asarray(batch.row) + np.array([[0], [1]])
+        np.testing.assert_allclose(batch.action[..., 0], number)
+        np.testing.assert_allclose(batch.next_state[..., 0], number + 1000)
+        np.testing.assert_allclose(batch.state[..., 0], np.where(row == 0, 0, number + 990))
+        np.testing.assert_allclose(batch.reward, number)
+        np.testing.assert_array_equal(batch.flags.goal, row)
 
 
 def test_a_controller_without_rows_samples_those_of_the_other():
     buffer = fill_replay([(0, 1), (0, 1)], [(True, True)] * 2)
-    batch = sample(buffer, KEYS, jnp.array([1, 0]), 50, NO_DEMO_SHARE)
-    for lane in range(2):
-        assert {int(row) for row in batch.row[lane]} == {0, 1}
+    batch = sample(buffer, KEYS, np.array([1, 0], np.int32), DRAWS, NO_DEMO_SHARE)
+    assert [set(rows.tolist()) for rows in batch.row] == [{0, 1}] * 2
 
 
 def test_a_sparse_reward_is_the_success_bit():
     buffer = fill_replay([(0, 0)] * 4, [(True, True)] * 4, sparse=True)
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 100, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, NO_DEMO_SHARE)
     np.testing.assert_array_equal(batch.reward[0], batch.row[0] % 2 == 0)
     assert not batch.reward[1].any()
 
 
-def test_sampling_is_uniform():
-    buffer = fill_replay([(0, 0)] * 8, [(True, True)] * 8)
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 8000, NO_DEMO_SHARE)
-    counts = np.bincount(np.asarray(batch.row[0]), minlength=8)
-    assert np.abs(counts - 1000).max() < 150
-
-
-def test_a_share_of_the_batch_comes_from_the_demonstrations():
-    buffer = fill_replay([(0, 0)] * 8, [(True, True)] * 8).replace(demos=jnp.array([2, 0]))
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 8000, jnp.array([0.5, 0.0]))
-    assert abs((batch.row[0] < 2).mean() - (0.5 + 0.5 * 0.25)) < 0.02
-    assert abs((batch.row[1] < 2).mean() - 0.25) < 0.02
+def test_sampling_is_uniform_but_for_a_share_of_demonstrations():
+    buffer = fill_replay([(0, 0)] * 8, [(True, True)] * 8).replace(demos=np.array([2, 0], np.int32))
+    rows = np.asarray(sample(buffer, KEYS, np.zeros(2, np.int32), 8000, np.float32([0.5, 0.0])).row)
+    assert abs((rows[0] < 2).mean() - (0.5 + 0.5 * 0.25)) < 0.02
+    assert np.abs(np.bincount(rows[1], minlength=8) - 1000).max() < 150
 
 
 def kept_steps(buffer, controller, lane):
     """Return the steps of `make_transition` that `controller` samples in `lane`, whose rows must be consistent."""
-    batch = sample(buffer, KEYS, np.full(2, controller, np.int32), 200, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.full(2, controller, np.int32), DRAWS, NO_DEMO_SHARE)
     action = np.asarray(batch.action[lane, :, 0])
     np.testing.assert_allclose(batch.next_state[lane, :, 0], action + 1000)
     np.testing.assert_allclose(batch.state[lane, :, 0], np.where(action < 10, 0, action + 990))
@@ -110,7 +102,7 @@ LONG = RNG.integers(2, size=(30, 2)), RNG.random((30, 2)) < 0.8
 @pytest.mark.parametrize("length", [3, 4, 5, 9, 30])
 def test_a_replay_with_a_capacity_keeps_the_newest_transitions_of_each_controller(length):
     controllers, valid = LONG[0][:length], LONG[1][:length]
-    buffer = fill_replay(controllers, valid, buffer=replay.create(4 + 1, 2, 1, 1, False, slots=2 * 4))
+    buffer = fill_replay(controllers, valid, buffer=ring(4))
     newest = np.arange(length) >= length - 4
     for controller, lane in itertools.product(range(2), range(2)):
         steps = np.flatnonzero(newest & valid[:, lane] & (controllers[:, lane] == controller))
@@ -130,38 +122,37 @@ def with_demonstrations(own):
 
 def test_a_replay_with_a_capacity_keeps_its_demonstrations():
     buffer = fill_replay([(0, 0)] * 11, [(True, True)] * 11, buffer=with_demonstrations(3))
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), 200, NO_DEMO_SHARE)
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, NO_DEMO_SHARE)
     rows, steps = np.asarray(batch.row[0]), np.asarray(batch.flags.goal[0])
     assert set(rows[rows < 3].tolist()) == {0, 1}
     assert set(steps[rows >= 3].tolist()) == {8, 9, 10}
     np.testing.assert_allclose(batch.next_state[0, rows >= 3, 0], 1000 + 10.0 * steps[rows >= 3])
-    shared = sample(buffer, KEYS, np.zeros(2, np.int32), 200, jnp.ones(2))
+    shared = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.ones(2, np.float32))
     assert set(np.asarray(shared.row).ravel().tolist()) == {0, 1}
 
 
+def assert_equal_samples(*buffers):
+    for controller in np.eye(2, dtype=np.int32):
+        assert_equal_trees(*(sample(buffer, KEYS, controller, DRAWS, NO_DEMO_SHARE) for buffer in buffers))
+
+
+def ring(own):
+    """Return an empty replay that keeps `own` transitions."""
+    return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
+
+
 def test_a_capacity_that_is_never_reached_changes_no_sample():
-    plain = fill_replay(*LONG)
-    buffer = fill_replay(*LONG, buffer=replay.create(30 + 1, 2, 1, 1, False, slots=2 * 30))
-    for controller in (0, 1):
-        batches = [sample(each, KEYS, np.full(2, controller, np.int32), 50, NO_DEMO_SHARE) for each in (plain, buffer)]
-        assert_equal_trees(*batches)
+    assert_equal_samples(fill_replay(*LONG), fill_replay(*LONG, buffer=ring(30)))
 
 
 def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_is_full():
-    def create(own):
-        return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
-
-    full = fill_replay(*LONG, buffer=create(4))
-    assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], create(4)), full)
-    controllers, valid = LONG[0][:6], LONG[1][:6]
-    short = fill_replay(controllers, valid, buffer=create(6))
-    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], create(9)))
-    expected = fill_replay(controllers, valid, buffer=create(9))
-    for controller in (0, 1):
-        batches = [
-            sample(each, KEYS, np.full(2, controller, np.int32), 50, NO_DEMO_SHARE) for each in (grown, expected)
-        ]
-        assert_equal_trees(*batches)
+    full = fill_replay(*LONG, buffer=ring(4))
+    assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], ring(4)), full)
+    rows = LONG[0][:6], LONG[1][:6]
+    short = fill_replay(*rows, buffer=ring(6))
+    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], ring(9)))
+    expected = fill_replay(*rows, buffer=ring(9))
+    assert_equal_samples(grown, expected)
     assert int(grown.row) == int(expected.row)
 
 

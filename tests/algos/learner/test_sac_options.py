@@ -23,19 +23,13 @@ act_with_log_prob = jax.jit(sac_lib.act_with_log_prob, static_argnums=4)
 
 @pytest.fixture(scope="module")
 def batch():
-    keys = jax.random.split(jax.random.key(0), 4)
-    return Batch(
-        obs=jax.random.normal(keys[0], (ROWS, 4)),
-        action=jax.random.uniform(keys[1], (ROWS, SIZE), minval=-1, maxval=1),
-        reward=jax.random.normal(keys[2], (ROWS,)),
-        terminal=jnp.arange(ROWS) == 0,
-        next_obs=jax.random.normal(keys[3], (ROWS, 4)),
-        demonstrated=jnp.arange(ROWS) % 4 == 1,
-        step=jnp.asarray(0),
-    )
+    rng, rows = np.random.default_rng(0), np.arange(ROWS)
+    obs, next_obs = rng.normal(size=(2, ROWS, 4)).astype(np.float32)
+    action, reward = rng.uniform(-1, 1, (ROWS, SIZE)).astype(np.float32), rng.normal(size=ROWS).astype(np.float32)
+    return Batch(obs, action, reward, rows == 0, next_obs, demonstrated=rows % 4 == 1, step=np.int32(0))
 
 
-@pytest.mark.parametrize(("subset", "entropy", "critics"), [(2, True, 2), (2, False, 4), (1, False, 2), (5, True, 2)])
+@pytest.mark.parametrize(("subset", "entropy", "critics"), [(2, True, 2), (1, False, 4), (5, True, 2)])
 def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, subset, entropy, critics):
     sac = SMALL.replace(ensemble=5, target_subset=subset, backup_entropy=entropy)
     agent, keys = init(jax.random.key(1), sac, 4, SIZE, critics=critics), jax.random.split(jax.random.key(2), 12)
@@ -80,50 +74,44 @@ def assert_first_gradient(agent, grads):
 
 def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
     sac, agent = SMALL.replace(utd=4), init(jax.random.key(1), SMALL, 4, SIZE)
-    parts = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * 4), batch._replace(step=None))
-    parts = parts._replace(reward=jnp.repeat(jnp.arange(4.0), ROWS), terminal=jnp.ones(4 * ROWS, bool), step=batch.step)
-    after, _ = jax.jit(lambda a, b: sac_lib.update(sac, a, b, jax.random.key(4)))(agent, parts)
-    assert int(after.moments["critics"].count) == 4
-    assert int(after.moments["actor"].count) == 1
-    assert int(after.moments["temperature"].count) == 1
+    whole = jax.tree.map(lambda leaf: np.concatenate([leaf] * 4), batch._replace(step=None))
+    whole = whole._replace(
+        reward=np.arange(4, dtype=np.float32).repeat(ROWS), terminal=np.ones(4 * ROWS, bool), step=batch.step
+    )
+    after, _ = jax.jit(lambda a, b: sac_lib.update(sac, a, b, jax.random.key(4)))(agent, whole)
+    counts = {name: int(moments.count) for name, moments in after.moments.items()}
+    assert counts == {"critics": 4, "actor": 1, "temperature": 1}
 
     @jax.jit
-    def by_hand(agent):
-        for number in range(4):
-            part = batch._replace(reward=jnp.full(ROWS, float(number)), terminal=jnp.ones(ROWS, bool))
-            agent, _ = sac_lib._update_critics(sac, agent, part, jax.random.key(0))  # terminal: no action is drawn
-            slow = jax.tree.map(lambda s, f: s + 0.005 * (f - s), agent.targets, agent.critics)
-            agent = agent.replace(targets=slow)
-        return agent
+    def update_critics(agent, number):
+        part = batch._replace(reward=jnp.full(ROWS, number), terminal=np.ones(ROWS, bool))
+        agent, _ = sac_lib._update_critics(sac, agent, part, jax.random.key(0))  # terminal: no action is drawn
+        slow = jax.tree.map(lambda s, f: s + 0.005 * (f - s), agent.targets, agent.critics)
+        return agent.replace(targets=slow)
 
+    by_hand = agent
+    for number in range(4):
+        by_hand = update_critics(by_hand, float(number))
     for field in ("critics", "targets"):
-        pairs = zip(*[jax.tree.leaves(getattr(a, field)) for a in (after, by_hand(agent))], strict=True)
-        for actual, expected in pairs:
+        for actual, expected in zip(*[jax.tree.leaves(getattr(a, field)) for a in (after, by_hand)], strict=True):
             np.testing.assert_allclose(actual, expected, atol=1e-6)
 
 
-def test_the_averaged_actor_follows_the_actor_and_is_deployed(batch):
-    sac, key = SMALL.replace(actor_average_rate=0.25), jax.random.key(4)
-    agent = init(jax.random.key(1), sac, 4, SIZE)
-    agent = agent.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, agent.actor))
-    after, _ = jax.jit(sac_lib.update)(sac, agent, batch, key)
+def test_the_averaged_actor_follows_the_actor_is_deployed_and_changes_no_learning(batch):
+    update, key = jax.jit(sac_lib.update), jax.random.key(4)
+    averaging = SMALL.replace(actor_average_rate=0.25)
+    first, plain = init(jax.random.key(1), averaging, 4, SIZE), init(jax.random.key(1), SMALL, 4, SIZE)
+    agent = first.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, first.actor))
+    after, without = update(averaging, agent, batch, key)[0], update(SMALL, plain, batch, key)[0]
     for slow, old, new in zip(*map(jax.tree.leaves, (after.averaged, agent.averaged, after.actor)), strict=True):
         np.testing.assert_allclose(slow, 0.75 * old + 0.25 * new, atol=1e-6)
     assert after.deployed_actor is after.averaged
     other = after.with_actor(agent.actor)
     assert other.actor is other.averaged is agent.actor
-
-
-def test_without_an_average_the_actor_is_deployed_and_learns_the_same(batch):
-    keys = jax.random.key(1), jax.random.key(4)
-    ends = [
-        jax.jit(sac_lib.update)(sac, init(keys[0], sac, 4, SIZE), batch, keys[1])[0]
-        for sac in (SMALL, SMALL.replace(actor_average_rate=0.25))
-    ]
-    assert ends[0].averaged is None
-    assert ends[0].deployed_actor is ends[0].actor
-    for plain, beside in zip(*[jax.tree.leaves(end.actor) for end in ends], strict=True):
-        np.testing.assert_allclose(plain, beside, rtol=1e-6)
+    assert without.averaged is None
+    assert without.deployed_actor is without.actor
+    for beside, alone in zip(*map(jax.tree.leaves, (after.actor, without.actor)), strict=True):
+        np.testing.assert_allclose(beside, alone, rtol=1e-6)
 
 
 def test_the_gradient_of_the_cloning_term_is_the_analytic_one(batch):
@@ -150,7 +138,7 @@ def test_the_actor_s_gradient_has_the_cloning_term_added(batch):
     @jax.grad
     def term(actor):
         mode = TanhNormal(SIZE).mode(sac_lib._policy(sac, actor, batch.obs, SIZE))
-        errors = jnp.square(mode - batch.action)[batch.demonstrated.nonzero(size=2)[0]]
+        errors = jnp.square(mode - batch.action)[batch.demonstrated]
         return 3.0 * 2.0 * errors.mean()
 
     both = jax.tree.map(lambda moment, grad: 10 * moment + grad, plain.moments["actor"].mu, term(agent.actor))
