@@ -10,38 +10,54 @@ from earl_jax import assets
 from earl_jax.demos import scripted
 from earl_jax.envs import make
 
-
-def test_tabletop_ships_twelve_demonstrations_per_direction_and_three_per_goal(env):
-    for direction in assets.DIRECTIONS:
-        shipped = assets.demos(env.name, direction)
-        assert shipped.ends.sum() == 12
-        np.testing.assert_array_equal(shipped.rewards > 0, shipped.ends)
-        lengths = np.diff(np.flatnonzero(np.append(True, shipped.ends)))
-        assert lengths.min() >= 80
-        assert lengths.max() <= 130
-    forward = assets.demos(env.name, "forward")
-    for goal in env.goal_states:
-        assert (forward.goals[forward.ends] == goal).all(axis=1).sum() == 3
-    backward = assets.demos(env.name, "backward")
-    assert (backward.goals == env.initial_states[0]).all()
+COUNTS = {"tabletop_organization": 12, "sawyer_door": 5, "sawyer_peg": 10}
+"""The paper's number of demonstrations of each task that has some, in each direction."""
 
 
-def test_demos_command_reproduces_the_shipped_file(env):
-    recorded = scripted.make(env, seed=0)
-    for direction in assets.DIRECTIONS:
-        shipped = assets.demos(env.name, direction)
-        for name, value in recorded[direction]._asdict().items():
-            np.testing.assert_allclose(value, getattr(shipped, name), atol=1e-5, err_msg=name)
-    actions, other = recorded["forward"].actions, scripted.make(env, seed=1)["forward"].actions
-    assert len(other) != len(actions) or np.abs(other - actions).max() > 0.01
+@pytest.mark.parametrize("direction", assets.DIRECTIONS)
+@pytest.mark.parametrize("name", COUNTS)
+def test_shipped_demonstrations_end_in_success(name, direction):
+    env, demos = make(name), assets.demos(name, direction)
+    assert demos.ends.sum() == COUNTS[name]
+    np.testing.assert_array_equal(demos.rewards > 0, demos.ends)
+    success = np.asarray(jax.jit(env.success)(np.hstack([demos.next_states, demos.goals])))
+    np.testing.assert_array_equal(success, demos.ends)
+    targets = env.goal_states if direction == "forward" else env.initial_states
+    assert all((np.abs(targets - goal).max(axis=1) < 1e-6).any() for goal in demos.goals)
+    assert np.abs(demos.actions).max() <= 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        demos.states[0] = 0
+    if name == "tabletop_organization":
+        lengths = np.diff(np.flatnonzero(np.append(True, demos.ends)))
+        assert 80 <= lengths.min() <= lengths.max() <= 130
+        ends = demos.goals[demos.ends]
+        assert {(ends == goal).all(axis=1).sum() for goal in targets} == {12 // len(targets)}
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_the_demos_command_reproduces_the_shipped_file(name):
+    """On the arms, rounding grows with contacts: the first half of the first demonstration is compared."""
+    for direction, demos in scripted.make(make(name)).items():
+        shipped, kinematic = assets.demos(name, direction), name == "tabletop_organization"
+        assert demos.ends.sum() == shipped.ends.sum()
+        rows = slice(None if kinematic else np.flatnonzero(shipped.ends)[0] // 2)
+        for field, value in demos._asdict().items():
+            expected = getattr(shipped, field)[rows]
+            np.testing.assert_allclose(value[rows], expected, atol=1e-5 if kinematic else 1e-3, err_msg=field)
+
+
+def test_another_seed_makes_other_demonstrations(env):
+    actions = scripted.make(env, seed=1)["forward"].actions
+    shipped = assets.demos(env.name, "forward").actions
+    assert len(actions) != len(shipped) or np.abs(actions - shipped).max() > 0.01
 
 
 def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
-    env = make("dhand_lightbulb", engine="c")
+    env = make("dhand_lightbulb")
     assert not env.has_demos
-    start = env.reset(jax.random.key(0))
+    start = jax.jit(env.reset)(jax.random.key(0))
     rows, last = scripted.record(env, start, np.random.default_rng(0), steps=120)
-    assert bool(env.success(last.obs))
+    assert jax.jit(env.success)(last.obs)
     recorded = scripted.stacked(rows)
     assert np.flatnonzero(recorded.ends).tolist() == [119]
     assert recorded.rewards[-20:].all(), "the hand must hold the bulb until the end"
@@ -51,11 +67,6 @@ def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
     np.testing.assert_array_equal(with_demos.demos("forward").actions, recorded.actions)
     with pytest.raises(RuntimeError, match="missed"):
         scripted.record(env, start, np.random.default_rng(0), steps=5)
-
-
-def test_shipped_arrays_are_read_only(env):
-    with pytest.raises(ValueError, match="read-only"):
-        assets.demos(env.name, "forward").states[0] = 0
 
 
 def test_missing_files_and_directions_are_refused_with_the_choices():

@@ -50,17 +50,14 @@ def test_the_names_of_a_package_are_listed_and_built(install):
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        (
-            "import shepherds",
-            "of Their_Package 0.1.0 cannot be loaded: ModuleNotFoundError: No module named 'shepherds'",
-        ),
+        ("import shepherds", "of Their_Package 0.1.0 cannot be loaded: ModuleNotFoundError: No module named 'shepherds'"),
         ("1 / 0", "of Their_Package 0.1.0 cannot be loaded: ZeroDivisionError"),
         ("", "of Their_Package 0.1.0 cannot be loaded: AttributeError.*Meadow"),
         (MEADOW.replace('"meadow"', '"lawn"'), "theirs:Meadow of Their_Package 0.1.0 has the name 'lawn'"),
         ("def Meadow(): ...", "theirs:Meadow of Their_Package 0.1.0 must be a dataclass, not <function Meadow"),
     ],
     ids=["import fails", "module fails", "no class", "another name", "no dataclass"],
-)
+)  # fmt: skip
 def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(install, source, message):
     registry = install({"meadow": "theirs:Meadow"}, source)
     assert registry.names() == ["meadow", "sawyer_door"]
