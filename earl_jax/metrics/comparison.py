@@ -4,6 +4,7 @@ Sources: Welch 1947, "The generalization of Student's problem when several diffe
 Holm 1979, "A simple sequentially rejective multiple test procedure".
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -139,6 +140,7 @@ def _freedom(sample: Sample, other: Sample) -> float:
     return float(squares.sum() ** 2 / parts) if parts > 0 else math.nan
 
 
+@functools.cache
 def _splits(total: int, first: int) -> tuple[np.ndarray, int]:
     """Return indices [k, first] of the first group in each split, and 1 if they are drawn, 0 if they are all."""
     if math.comb(total, first) <= SPLITS:

@@ -91,25 +91,6 @@ def test_the_chance_of_a_switch_is_share_p_and_one_minus_k_to_the_c(switch_share
     assert switch_share(value, count, **options) == pytest.approx(expected, abs=0.03)
 
 
-def test_the_success_critics_learn_which_goal_is_reached():
-    method = make_algo("risc", hidden_sizes=[16], learning_rate=1e-2)
-    agent = jax.jit(lambda key: sac.init(key, method.sac, 2, 1, method.critics))(jax.random.key(0))
-    reached = jnp.arange(64) < 32
-    obs = jnp.where(reached[:, None], jnp.array([1.0, 0.0]), jnp.array([0.0, 1.0]))
-    action = jax.random.uniform(jax.random.key(1), (64, 1), minval=-1.0, maxval=1.0)
-    batch = sac.Batch(obs, action, reached.astype(jnp.float32), reached, obs)
-
-    @jax.jit
-    def learn_batch(agent):
-        update = lambda agent, key: (method.update_agent(key, agent, batch)[0], None)  # noqa: E731
-        return jax.lax.scan(update, agent, jax.random.split(jax.random.key(2), 400))[0]
-
-    chance = jax.jit(jax.vmap(lambda agent, row: method.success_chance(jax.random.key(3), agent, row, 1), (None, 0)))
-    before, after = (chance(state, obs[jnp.array([0, -1])]) for state in (agent, learn_batch(agent)))
-    assert after[0] > max(before[0], 0.8)
-    assert after[1] < 0.2
-
-
 @pytest.mark.slow
 def test_risc_fills_one_replay_from_both_phases(env):
     short = dataclasses.replace(env, eval_horizon=20)

@@ -1,46 +1,55 @@
 """Deployed evaluation of policies whose scores are known."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import pytest
 
-from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE, deployed, episode
 
-GOAL = jnp.tile(jnp.array([0.0, 0.0, 0.0, 2.0, -1.0, -1.0]), 2)
-"""An observation that has reached its goal."""
+KEY = jax.random.key(1)
+
+
+def idle(obs):
+    return jnp.zeros(3)
 
 
 def test_an_expert_always_succeeds_and_an_idle_policy_never_does(env):
-    key = jax.random.key(0)
-    expert = deployed(env, env.expert, key, env.eval_horizon, 10)
-    assert float(expert["deployed/success"]) == 1.0
-    assert float(expert["deployed/return"]) > 100
-    idle = deployed(env, lambda obs: jnp.zeros(3), key, env.eval_horizon, 10)
-    assert float(idle["deployed/success"]) == float(idle["deployed/return"]) == 0.0
+    policies = (env.expert, idle)
+    expert, none = jax.jit(lambda: [deployed(env, policy, KEY, env.eval_horizon, 10) for policy in policies])()
+    assert expert["deployed/success"] == 1.0
+    assert expert["deployed/return"] > 100
+    assert none["deployed/success"] == none["deployed/return"] == 0.0
 
 
 def test_success_counts_at_any_step_within_the_horizon(env):
-    results = [float(episode(env, env.expert, jax.random.key(1), horizon)["success"]) for horizon in (10, 60)]
-    assert results == [0.0, 1.0]
-    leaving = deployed(env, lambda obs: jnp.where(env.success(obs), 1.0, env.expert(obs)), jax.random.key(1), 60, 4)
-    assert float(leaving["deployed/success"]) == 1.0
+    def leaving(obs):
+        return jnp.where(env.success(obs), 1.0, env.expert(obs))
+
+    def results():
+        short, long = (episode(env, env.expert, KEY, horizon)["success"] for horizon in (10, 60))
+        return short, long, deployed(env, leaving, KEY, 60, 4)["deployed/success"]
+
+    assert jax.jit(results)() == (0.0, 1.0, 1.0)
 
 
 def test_wide_starts_change_no_ordinary_episode(env):
-    key = jax.random.key(2)
-    plain = deployed(env, env.expert, key, 60, 4)
-    both = deployed(env, env.expert, key, 60, 4, wide=env.reset_wide)
-    assert {name: float(both[name]) for name in plain} == {name: float(value) for name, value in plain.items()}
-    assert float(plain["deployed/return"]) > 1.0
+    def at_goal(key):
+        goal = jnp.array([0.0, 0.0, 0.0, 2.0, -1.0, -1.0])
+        return env.state_from_demo(goal, goal)
+
+    runs = [(env.expert, 60, None), (env.expert, 60, env.reset_wide), (idle, 1, at_goal)]
+    plain, both, resting = jax.jit(
+        lambda: [deployed(env, run, KEY, steps, 4, wide=wide) for run, steps, wide in runs]
+    )()
+    assert {name: both[name] for name in plain} == plain
+    assert plain["deployed/return"] > 1.0
     assert both.keys() - plain.keys() == {WIDE}
-    idle = deployed(env, lambda obs: jnp.zeros(3), key, 1, 4, wide=lambda key: env.state_from_demo(GOAL[:6], GOAL[6:]))
-    assert float(idle["deployed/success"]) == 0.0
-    assert float(idle[WIDE]) == 1.0
+    assert (resting["deployed/success"], resting[WIDE]) == (0.0, 1.0)
 
 
-def test_dense_returns_are_undiscounted_sums():
-    env = make("tabletop_organization", reward_type="dense")
-    result = episode(env, lambda obs: jnp.zeros(3), jax.random.key(0), 7)
-    state = env.reset(jax.random.key(0))
-    assert float(result["return"]) == pytest.approx(7 * float(env.reward(state.obs)), rel=1e-5)
+def test_dense_returns_are_undiscounted_sums(env):
+    dense = dataclasses.replace(env, reward_type="dense")
+    total, reward = jax.jit(lambda: (episode(dense, idle, KEY, 7)["return"], dense.reset(KEY).reward))()
+    assert float(total) == pytest.approx(7 * float(reward), rel=1e-5)

@@ -124,8 +124,9 @@ def test_the_gradient_of_the_cloning_term_is_the_analytic_one(batch):
     np.testing.assert_allclose(grads[demonstrated, :SIZE], expected[demonstrated], rtol=1e-4)
     assert not grads[~demonstrated].any()
     assert not grads[:, SIZE:].any()
-    none = batch._replace(demonstrated=jnp.zeros(ROWS, bool))
+    none = batch._replace(demonstrated=np.zeros(ROWS, bool))
     assert float(cloning_term(sac, parameters, none)) == 0.0
+    assert cloning_term(SMALL, parameters, batch) is None
 
 
 def test_the_actor_s_gradient_has_the_cloning_term_added(batch):
@@ -151,21 +152,6 @@ def test_the_weight_of_the_cloning_term_follows_its_schedule():
     np.testing.assert_allclose(weights, [1.0, 1.0, 0.55, 0.1, 0.1], rtol=1e-5)
     held = SMALL.replace(cloning=0.4, cloning_steps=200)
     assert float(cloning_weight(held, jnp.asarray(10_000))) == pytest.approx(0.4)
-
-
-def test_without_the_option_the_program_has_no_cloning_term(batch):
-    agent = jax.eval_shape(lambda: sac_lib.init(jax.random.key(0), SMALL, 4, SIZE))
-
-    def text(**options):
-        method = make_algo("naive", hidden_sizes=[16], **options)
-        learn_batch = jax.jit(lambda a, b, k: method.update_agent(k, a, b))
-        return learn_batch.lower(agent, batch, jax.random.key(0)).as_text()
-
-    plain = make_algo("naive", hidden_sizes=[16]).sac
-    alone = jax.jit(lambda a, b, k: sac_lib.update(plain, a, b, k)).lower(agent, batch, jax.random.key(0)).as_text()
-    strip = lambda program: program.split("\n", 1)[1]  # noqa: E731  # the first line has the function's name
-    assert strip(text()) == strip(alone)
-    assert strip(text(cloning=1.0)) != strip(alone)
 
 
 def test_a_subset_larger_than_the_ensemble_is_an_error():
