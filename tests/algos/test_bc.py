@@ -14,13 +14,7 @@ from earl_jax.training.demo_rows import demonstrations
 from earl_jax.training.plan import prepare
 from earl_jax.training.state import seed_keys
 from tests.algos.lives import OPTIONS, lived
-from tests.conftest import (
-    assert_equal_trees,
-    make_problem,
-    make_train_state,
-    take_lane,
-    tiny_method,
-)
+from tests.conftest import assert_equal_trees, make_problem, make_train_state, take_lane, tiny_method
 
 
 def lane_actor(state):

@@ -9,15 +9,7 @@ import pytest
 from scipy import stats
 
 from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
-from earl_jax.metrics.statistics import (
-    bootstrap,
-    difference,
-    iqm,
-    mean_of,
-    relative_drop,
-    stderr,
-    summarise,
-)
+from earl_jax.metrics.statistics import bootstrap, difference, iqm, mean_of, relative_drop, stderr, summarise
 
 RUNS, SEEDS = 3, 9
 STEPS = np.array([10, 30, 40])
