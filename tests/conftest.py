@@ -52,8 +52,6 @@ CHUNK = 20
 """Steps of the programs that tests share; VaPRL refreshes as often."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 """The methods of the paper."""
-LATER_ALGOS = ["bc", "cfbrl", "medal", "risc", "rlpd"]
-"""Methods that the paper does not have, which have files of tests of their own."""
 
 
 def pytest_configure(config):

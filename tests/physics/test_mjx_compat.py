@@ -40,7 +40,7 @@ needs_guard = pytest.mark.skipif(not mjx_compat.needs_guard(), reason="XLA compi
 
 @needs_guard
 def test_a_step_on_mjx_puts_the_barrier_into_body_tree_once():
-    env = make("fish_swim", engine="mjx")
+    env = make("minitaur_pen", engine="mjx")
     state = jax.eval_shape(env.reset, jax.random.key(0))
     jax.eval_shape(env.step, state, jnp.zeros(env.action_size))
     scan = importlib.import_module("mujoco.mjx._src.scan")
