@@ -69,19 +69,13 @@ def table(
         last: Number of final evaluations to average. The paper's tables use 1.
         out: File that also receives the table: .md, .tex or .csv. By default none.
     """
-    from earl_jax.report import tables
-    from earl_jax.report.plots import checked_labels
+    from earl_jax.report.tables import run_table, tabulate, terminal_width, write
 
-    rows = tables.tabulate(folders, last, metric)
-    for row, name in zip(rows, checked_labels(labels, [row["algo"] for row in rows]), strict=True):
-        row["algo"] = name
+    rows = tabulate(folders, last, metric, labels)
     if out:
         with replacing(out):
-            tables.write(rows, out)
-    width = tables.terminal_width()
-    text = tables.shown_table(tables.header_of(rows), tables.lines_of(rows), width)
-    notes = "\n".join(tables.wrapped(note, width) for note in tables.notes_of(rows))
-    emit({"rows": rows}, json, f"{text}\n\n{notes}")
+            write(rows, out)
+    emit({"rows": rows}, json, run_table(rows).text(terminal_width()))
 
 
 def best(
@@ -117,7 +111,7 @@ def compare(
     Args:
         folders: Run folders, or folders of them; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds.
-        out: Files that also receive the comparison: .md, .tex, .csv, .html, .png, .pdf or .svg. By default none.
+        out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import table_text, write_comparison

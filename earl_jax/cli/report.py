@@ -25,9 +25,8 @@ def report(
     import jax
 
     jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
-    from earl_jax.report.html.policy_videos import PolicyVideos
-    from earl_jax.report.html.watching import watch_page
-    from earl_jax.report.html.writing import write_page
+    from earl_jax.report.html.media import PolicyVideos
+    from earl_jax.report.html.writing import watch_page, write_page
 
     policies = PolicyVideos(print_line) if videos else None
     if watch:

@@ -3,18 +3,29 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
+
+import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import LEVEL, Sample, holm, mean_interval, permutation, smallest_p, verdict, welch
-from earl_jax.report.runs import Curves, MethodRuns, options_text, read_methods
+from earl_jax.metrics.comparison import LEVEL, Sample, mean_interval, permutation, smallest_p, welch
+from earl_jax.report.comparison import comparison_columns, with_verdicts
+from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import task_order
-from earl_jax.report.tables import interval_text, number_text, shown_table, wrapped
+from earl_jax.report.tables import Column, Row, Table, interval_text, number_text, wrapped
 
-Row = dict[str, Any]
 Test = Literal["permutation", "welch"]
-HEADER = ("rank", "run", "seeds", "steps", "score [95 %]", "best minus this [95 %]", "adjusted p", "verdict")
+COLUMNS: tuple[Column, ...] = (
+    ("rank", lambda row: row["rank"]),
+    ("run", lambda row: row["label"]),
+    ("seeds", lambda row: row["seeds"]),
+    ("steps", lambda row: f"{row['steps']:,}"),
+    ("score [95 %]", lambda row: interval_text(row["score"], row["low"], row["high"])),
+    ("best minus this [95 %]", lambda row: interval_text(*(row[f"difference{end}"] for end in ("", "_low", "_high")))),
+    ("adjusted p", lambda row: number_text(row["p_holm"])),
+    ("verdict", lambda row: row["verdict"]),
+)
 RULE = (
     "Score: mean over seeds and over the evaluations of the last 100,000 steps, with Student's 95 % interval. Each run is "
     "compared with the best of its task by {test}, p adjusted by Holm over the comparisons of the task. Runs that are shorter "
@@ -47,42 +58,22 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     """Return the rows of one task."""
     if len({group.curves.deployed_metric for group in groups}) > 1:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
-    longest = max(_last(group.curves) for group in groups)
-    groups = sorted(groups, key=lambda group: (_last(group.curves) < longest, -recent_scores(group.curves).mean()))
-    leader = recent_scores(groups[0].curves)
-    rows = [_row(rank, group) for rank, group in enumerate(groups, 1)]
-    rows[0]["verdict"] = "best"
-    tested = [(row, group) for row, group in zip(rows[1:], groups[1:], strict=True) if row["steps"] == longest]
-    for row, group in tested:
-        scores = recent_scores(group.curves)
-        result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), Sample.of(scores))
-        row |= {
-            "difference": result.difference,
-            "difference_low": result.low,
-            "difference_high": result.high,
-            "p": result.p,
-        }
+    longest = max(group.curves.steps[-1] for group in groups)
+    pairs = [(group, recent_scores(group.curves)) for group in groups]
+    pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, -pair[1].mean()))
+    rows = [_row(rank, group, scores) for rank, (group, scores) in enumerate(pairs, 1)]
+    leader = pairs[0][1]
+    tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
+    for row, scores in tested:
+        other = Sample.of(scores)
+        result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), other)
+        columns = comparison_columns(leader, other, result, "difference_")
+        row |= {name: value for name, value in columns.items() if name in row}
         row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
-    for (row, _), adjusted in zip(tested, holm([row["p"] for row, _ in tested]), strict=True):
-        row["p_holm"] = float(adjusted)
-        row["verdict"] = {"above": "below"}.get(verdict(row["difference"], row["p_holm"]), "cannot tell")
+    for row in with_verdicts([row for row, _ in tested]):
+        row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
+    rows[0]["verdict"] = "best"
     return rows
-
-
-def _row(rank: int, group: MethodRuns) -> Row:
-    scores = recent_scores(group.curves)
-    interval = mean_interval(scores)
-    return {
-        "env": group.env, "rank": rank, "method": group.algo, "label": group.label,
-        "options": options_text(group.curves.options), "metric": group.curves.deployed_metric, "seeds": len(scores),
-        "steps": _last(group.curves), "score": interval.value, "low": interval.low, "high": interval.high,
-        "difference": math.nan, "difference_low": math.nan, "difference_high": math.nan, "p": math.nan, "p_holm": math.nan,
-        "least_p": math.nan, "verdict": "shorter",
-    }  # fmt: skip
-
-
-def _last(curves: Curves) -> int:
-    return int(curves.steps[-1])
 
 
 def _least_p(first: int, second: int, test: Test) -> float:
@@ -92,14 +83,26 @@ def _least_p(first: int, second: int, test: Test) -> float:
     return smallest_p(first, second) if test == "permutation" else 0.0
 
 
+def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
+    """Return the row of a run that is not compared."""
+    interval, curves = mean_interval(scores), group.curves
+    return {
+        "env": group.env, "rank": rank, "method": group.algo, "label": group.label, "options": options_text(curves.options),
+        "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
+        "score": interval.value, "low": interval.low, "high": interval.high,
+        **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p"), math.nan),
+        "verdict": "shorter",
+    }  # fmt: skip
+
+
 def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, width: int | None = None) -> str:
     """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule."""
     parts: list[str] = []
     for env in dict.fromkeys(row["env"] for row in rows):
         of_task = [row for row in rows if row["env"] == env]
-        parts += [f"{env}, {of_task[0]['metric']}", shown_table(HEADER, [_cells(row) for row in of_task[:top]], width)]
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
-        parts.append(wrapped(hidden + _verdict_text(of_task), width))
+        table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
+        parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
     notes = [RULE.format(test=TESTS[test]), *([OPTIMISM] if len(rows) > 1 else [])]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
@@ -121,11 +124,3 @@ def _verdict_text(rows: Sequence[Row]) -> str:
             "Use more seeds, fewer runs, or --test welch."
         )
     return text
-
-
-def _cells(row: Row) -> list[str]:
-    difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
-    return [
-        str(row["rank"]), row["label"], str(row["seeds"]), f"{row['steps']:,}",
-        interval_text(row["score"], row["low"], row["high"]), difference, number_text(row["p_holm"]), row["verdict"],
-    ]  # fmt: skip

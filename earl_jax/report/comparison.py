@@ -1,8 +1,5 @@
 """Comparisons of runs with each other and with the published scores, as rows, tables and a figure."""
 
-import base64
-import html
-import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -28,47 +25,38 @@ from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import PICTURES, new_figure, reach, save
 from earl_jax.report.tables import (
-    file_table,
-    html_table,
+    Column,
+    Row,
+    Table,
     interval_text,
     millions,
     number_text,
     seeds_text,
-    shown_table,
-    wrapped,
     write,
 )
 
-Row = dict[str, Any]
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
-TABLES = (".md", ".tex", ".csv", ".html")
+TABLES = (".md", ".tex", ".csv")
 RULE = (
     "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
     "95 %: Student's for a mean, Welch's for a difference. p: the permutation test between runs, Welch's test against the "
     "paper's five seeds; adjusted by Holm over this table. Detectable: the difference that the test would find with a "
     "probability of 80 %."
 )
-PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>Comparison of runs</title>
-<style>
-body {{ font: 15px/1.5 sans-serif; margin: 2em; }} img {{ max-width: 100%; }} main {{ overflow-x: auto; }}
-td, th {{ padding: 4px 10px; border-bottom: 1px solid #ccc; text-align: left; }}
-</style>
-<h1>Comparison of runs</h1>
-<main>{picture}
-{table}</main>
-<p>{rule}</p>
-</html>
-"""
-HEADER = (
-    "task", "first", "second", "steps", "first, mean [95 %]", "second, mean", "difference [95 %]", "p", "adjusted p",
-    "verdict", "detectable",
-)  # fmt: skip
+COLUMNS: tuple[Column, ...] = (
+    ("task", lambda row: row["env"]),
+    ("first", lambda row: f"{row['first']}, {seeds_text(row['seeds'])}"),
+    ("second", lambda row: f"{row['second']}, {seeds_text(row['other_seeds'])}"),
+    ("steps", lambda row: millions(row["steps"])),
+    ("first, mean [95 %]", lambda row: interval_text(row["mean"], row["mean_low"], row["mean_high"], ".3g")),
+    ("second, mean", lambda row: number_text(row["other_mean"])),
+    ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], ".3g")),
+    ("p", lambda row: number_text(row["p"])),
+    ("adjusted p", lambda row: number_text(row["p_holm"])),
+    ("verdict", lambda row: row["verdict"]),
+    ("detectable", lambda row: number_text(row["detectable"])),
+)
 
 
 def compare(
@@ -86,7 +74,10 @@ def compare(
     if metric and against == "published":
         raise InputError("the published scores are those of the deployed metric: leave out --metric")
     groups = read_methods(folders)
-    rows = published_rows(groups) if against == "published" else _pair_rows(groups, metric)
+    if against == "published":
+        rows = published_rows(groups)
+    else:
+        rows = [pair_row(a, b, metric) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
     if not rows:
         choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
@@ -99,11 +90,6 @@ def with_verdicts(rows: list[Row]) -> list[Row]:
         row["p_holm"] = float(adjusted)
         row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
     return rows
-
-
-def _pair_rows(groups: Sequence[MethodRuns], metric: str | None) -> list[Row]:
-    pairs = [(a, b) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
-    return [pair_row(first, second, metric) for first, second in pairs]
 
 
 def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None) -> Row:
@@ -164,52 +150,24 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
 
 def table_text(rows: Sequence[Row], width: int | None = None) -> str:
     """Return the rows of `compare` as a table with the rule below it, markdown or for a terminal of `width` columns."""
-    return f"{shown_table(HEADER, cells(rows), width)}\n\n{wrapped(RULE, width)}"
+    return Table.of(COLUMNS, rows, [RULE]).text(width)
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
-    """Write the rows of `compare` to `path`, and return it.
-
-    It is a table (.md, .tex, .csv), a figure (.png, .pdf, .svg), or a page of both that loads nothing else (.html).
+    """Write the rows of `compare` to `path`, a table (.md, .tex, .csv) or a figure (.png, .pdf, .svg), and return it.
 
     Raises:
         ValueError: `path` has another suffix, or matplotlib is not installed.
     """
-    if path.suffix not in TABLES + PICTURES:
-        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
     if path.suffix in PICTURES:
         return save(_draw(rows), path)
-    if path.suffix == ".html":
-        path.write_text(_page(rows))
-    elif path.suffix == ".csv":
-        write(list(rows), path)
+    if path.suffix not in TABLES:
+        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
+    if path.suffix == ".csv":
+        write(rows, path)
     else:
-        path.write_text(file_table(path, HEADER, cells(rows), RULE))
+        Table.of(COLUMNS, rows, [RULE]).write(path)
     return path
-
-
-def _page(rows: Sequence[Row]) -> str:
-    """Return an HTML page of the table, with the figure above it if a difference has an interval."""
-    picture = ""
-    if not all(math.isnan(row["low"]) for row in rows):
-        drawing = io.BytesIO()
-        _draw(rows).savefig(drawing, format="svg")
-        data = base64.b64encode(drawing.getvalue()).decode()
-        picture = f'<img src="data:image/svg+xml;base64,{data}" alt="differences of means with 95 % intervals">'
-    return PAGE.format(picture=picture, table=html_table(HEADER, cells(rows)), rule=html.escape(RULE))
-
-
-def cells(rows: Sequence[Row]) -> list[list[str]]:
-    """Return the texts of `rows` under `HEADER`."""
-    return [
-        [
-            row["env"], f"{row['first']}, {seeds_text(row['seeds'])}", f"{row['second']}, {seeds_text(row['other_seeds'])}",
-            millions(row["steps"]), interval_text(row["mean"], row["mean_low"], row["mean_high"], ".3g"),
-            number_text(row["other_mean"]), interval_text(row["difference"], row["low"], row["high"], ".3g"),
-            number_text(row["p"]), number_text(row["p_holm"]), row["verdict"], number_text(row["detectable"]),
-        ]
-        for row in rows
-    ]  # fmt: skip
 
 
 def _draw(rows: Sequence[Row]) -> Any:

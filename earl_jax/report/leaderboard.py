@@ -56,22 +56,18 @@ COLUMNS = tuple(column for name in Row._fields for column in (CROSSINGS if name 
 
 def values_of(row: Row) -> dict[str, Any]:
     """Return a row as the values of `COLUMNS`; scores are rounded to six digits after the point."""
-    values = row._asdict()
-    crossings = dict(zip(CROSSINGS, values.pop("crossings"), strict=True))
-    return {**values, **crossings, "score": round(row.score, 6)}
+    values = row._asdict() | dict(zip(CROSSINGS, row.crossings, strict=True)) | {"score": round(row.score, 6)}
+    return {name: values[name] for name in COLUMNS}
 
 
 def shipped_rows() -> list[Row]:
     """Return the rows that ship, of all tasks."""
-    return [_row(values) for values in assets.published(TABLE)]
-
-
-def _row(values: dict[str, str]) -> Row:
-    """Return the row of a line of the file."""
-    texts = {name: values[name] for name in Row._fields if name != "crossings"}
-    numbers = {"seeds": int(values["seeds"]), "steps": int(values["steps"]), "score": float(values["score"])}
-    crossings = tuple(values[name] for name in CROSSINGS)
-    return Row(**{**texts, **numbers, "crossings": crossings})  # pyright: ignore[reportArgumentType]
+    kinds = {"seeds": int, "steps": int, "score": float}
+    rows = []
+    for values in assets.published(TABLE):
+        fields = {name: kinds.get(name, str)(values[name]) for name in Row._fields if name != "crossings"}
+        rows.append(Row(**fields, crossings=tuple(values[name] for name in CROSSINGS)))
+    return rows
 
 
 def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:

@@ -47,13 +47,12 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
     score = published_beside(table, group.curves) if group else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
     steps_low, steps_high = published_steps(env) or (None, None)
-    ours = _measured(number, group)
     row = {
         "env": env,
         "algo": algo,
         "label": group.label if group else algo,
         "options": options_text(group.curves.options) if group else None,
-        **ours,
+        **_measured(number, group),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",
         "published_low": low,
@@ -68,10 +67,8 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         result = welch(Sample.of(scores), score.sample)
         row |= comparison_columns(scores, score.sample, result, "difference_")
     if number == 1:
-        curve = (
-            row_beside("crossings", group.curves) if group else assets.published_row("crossings", env=env, algo=algo)
-        )
-        row["published_last10"] = curve.get("last10") or None
+        published = assets.published_row("crossings", env=env, algo=algo)
+        row["published_last10"] = (row_beside("crossings", group.curves) if group else published).get("last10") or None
     return row
 
 
@@ -87,23 +84,15 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     names += ["recent", "recent_stderr"] if number == 1 else []
     if group is None:
         return dict.fromkeys(names)
-    metric = group.curves.deployed_metric if number == 1 else "continuing/reward"
-    scores = group.curves.metrics[metric]
-    estimate = mean_interval(scores[:, -1])
-    row = {
-        "metric": metric,
-        "seeds": len(scores),
-        "diverged": group.curves.diverged,
-        "steps": int(group.curves.steps[-1]),
-        "mean": estimate.value,
-        "stderr": float(stderr(scores[:, -1])),
-        "low": estimate.low,
-        "high": estimate.high,
-    }
+    curves = group.curves
+    metric = curves.deployed_metric if number == 1 else "continuing/reward"
+    scores = curves.metrics[metric][:, -1]
+    mean, low, high = mean_interval(scores)
+    values = [metric, len(scores), curves.diverged, int(curves.steps[-1]), mean, float(stderr(scores)), low, high]
     if number == 1:
         recent = _tested_scores(number, group)
-        row |= {"recent": float(recent.mean()), "recent_stderr": float(stderr(recent))}
-    return row
+        values += [float(recent.mean()), float(stderr(recent))]
+    return dict(zip(names, values, strict=True))
 
 
 def share_of_steps(row: dict[str, Any]) -> str:

@@ -10,17 +10,17 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.runs import Curves, labels, read_all
+from earl_jax.report.runs import Curves, checked_labels, labels, read_all
 from earl_jax.report.scores import SHARES, trailing
 from earl_jax.report.style import (
     LINE_STYLES,
     PICTURES,
     draw_band,
     legend_below,
+    matplotlib,
     new_figure,
     save,
     task_order,
-    text_size,
 )
 from earl_jax.report.tables import seeds_text, steps_text
 
@@ -47,7 +47,7 @@ SIZES = {"screen": Size(10, 4.2, 10, 2), "column": Size(3.35, 2.3, 8, 1), "page"
 """A screen, and one column and both columns of a paper: 85 mm and 175 mm."""
 
 
-class Drawn(NamedTuple):
+class Line(NamedTuple):
     """A run to draw: its curves, the name of its line, and the number that gives its colour and dashes."""
 
     curves: Curves
@@ -59,6 +59,13 @@ class Drawn(NamedTuple):
         """The colour, and dashes for those beyond ten colours."""
         dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
         return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
+
+
+def caption(smooth: int = 1) -> str:
+    """Return what a picture of `plot_runs` shows, as the caption of a figure."""
+    text = f"Means over seeds with Student's 95 % intervals; of fewer than {FEWEST} seeds, each is drawn thin instead."
+    smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
+    return text + smoothing
 
 
 def plot_runs(
@@ -87,76 +94,39 @@ def plot_runs(
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
     if size not in SIZES or smooth < 1:
         raise InputError(f"size must be one of {', '.join(SIZES)}, and smooth at least 1, not {size} and {smooth}")
-    drawn = _drawn(read_all(folders), names)
-    tasks = task_order(line.curves.config.env for line in drawn)
-    panels = list(PANELS) if metric is None else [metric]
+    lines = _lines(read_all(folders), names)
+    tasks = task_order(line.curves.config.env for line in lines)
+    cells = [(env, panel) for env in tasks for panel in (PANELS if metric is None else [metric])]
     layout = SIZES[size]
-    columns = min(layout.columns, len(panels) * len(tasks))
-    rows = -(-len(panels) * len(tasks) // columns)
-    with text_size(layout.points):
+    columns = min(layout.columns, len(cells))
+    rows = -(-len(cells) // columns)
+    with matplotlib().rc_context({"font.size": layout.points}):
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
-        cells = [(env, panel) for env in tasks for panel in panels]
         for axis, (env, panel) in zip(axes.flat, cells, strict=False):
-            lines = [line for line in drawn if line.curves.config.env == env]
-            _draw_panel(axis, lines, panel, smooth, env if len(tasks) > 1 else "")
+            of_task = [line for line in lines if line.curves.config.env == env]
+            _draw_panel(axis, of_task, panel, smooth, env if len(tasks) > 1 else "")
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
             figure.suptitle(tasks[0])
-        _add_legend(figure, drawn, layout)
+        _add_legend(figure, lines, layout)
         return save(figure, out)
 
 
-def _add_legend(figure: Any, drawn: Sequence[Drawn], layout: Size) -> None:
-    """Name the lines below the panels, with as many lines of text as their names need there."""
-    from matplotlib.lines import Line2D
-
-    entries = _legend_entries(drawn)
-    columns = min(layout.columns, len(entries))
-    letters = int(layout.width / (LETTER * layout.points * columns)) - 6
-    handles = {textwrap.fill(name, letters): Line2D([], [], **line.style) for name, line in entries.items()}
-    lines = max(sum(name.count("\n") + 1 for name in list(handles)[i::columns]) for i in range(columns))
-    figure.set_figheight(figure.get_figheight() + 1.35 * lines * layout.points / 72)
-    legend_below(figure, handles, columns)
-
-
-def _drawn(runs: Sequence[Curves], names: Sequence[str]) -> list[Drawn]:
+def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
     given = labels(runs)
     distinct = list(dict.fromkeys(given))
     renamed = dict(zip(distinct, checked_labels(names, distinct), strict=True))
-    return [Drawn(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
+    return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
-def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
-    """Return the labels `names` for `lines`, or `lines` themselves without any.
-
-    Raises:
-        ValueError: there are not as many; the message lists the lines in their order.
-    """
-    if names and len(names) != len(lines):
-        raise InputError(
-            f"there are {len(names)} labels for {len(lines)} runs; give one for each of: {'; '.join(lines)}"
-        )
-    return names or lines
-
-
-def caption(smooth: int = 1) -> str:
-    """Return what a picture of `plot_runs` shows, as the caption of a figure."""
-    text = f"Means over seeds with Student's 95 % intervals; of fewer than {FEWEST} seeds, each is drawn thin instead."
-    smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
-    return text + smoothing
-
-
-def _metric(panel: str, curves: Curves) -> str:
-    return {"continuing": "continuing/reward", "deployed": curves.deployed_metric}.get(panel, panel)
-
-
-def _draw_panel(axis: Any, lines: Sequence[Drawn], panel: str, smooth: int, env: str) -> None:
+def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, env: str) -> None:
     """Draw one metric of one task."""
+    metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:
-        _draw(axis, line, trailing(line.curves.metrics[_metric(panel, line.curves)], smooth))
-    metric = _metric(panel, lines[0].curves)
+        name = line.curves.deployed_metric if panel == "deployed" else metric
+        _draw(axis, line, trailing(line.curves.metrics[name], smooth))
     title = "\n".join(filter(None, (env, PANELS.get(panel, ""))))
     axis.set(title=title, ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
     if metric in SHARES:
@@ -166,7 +136,7 @@ def _draw_panel(axis: Any, lines: Sequence[Drawn], panel: str, smooth: int, env:
     axis.grid(alpha=0.3)
 
 
-def _draw(axis: Any, line: Drawn, values: np.ndarray) -> None:
+def _draw(axis: Any, line: Line, values: np.ndarray) -> None:
     """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
     estimate, few = mean_interval(values), len(values) < FEWEST
     band = Estimate(*[estimate.value] * 3) if few else estimate
@@ -175,13 +145,24 @@ def _draw(axis: Any, line: Drawn, values: np.ndarray) -> None:
         axis.plot(line.curves.steps, values.T, color=line.style["color"], alpha=0.3, linewidth=0.8)
 
 
-def _legend_entries(drawn: Sequence[Drawn]) -> dict[str, Drawn]:
+def _add_legend(figure: Any, lines: Sequence[Line], layout: Size) -> None:
+    """Name the lines below the panels, with as many lines of text as their names need there."""
+    from matplotlib.lines import Line2D
+
+    entries = _legend_entries(lines)
+    columns = min(layout.columns, len(entries))
+    letters = int(layout.width / (LETTER * layout.points * columns)) - 6
+    handles = {textwrap.fill(name, letters): Line2D([], [], **line.style) for name, line in entries.items()}
+    height = max(sum(name.count("\n") + 1 for name in list(handles)[i::columns]) for i in range(columns))
+    figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
+    legend_below(figure, handles, columns)
+
+
+def _legend_entries(lines: Sequence[Line]) -> dict[str, Line]:
     """Return a line for each text of the legend: names, with the number of seeds where it is the same on all tasks."""
-    by_number: dict[int, list[Drawn]] = {}
-    for line in drawn:
-        by_number.setdefault(line.number, []).append(line)
-    entries = {}
-    for lines in by_number.values():
-        counts = {line.curves.seeds for line in lines}
-        entries[f"{lines[0].name}, {seeds_text(min(counts))}" if len(counts) == 1 else lines[0].name] = lines[0]
+    entries: dict[str, Line] = {}
+    for line in lines:
+        counts = {other.curves.seeds for other in lines if other.number == line.number}
+        name = f"{line.name}, {seeds_text(line.curves.seeds)}" if len(counts) == 1 else line.name
+        entries.setdefault(name, line)
     return entries

@@ -1,9 +1,10 @@
 """Curves read from run folders, grouped by task and method."""
 
+import functools
 import json
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,11 +29,15 @@ SAME_TASK = frozenset({"engine", "demo_file", "variant", "reward_type"})
 
 
 class Curves(NamedTuple):
-    """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E]."""
+    """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E].
+
+    `runs` are the folders of the runs that the seeds come from.
+    """
 
     config: RunConfig
     steps: np.ndarray
     metrics: dict[str, np.ndarray]
+    runs: tuple[RunFolder, ...] = ()
 
     @property
     def deployed_metric(self) -> str:
@@ -102,11 +107,11 @@ def read(path: Path) -> Curves:
     if not rows:
         raise InputError(f"{path} has no evaluation yet")
     steps, metrics = folder.config.curves(rows)
-    return Curves(folder.config, steps, Columns(path, metrics))
+    return Curves(folder.config, steps, Columns(path, metrics), (folder,))
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
-    """Return the run folders in and below `folders`, each once; links to folders are not followed.
+    """Return the run folders among `folders`, and those below the others, each once; links to folders are not followed.
 
     Raises:
         ValueError: a folder does not exist, or holds no run.
@@ -117,9 +122,9 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder} is not a folder")
-        below = list(_runs_below(folder))
+        below = [folder] if (folder / CONFIG).is_file() else list(_runs_below(folder))
         if not below:
-            raise InputError(f"{folder} is not a run folder and holds none: no config.json in it or below")
+            raise InputError(f"{folder} is not a run folder and holds none: no {CONFIG} in it or below")
         for path in below:
             paths.setdefault(path.resolve(), path)
     return list(paths.values())
@@ -128,46 +133,51 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
 def _runs_below(folder: Path) -> Iterator[Path]:
     for path, folders, files in os.walk(folder):
         folders[:] = sorted(set(folders) - {CHECKPOINTS})
-        if "config.json" in files or "metrics.csv" in files:
+        if CONFIG in files or METRICS in files:
             yield Path(path)
 
 
-def read_all(folders: Sequence[Path]) -> list[Curves]:
-    """Return the curves of `folders`; seeds of the same task, method and options are pooled over their common steps.
+def gather(
+    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None
+) -> tuple[list[Curves], dict[Path, str]]:
+    """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
-    A folder that is no run folder itself, such as that of a sweep, stands for the runs below it. A run found so that
-    cannot be read, for example one without an evaluation yet, is left out with a `RunWarning`.
+    Seeds of the same task, method and options are pooled over their common steps. A run is left out if it cannot be read
+    or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
 
     Raises:
-        ValueError: no folder is given, one of them cannot be read or holds no run that can, or runs to pool have no step in
-            common.
+        ValueError: a folder does not exist or holds no run, or no run can be read.
     """
-    if not folders:
-        raise InputError("name at least one run folder")
-    groups: dict[str, list[Curves]] = {}
-    paths: dict[str, Path] = {}
-    for path, curves in _read_below(folders):
-        key = pooling_key(curves.config)
-        groups.setdefault(key, []).append(curves)
-        paths.setdefault(key, path)
-    return [pooled(paths[key], group) for key, group in groups.items()]
+    pools: dict[str, list[Curves]] = {}
+    left_out: dict[Path, str] = {}
+    for path in find_runs(folders):
+        try:
+            curves = read(path)
+            key = pooling_key(curves.config)
+            parts = [*pools.get(key, ()), curves]
+            check(pooled(parts))
+            pools[key] = parts
+        except Exception as error:  # a folder is data: any error in it is reported and affects no other run
+            text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+            left_out[path] = text if str(path) in text else f"{path}: {text}"
+    if not pools:
+        causes = "\n  ".join(left_out.values())
+        raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
+    return [pooled(parts) for parts in pools.values()], left_out
 
 
-def _read_below(folders: Sequence[Path]) -> Iterator[tuple[Path, Curves]]:
-    """Yield the folder and the curves of each run in `folders`. Errors as `read_all`."""
-    for folder in folders:
-        if (folder / CONFIG).is_file() or not folder.is_dir():
-            yield folder, read(folder)
-            continue
-        paths, causes = find_runs([folder]), []
-        for path in paths:
-            try:
-                yield path, read(path)
-            except InputError as error:
-                causes.append(str(error))
-                warnings.warn(f"left out: {error}", RunWarning, stacklevel=2)
-        if len(causes) == len(paths):
-            raise InputError(f"no run below {folder} can be read: {causes[0]}")
+def read_all(folders: Sequence[Path]) -> list[Curves]:
+    """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
+
+    Raises:
+        ValueError: as `gather`, or one of `folders` is itself a run that is left out.
+    """
+    runs, left_out = gather(folders)
+    for path, cause in left_out.items():
+        if path in folders:
+            raise InputError(cause)
+        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
+    return runs
 
 
 def pooling_key(config: RunConfig) -> str:
@@ -176,20 +186,22 @@ def pooling_key(config: RunConfig) -> str:
     return json.dumps(values, sort_keys=True, default=repr)
 
 
-def pooled(path: Path, group: list[Curves]) -> Curves:
-    """Return the pooled curves of `group`, of which `path` is the first folder."""
-    steps = group[0].steps
-    for other in group[1:]:
-        steps = np.intersect1d(steps, other.steps)
+def pooled(parts: Sequence[Curves]) -> Curves:
+    """Return the curves of the seeds of all `parts`, over their common steps.
+
+    Raises:
+        ValueError: they have no step in common, or one lacks a metric that every run has.
+    """
+    config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
+    steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
     if not len(steps):
-        raise InputError(f"runs of {group[0].config.algo} have no evaluation step in common")
-    masks = [np.isin(part.steps, steps) for part in group]
+        raise InputError(f"runs of {config.algo} have no evaluation step in common")
     metrics = {
-        name: np.concatenate([part.metrics[name][:, mask] for part, mask in zip(group, masks, strict=True)])
-        for name in group[0].metrics
-        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in group)
+        name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
+        for name in parts[0].metrics
+        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in parts)
     }
-    return Curves(group[0].config, steps, Columns(path, metrics))
+    return Curves(config, steps, Columns(folders[0].path, metrics), folders)
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:
@@ -198,6 +210,19 @@ def labels(runs: Sequence[Curves]) -> list[str]:
     for curves in runs:
         peers.setdefault((curves.config.env, curves.config.algo), []).append(curves.options)
     return [label(curves.config.algo, curves.options, peers[curves.config.env, curves.config.algo]) for curves in runs]
+
+
+def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
+    """Return the labels `names` given for `lines`, or `lines` themselves without any.
+
+    Raises:
+        ValueError: there are not as many; the message lists the lines in their order.
+    """
+    if names and len(names) != len(lines):
+        raise InputError(
+            f"there are {len(names)} labels for {len(lines)} runs; give one for each of: {'; '.join(lines)}"
+        )
+    return names or lines
 
 
 def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
@@ -216,19 +241,11 @@ def read_methods(folders: Sequence[Path]) -> list[MethodRuns]:
 
 
 def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
-    """Return `runs` with their labels, by task and method in the paper's order.
-
-    The label of a run with default options is the bare name of its method.
-    """
-    groups = []
-    for env in task_order(curves.config.env for curves in runs):
-        of_task = [curves for curves in runs if curves.config.env == env]
-        for algo in method_order(curves.config.algo for curves in of_task):
-            peers = [curves for curves in of_task if curves.config.algo == algo]
-            options = [curves.options for curves in peers]
-            names = [label(algo, changed, options) for changed in options]
-            groups += [MethodRuns(env, algo, name, curves) for name, curves in zip(names, peers, strict=True)]
-    return groups
+    """Return `runs` with their `labels`, by task and method in the paper's order."""
+    named = zip(runs, labels(runs), strict=True)
+    groups = [MethodRuns(curves.config.env, curves.config.algo, name, curves) for curves, name in named]
+    envs, algos = task_order(group.env for group in groups), method_order(group.algo for group in groups)
+    return sorted(groups, key=lambda group: (envs.index(group.env), algos.index(group.algo)))
 
 
 def options_text(options: dict[str, Any]) -> str:

@@ -1,7 +1,6 @@
 """The scores of runs: means over windows of evaluations, crossings, and the row of a method that tables show."""
 
 import math
-import warnings
 from typing import Any
 
 import numpy as np
@@ -21,13 +20,8 @@ CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
 SHARES = frozenset({"deployed/success", WIDE, FORWARD, BACK, ALIVE})
 """Metrics that are shares, from 0 to 1."""
-MEANS = {
-    "forward_success": (FORWARD, "forward", 2),
-    "back_success": (BACK, "back", 2),
-    "alive": (ALIVE, "alive", 2),
-    "still_steps": (STILL, "still", 0),
-}
-"""By the name of a row's value: the metric of which it is the mean over seeds, its heading, and digits after the point."""
+MEANS = {"forward_success": FORWARD, "back_success": BACK, "alive": ALIVE, "still_steps": STILL}
+"""By the name of a row's value: the metric of which it is the mean over seeds."""
 
 
 def recent_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
@@ -36,9 +30,11 @@ def recent_scores(curves: Curves, step: int | None = None, metric: str | None = 
     `step` is by default the last one, `metric` the deployed one.
 
     Raises:
-        ValueError: the run has no such metric, or it has no value at some evaluation.
+        ValueError: the run has no such metric, it has no value at some evaluation, or there is none up to `step`.
     """
     until = curves.steps <= (curves.steps[-1] if step is None else step)
+    if not until.any():
+        raise InputError(f"{curves.config.algo} on {curves.config.env} has no evaluation in the first {step:,} steps")
     scores = curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(scores).all():
         raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
@@ -95,22 +91,12 @@ def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | 
 
     `wide` is the mean over seeds with Student's 95 % interval; the others are means of what was measured.
     """
-    values: dict[str, float | None] = dict.fromkeys(("wide", "wide_low", "wide_high", *MEANS))
-    if WIDE in metrics:
-        interval = mean_interval(last_mean(metrics[WIDE], last))
-        values |= {"wide": interval.value, "wide_low": interval.low, "wide_high": interval.high}
-    for name, (metric, _, _) in MEANS.items():
-        if metric in metrics:
-            values[name] = _mean(metrics[metric][:, -last:])
+    wide = mean_interval(last_mean(metrics[WIDE], last)) if WIDE in metrics else (None, None, None)
+    values: dict[str, float | None] = dict(zip(("wide", "wide_low", "wide_high"), wide, strict=True))
+    for name, metric in MEANS.items():
+        measured = metrics[metric][:, -last:] if metric in metrics else np.array([math.nan])
+        values[name] = None if np.isnan(measured).all() else float(np.nanmean(measured))
     return values
-
-
-def _mean(values: np.ndarray) -> float | None:
-    """Return the mean of the `values` that are not nan; None without any."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        mean = float(np.nanmean(values))
-    return None if np.isnan(mean) else mean
 
 
 def _crossing_columns(curves: Curves) -> dict[str, int | None]:

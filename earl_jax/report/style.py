@@ -1,7 +1,6 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
-import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +20,23 @@ PICTURES = (".png", ".pdf", ".svg")
 """The suffixes of files that `save` writes."""
 
 
+def matplotlib() -> Any:
+    """Return the module `matplotlib`.
+
+    Raises:
+        ValueError: it is not installed.
+    """
+    try:
+        import matplotlib.figure
+    except ImportError as error:
+        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
+    return matplotlib
+
+
 def new_figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:
-    """Return a figure of `size` inches and its axes [rows, columns].
-
-    Raises:
-        ValueError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
-    figure = Figure(figsize=size, layout="constrained")
+    """Return a figure of `size` inches and its axes [rows, columns]. Errors as `matplotlib`."""
+    figure = matplotlib().figure.Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
-
-
-@contextlib.contextmanager
-def text_size(points: float) -> Iterator[None]:
-    """A context in which figures have text of `points` points.
-
-    Raises:
-        ValueError: matplotlib is not installed.
-    """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
-    with matplotlib.rc_context({"font.size": points}):
-        yield
 
 
 def save(figure: Any, path: Path) -> Path:
@@ -105,22 +94,20 @@ def colours(algos: Iterable[str]) -> dict[str, str]:
 
 def mixed(colour: str, other: str, share: float) -> str:
     """Return `colour` (#RRGGBB) moved by `share` of the way to `other`."""
-    pairs = [(int(colour[i : i + 2], 16), int(other[i : i + 2], 16)) for i in (1, 3, 5)]
+    pairs = zip(bytes.fromhex(colour[1:]), bytes.fromhex(other[1:]), strict=True)
     return "#" + "".join(f"{round(a + share * (b - a)):02X}" for a, b in pairs)
 
 
 def lightened(colour: str) -> str:
     """Return `colour`, lightened if necessary so that it can be seen on black."""
-    brightness = sum(int(colour[i : i + 2], 16) for i in (1, 3, 5)) / 3
+    brightness = sum(bytes.fromhex(colour[1:])) / 3
     return mixed(colour, "#FFFFFF", max(0.0, LEAST_BRIGHTNESS - brightness) / (255 - brightness))
 
 
 def shaded(colour: str, shade: int, count: int) -> str:
     """Return number `shade` of `count` shades of a colour, from dark to light; a single shade is the colour."""
-    if count == 1:
-        return colour
-    share = shade / (count - 1)
-    return mixed(colour, "#000000" if share < 0.5 else "#FFFFFF", 0.55 * abs(2 * share - 1))
+    position = 2 * shade / (count - 1) - 1 if count > 1 else 0.0
+    return mixed(colour, "#000000" if position < 0 else "#FFFFFF", 0.55 * abs(position))
 
 
 def step_axis(axis: Any, label: str) -> None:

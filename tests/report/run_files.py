@@ -63,12 +63,12 @@ def constant(*scores):
     return np.repeat(np.array(scores, float)[:, None], 2, axis=1)
 
 
-def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), **options):
+def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), metrics=None, **options):
     """Write a run with every metric that a page needs: rewards a hundredth of the scores, and counts of evaluations."""
     scores = np.asarray(deployed, float)
     rewards = dict.fromkeys(("continuing/reward", "continuing/recent"), scores / 100)
     counts = dict.fromkeys(("interventions", "faults", "reached", *extra_counts), np.arange(1, scores.shape[1] + 1))
-    return write_run(path, env, algo, scores, metrics={**rewards, **counts}, **options)
+    return write_run(path, env, algo, scores, metrics={**rewards, **counts, **(metrics or {})}, **options)
 
 
 def read_csv(path):

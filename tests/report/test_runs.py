@@ -5,9 +5,9 @@ import shutil
 import numpy as np
 import pytest
 
-from earl_jax.report.runs import by_method, label, read, read_all
+from earl_jax.report.runs import by_method, find_runs, gather, label, read, read_all
 from earl_jax.runs.files import RunWarning
-from tests.report.run_files import DOOR, TABLETOP, rising, write_run
+from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run, write_run
 
 
 def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
@@ -56,8 +56,9 @@ def test_an_incomplete_evaluation_is_not_read(tmp_path):
 def test_runs_without_an_evaluation_and_no_runs_are_errors(tmp_path):
     path = write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 1))
     (path / "metrics.csv").unlink()
-    with pytest.raises(ValueError, match="no evaluation yet"):
-        read(path)
+    for function in (read, lambda path: read_all([path])):
+        with pytest.raises(ValueError, match=r"^\S*/a has no evaluation yet$"):
+            function(path)
     with pytest.raises(ValueError, match="at least one run folder"):
         read_all([])
 
@@ -92,7 +93,41 @@ def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
         assert [curves.config.algo for curves in read_all([tmp_path])] == ["naive", "fbrl"]
     shutil.rmtree(tmp_path / "x/a")
     shutil.rmtree(tmp_path / "x/b")
-    with pytest.warns(RunWarning), pytest.raises(ValueError, match=r"no run below .*x can be read: .*young"):
+    with pytest.raises(ValueError, match=r"^\S*young has no evaluation yet$"):
         read_all([tmp_path / "x"])
-    with pytest.raises(ValueError, match="nowhere is not a run folder"):
+    with pytest.raises(ValueError, match="nowhere is not a folder"):
         read_all([tmp_path / "nowhere"])
+
+
+def test_run_folders_are_found_once_however_they_are_given(tmp_path):
+    nested, deep = (write_run(tmp_path / name, TABLETOP, "fbrl", rising(1, 1)) for name in ("a/b", "a/c/d"))
+    (nested / "checkpoints").mkdir()
+    (nested / "checkpoints" / "config.json").write_text("{}")
+    assert find_runs([tmp_path, tmp_path / "a" / "c" / ".." / "b"]) == [nested, deep]
+    below = write_run(deep / "e", TABLETOP, "fbrl", rising(1, 1))
+    assert find_runs([deep]) == [deep], "a run that is named stands for itself alone"
+    assert find_runs([tmp_path]) == [nested, deep, below]
+
+
+def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
+    for name, seeds in (("a", (0, 1)), ("b", (1, 2)), ("other", (3, 4))):
+        write_page_run(tmp_path / name, "fbrl", rising(2, 2), seeds=seeds)
+    table = tmp_path / "other/metrics.csv"
+    table.write_text(table.read_text().replace("reached", "renamed"))
+    [pooled], left_out = gather([tmp_path])
+    assert [seed for run in pooled.runs for seed in run.config.seeds] == [0, 1, 1, 2]
+    assert list(left_out) == [tmp_path / "other"]
+    assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
+
+
+def test_any_error_in_a_folder_is_its_cause(tmp_path):
+    for name, algo in (("a", "fbrl"), ("b", "naive")):
+        write_run(tmp_path / name, TABLETOP, algo, rising(2, 2))
+
+    def check(curves):
+        if curves.config.algo == "naive":
+            raise KeyError("speed")
+
+    [kept], left_out = gather([tmp_path], check)
+    assert kept.config.algo == "fbrl"
+    assert left_out == {tmp_path / "b": f"{tmp_path / 'b'}: KeyError: 'speed'"}

@@ -1,17 +1,25 @@
 """The content of a page, as texts and numbers that its template and its script lay out."""
 
 import datetime
+import json
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from earl_jax.report.html.curves import POINTS, panels
-from earl_jax.report.html.leaderboard import leaderboard
-from earl_jax.report.html.lines import Line
-from earl_jax.report.html.media import VideoEmbedder, maps
-from earl_jax.report.html.origin import changed_options, origins, run_card, values_of
-from earl_jax.report.html.page_tables import paper_table, seed_table
-from earl_jax.report.html.policy_videos import PolicyVideos
+from earl_jax.report.comparison import RULE
+from earl_jax.report.html.curves import POINTS, Line, panels
+from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
+from earl_jax.report.html.page_tables import (
+    UNKNOWN,
+    difference_table,
+    leaderboard,
+    paper_table,
+    provenance,
+    recorded,
+    seed_table,
+)
 from earl_jax.report.published import INTERVAL_RULE
+from earl_jax.report.runs import options_text
 from earl_jax.report.scores import WINDOW
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import steps_text
@@ -19,27 +27,31 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 
 CROWD = 6
-"""Above this number of lines, a task's bands are hidden at first."""
+"""Above this number of lines, a task's bands are hidden at first, and its lines are not compared with each other."""
 
 
 def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) -> dict[str, Any]:
     """Return the variables of the template for `lines`, with videos of their `policies`."""
-    embedder = VideoEmbedder(policies)
-    runs = [run for line in lines for run in line.runs]
     titles = [task_title(env) for env in task_order(line.group.env for line in lines)]
+    origins = [provenance(run) for line in lines for run in line.runs]
+    names = dict.fromkeys(name for origin in origins for name in origin)
+    versions = {name: list(dict.fromkeys(origin.get(name, UNKNOWN) for origin in origins)) for name in names}
+    shown = videos(lines, policies)
     sections = enumerate(_by_section(lines).items())
-    tasks = [_task_section(f"t{number}", title, members, embedder) for number, (title, members) in sections]
     return {
         "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
-        "tasks": tasks,
+        "tasks": [_task_section(f"t{number}", title, members, shown) for number, (title, members) in sections],
         "lines": lines,
-        "facts": _facts(lines, runs),
+        "summary": _summary(lines, versions),
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
         "rule": INTERVAL_RULE,
+        "difference_rule": RULE,
         "leaderboard": leaderboard(lines),
-        "cards": [run_card(line, run) for line in lines for run in line.runs],
-        "origins": origins(runs),
+        "cards": [_run_card(line, run) for line in lines for run in line.runs],
+        "versions": {name: ", ".join(values) for name, values in versions.items()},
+        "differing": [name for name, values in versions.items() if len(values) > 1],
         "window": WINDOW,
+        "points": POINTS,
     }
 
 
@@ -55,18 +67,16 @@ def plot_numbers(content: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _facts(lines: Sequence[Line], runs: Sequence[RunFolder]) -> list[tuple[str, str]]:
+def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
-    versions = {"earl-jax": "earl-jax", "jax": "jax", "Python": "python"}
-    return [
-        ("Runs", f"{len(runs)}, with {seeds} seeds and {steps_text(steps)} steps in total"),
-        ("Methods", ", ".join(dict.fromkeys(line.group.algo for line in lines))),
-        ("Date", f"this page, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; each run has its own in its config.json"),
-        ("Hardware", values_of(runs, "device")),
-        ("Versions", "; ".join(f"{name} {values_of(runs, key)}" for name, key in versions.items())),
-        ("Commit", values_of(runs, "commit", short_commit)),
-    ]
+    return {
+        "Runs": f"{sum(len(line.runs) for line in lines)}, with {seeds} seeds and {steps_text(steps)} steps in total",
+        "Methods": ", ".join(dict.fromkeys(line.group.algo for line in lines)),
+        "Date": f"this page, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; each run has its own in its config.json",
+        "Hardware": ", ".join(versions["device"]),
+        "Commit": ", ".join(map(short_commit, versions["commit"])),
+    }
 
 
 def _by_section(lines: Sequence[Line]) -> dict[str, list[Line]]:
@@ -81,31 +91,25 @@ def _by_section(lines: Sequence[Line]) -> dict[str, list[Line]]:
     }
 
 
-def _task_section(key: str, title: str, lines: Sequence[Line], embedder: VideoEmbedder) -> dict[str, Any]:
+def _task_section(key: str, title: str, lines: Sequence[Line], shown: Sequence[Video]) -> dict[str, Any]:
     """Return everything that the page shows of one task."""
-    plots, (visit_maps, map_notes) = panels(lines), maps(lines)
-    videos = [embedder.videos(line) for line in lines]
-    curves = [curve for plot in plots for curve in plot["lines"]]
-    longest = max(len(line.curves.steps) for line in lines)
+    keys = {line.key for line in lines}
+    plots, (visit_maps, sentences) = panels(lines), maps(lines)
+    of_task = [video for video in shown if video.line.key in keys]
     return {
         "id": key,
         "env": lines[0].group.env,
         "title": title,
         "lines": lines,
-        "options": [(line, changed_options(line)) for line in lines],
         "notes": _notes(lines),
         "panels": plots,
-        "smooth": any(curve["smooth"] for curve in curves),
-        "banded": any(curve["plain"]["low"] for curve in curves),
-        "published": any(curve["published"] for curve in curves),
-        "crossed": any(curve["published"]["crossings"] for curve in curves if curve["published"]),
+        "banded": any(curve["plain"]["low"] for plot in plots for curve in plot["lines"]),
         "crowded": len(lines) > CROWD,
-        "thinned": (POINTS, longest) if longest > POINTS else None,
+        "differences": difference_table(lines) if 1 < len(lines) <= CROWD else None,
         "seeds": seed_table(lines),
         "maps": visit_maps,
-        "map_notes": map_notes,
-        "videos": [video for embedded, _ in videos for video in embedded],
-        "video_notes": [sentence for _, sentences in videos for sentence in sentences],
+        "videos": [video for video in of_task if not video.problem],
+        "absent": sentences + [video.problem for video in of_task if video.problem],
     }
 
 
@@ -120,3 +124,19 @@ def _notes(lines: Sequence[Line]) -> list[str]:
         if repeated:
             notes.append(f"{line.group.label}: seed {repeated} was trained in several runs, and each of them counts.")
     return notes
+
+
+def _run_card(line: Line, run: RunFolder) -> dict[str, Any]:
+    """Return the card of one run: its length, its options, the command that repeats it, its whole config."""
+    whole = recorded(run)
+    return {
+        "line": line,
+        "path": str(run.path),
+        "seeds": len(run.config.seeds),
+        "steps": steps_text(run.config.steps),
+        "options": options_text(line.curves.options),
+        "command": shlex.join(["earl-jax", "train", "--config", str(run.path), "--out", "runs/again"]),
+        "config": json.dumps(whole, indent=2, ensure_ascii=False),
+        "engine": str(whole.get("engine", UNKNOWN)),
+        "device": provenance(run)["device"],
+    }

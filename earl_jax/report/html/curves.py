@@ -1,5 +1,6 @@
-"""The numbers behind the plots of a page: curves over the lifetime, thinned and rounded, with their bands."""
+"""The lines of a page, and the numbers behind its plots: curves over the lifetime, thinned and rounded, with their bands."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -9,15 +10,67 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
-from earl_jax.report.html.lines import Line
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
+from earl_jax.report.runs import Curves, MethodRuns, by_method
 from earl_jax.report.scores import SHARES, WINDOW, trailing
+from earl_jax.report.style import colours, lightened, shaded
+from earl_jax.runs.folder import RunFolder
 
+DASHES = ("solid", "dash", "dot", "dashdot")
 POINTS = 250
 """Most evaluations drawn of a line; more would only make the page larger."""
 DIGITS = 5
 FEWEST = 3
 """Fewest seeds that have a band."""
+
+
+class Line(NamedTuple):
+    """One method on one task.
+
+    `key` identifies it on the page. `light` and `dark` are its colours on a light and on a dark page, `dash` its
+    line style.
+    """
+
+    key: str
+    group: MethodRuns
+    light: str
+    dark: str
+    dash: str
+
+    @property
+    def curves(self) -> Curves:
+        """The curves of its seeds."""
+        return self.group.curves
+
+    @property
+    def options(self) -> str:
+        """The options that tell this line from others of its method; empty if there are none."""
+        return self.group.label[len(self.group.algo) + 2 : -1]
+
+    @property
+    def runs(self) -> tuple[RunFolder, ...]:
+        """The runs that its seeds come from."""
+        return self.curves.runs
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seed of each row of the curves."""
+        return tuple(seed for run in self.runs for seed in run.config.seeds)
+
+
+def lines_of(runs: Sequence[Curves]) -> list[Line]:
+    """Return a line for each of `runs`, by task and method in the paper's order.
+
+    Variants of a method have shades of its colour.
+    """
+    lines: list[Line] = []
+    palette = colours(curves.config.algo for curves in runs)
+    for (_, algo), variants in itertools.groupby(by_method(runs), lambda group: (group.env, group.algo)):
+        peers = list(variants)
+        for number, group in enumerate(peers):
+            light = shaded(palette[algo], number, len(peers))
+            lines.append(Line(f"c{len(lines)}", group, light, lightened(light), DASHES[number % len(DASHES)]))
+    return lines
 
 
 class Panel(NamedTuple):
@@ -73,37 +126,28 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
 def _curve(line: Line, metric: str) -> dict[str, Any]:
     curves = line.curves
     values = curves.metrics[metric]
-    indices = thinned(len(curves.steps))
-    smooth = metric == curves.deployed_metric and len(curves.steps) >= 2 * WINDOW
+    count = len(curves.steps)
+    indices = np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
+    smooth = metric == curves.deployed_metric and count >= 2 * WINDOW
     return {
         "line": line.key,
         "x": curves.steps[indices].tolist(),
-        "plain": banded(values[:, indices]),
-        "smooth": banded(trailing(values)[:, indices]) if smooth else None,
-        "seeds": line.seeds,
+        "plain": _banded(values[:, indices]),
+        "smooth": _banded(trailing(values)[:, indices]) if smooth else None,
         "published": _published(line, metric),
     }
 
 
-def thinned(count: int) -> np.ndarray:
-    """Return the indices of the drawn ones of `count` evaluations: all, or `POINTS` from the first to the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
-
-
-def banded(values: np.ndarray) -> dict[str, Any]:
+def _banded(values: np.ndarray) -> dict[str, Any]:
     """Return the mean of `values [N, E]`, Student's 95 % band if seeds suffice, and every seed."""
-    mean, low, high = mean_interval(values)
+    mean, low, high = map(_short, mean_interval(values))
     if len(values) < FEWEST:
         low = high = None
-    return {"mean": _plain(mean), "low": _plain(low), "high": _plain(high), "each": _plain(values)}
+    return {"mean": mean, "low": low, "high": high, "each": [_short(seed) for seed in values]}
 
 
-def _plain(values: np.ndarray | None) -> Any:
-    """Return `values` as lists of short numbers; a number that is not finite becomes None, since JSON has none."""
-    if values is None:
-        return None
-    if values.ndim > 1:
-        return [_plain(part) for part in values]
+def _short(values: np.ndarray) -> list[float | None]:
+    """Return `values [E]` as short numbers; one that is not finite becomes None, since JSON has none."""
     return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 

@@ -1,19 +1,20 @@
 """Pictures of a page: maps of visited positions, and videos as data URIs."""
 
 import base64
-import warnings
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
-from earl_jax.report.html.lines import Line
-from earl_jax.report.html.policy_videos import PolicyVideos, cause_of
+from earl_jax.report.html.curves import Line
+from earl_jax.report.scores import last_mean
 from earl_jax.runs.contents import POLICIES
-from earl_jax.runs.files import DamagedWarning
+from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.policies import policies_step
 from earl_jax.training import load_visits
 
 MEGABYTE = 1_000_000
@@ -23,10 +24,13 @@ TOTAL = 100 * MEGABYTE
 """Most bytes of all videos of a page."""
 KINDS = {".mp4": "video/mp4", ".gif": "image/gif"}
 """The types of videos by their suffix."""
+SECONDS = 6.0
+"""Length of the video of a policy: one episode or a few."""
+SIZE, FPS = (240, 320), 12.5
 
 
 def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the maps of one task's `lines`, ready to be drawn, and sentences about those that have none.
+    """Return the maps of one task's `lines`, ready to be drawn, and sentences about runs that have none.
 
     Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
@@ -34,33 +38,20 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
         return [], []
     drawn, sentences = [], []
     for line in lines:
-        visits, problems = _visits(line)
-        sentences += problems
-        if visits is not None:
-            drawn.append(_drawn(line, visits))
+        visits = []
+        for run in line.runs:
+            try:
+                visits.append(np.asarray(load_visits(run)[1]))
+            except Exception as error:  # the files are data: any error in them is reported and affects nothing else
+                sentences.append(f"No map of {line.group.label}: {_cause(error)}.")
+        if visits:
+            drawn.append(_map(line, np.concatenate(visits)))
     shares = [share for visit_map in drawn for column in visit_map["shares"] for share in column if share]
     ends = [min(shares), max(shares)] if shares else [0.1, 1.0]
     return [{**visit_map, "ends": ends} for visit_map in drawn], sentences
 
 
-def _visits(line: Line) -> tuple[np.ndarray | None, list[str]]:
-    """Return the visits of all seeds of a line, [N, B, B] or None, and a sentence for each problem with a run's files."""
-    runs = [run for run in line.runs if run.policies.exists() or run.checkpoints.exists()]
-    parts, sentences = [], []
-    if without := len(line.runs) - len(runs):
-        sentences.append(f"No map of {without} runs of {line.group.label}: they have no {POLICIES} and no checkpoint.")
-    for run in runs:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", DamagedWarning)
-            try:
-                parts.append(np.asarray(load_visits(run)[1]))
-            except Exception as error:  # the files are data: any error in them is reported and affects nothing else
-                sentences.append(f"No map of {line.group.label}: {cause_of(error)}.")
-        sentences += [f"{warning.message}." for warning in caught if issubclass(warning.category, DamagedWarning)]
-    return (np.concatenate(parts) if parts else None), sentences
-
-
-def _drawn(line: Line, visits: np.ndarray) -> dict[str, Any]:
+def _map(line: Line, visits: np.ndarray) -> dict[str, Any]:
     """Return the map of `visits [N, B, B]`, whose first axis is x."""
     env, total, scores = line.runs[0].config.build_env(), visits.sum(axis=0), [measure(part) for part in visits]
     return {
@@ -73,43 +64,111 @@ def _drawn(line: Line, visits: np.ndarray) -> dict[str, Any]:
     }
 
 
-class VideoEmbedder:
-    """Turns the videos of run folders, and with `policies` those of their policies, into data URIs, as many as a page takes."""
+class Film(NamedTuple):
+    """The file of a video and what it shows, or without a file the `problem`."""
 
-    def __init__(self, policies: PolicyVideos | None = None):
-        self.size, self.policies = 0, policies
+    file: Path | None
+    caption: str = ""
+    problem: str = "it is not a regular file"
 
-    def videos(self, line: Line) -> tuple[list[dict[str, Any]], list[str]]:
-        """Return the videos in the run folders of `line`, and a sentence for each that is left out."""
-        found: list[tuple[Path | None, str, str, str]] = [
-            (file, file.name, f"{file} is left out", "")
-            for run in line.runs
-            for file in sorted(path for path in run.path.iterdir() if path.suffix.lower() in KINDS)
-        ]
-        for run, film in self.policies.films(line) if self.policies else []:
-            found.append((film.file, film.caption, f"No video of the policy of {run.path}", film.cause))
-        videos, sentences = [], []
-        for file, name, absent, cause in found:
+
+class PolicyVideos:
+    """Renders a video of a policy of every run with policies.npz: its median seed by the last ten evaluations.
+
+    A run is rendered again when its policies are newer. The files are in a temporary folder; a run folder stays as it is.
+    """
+
+    def __init__(self, emit: Callable[[str], None] = lambda line: None):
+        self._emit = emit
+        self._folder = tempfile.TemporaryDirectory(prefix="earl_jax-videos-")
+        self._films: dict[object, Film] = {}
+
+    def film(self, run: RunFolder, scores: np.ndarray) -> Film:
+        """Return the film of `run`, whose seeds have `scores [N]`, rendered now if its policies are new."""
+        if not run.policies.exists():
+            return Film(None, problem=f"it has no {POLICIES}")
+        status = run.policies.stat()
+        version = (run.path, status.st_size, status.st_mtime_ns)
+        if version not in self._films:
+            self._emit(f"rendering the policy of {run.path}")
+            lower_median = int(np.argsort(scores, kind="stable")[(len(scores) - 1) // 2])
+            self._films[version] = self._rendered(run, lower_median)
+        return self._films[version]
+
+    def _rendered(self, run: RunFolder, lane: int) -> Film:
+        """Return the film of a policy; an error in the files, the task or the drawing is its problem."""
+        from earl_jax.rendering import render
+
+        seeds = run.config.seeds
+        median = f", the median of {len(seeds)}" if len(seeds) > 1 else ""
+        file = Path(self._folder.name) / f"{len(self._films)}.mp4"
+        try:
+            caption = f"policy of seed {seeds[lane]}{median}, at step {policies_step(run.policies):,}"
+            steps = round(SECONDS / run.config.build_env().step_seconds)
+            render(run.path, file, "policy", seed=lane, steps=steps, size=SIZE, fps=FPS)
+        except Exception as error:  # a folder is data: any error in it is reported and affects nothing else
+            return Film(None, problem=_cause(error))
+        return Film(file, caption)
+
+
+class Video(NamedTuple):
+    """A video of a line as a data URI, or a sentence with the `problem` for which it is not on the page."""
+
+    line: Line
+    name: str
+    kind: str = ""
+    uri: str = ""
+    problem: str = ""
+
+
+def videos(lines: Sequence[Line], policies: PolicyVideos | None = None) -> list[Video]:
+    """Return the videos in the run folders of a page's `lines`, and with `policies` those of their policies.
+
+    Links, files that are too large, and more than a page takes have a `problem`.
+    """
+    embedded, room = [], TOTAL
+    for line in lines:
+        for film, absent in _films(line, policies):
             try:
-                videos.append({"name": name, "line": line, **self._embedded(file, cause)})
+                kind, content = _content(film, room)
+                room -= len(content)
+                uri = f"data:{kind};base64,{base64.b64encode(content).decode()}"
+                embedded.append(Video(line, film.caption, kind, uri))
             except (OSError, ValueError) as error:
-                sentences.append(f"{absent}: {error}.")
-        return videos, sentences
+                embedded.append(Video(line, film.caption, problem=f"{absent}: {error}."))
+    return embedded
 
-    def _embedded(self, file: Path | None, cause: str) -> dict[str, str]:
-        """Return a video's `kind` and `uri`.
 
-        Raises:
-            ValueError: there is no file, for this `cause`, it is a link, too large, or would exceed the size of a page.
-        """
-        if file is None or file.is_symlink() or not file.is_file():
-            raise InputError(cause or "it is not a regular file")
-        size = file.stat().st_size
-        if size > LARGEST:
-            megabytes, most = f"{size / MEGABYTE:.0f}", LARGEST // MEGABYTE
-            raise InputError(f"it has {megabytes} MB, and a page takes videos of at most {most} MB")
-        if self.size + size > TOTAL:
-            raise InputError(f"the videos of a page have at most {TOTAL // MEGABYTE} MB together")
-        self.size += size
-        kind = KINDS[file.suffix.lower()]
-        return {"kind": kind, "uri": f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"}
+def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, str]]:
+    """Yield the videos of a line, each with the start of the sentence about its problem."""
+    scores, first = last_mean(line.curves.metrics[line.curves.deployed_metric]), 0
+    for run in line.runs:
+        for file in sorted(run.path.iterdir()):
+            if file.suffix.lower() in KINDS:
+                yield Film(file, file.name), f"{file} is left out"
+        if policies:
+            last = first + len(run.config.seeds)
+            yield policies.film(run, scores[first:last]), f"No video of the policy of {run.path}"
+            first = last
+
+
+def _content(film: Film, room: int) -> tuple[str, bytes]:
+    """Return the type and the content of a video.
+
+    Raises:
+        ValueError: there is no file, it is a link, too large, or more than the `room` that is left on the page.
+    """
+    if film.file is None or film.file.is_symlink() or not film.file.is_file():
+        raise InputError(film.problem)
+    size = film.file.stat().st_size
+    if size > LARGEST:
+        most = LARGEST // MEGABYTE
+        raise InputError(f"it has {size / MEGABYTE:.0f} MB, and a page takes videos of at most {most} MB")
+    if size > room:
+        raise InputError(f"the videos of a page have at most {TOTAL // MEGABYTE} MB together")
+    return KINDS[film.file.suffix.lower()], film.file.read_bytes()
+
+
+def _cause(error: Exception) -> str:
+    """Return the first line of an error, for a sentence."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")

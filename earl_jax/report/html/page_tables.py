@@ -1,62 +1,152 @@
-"""The tables of a page as text: tables 1 and 2 of the paper, speed of learning, and final scores of seeds."""
+"""The tables of a page as text: tables 1 and 2 of the paper, the leaderboard, and final scores of seeds."""
 
+import itertools
+import json
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.report.html.curves import PANELS
-from earl_jax.report.html.lines import Line
+from earl_jax.report.comparison import COLUMNS, pair_row, with_verdicts
+from earl_jax.report.html.curves import PANELS, Line
+from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
-from earl_jax.report.published import (
-    PublishedScore,
-    published_fault,
-)
+from earl_jax.report.published import PublishedScore, published_fault
+from earl_jax.report.runs import label
 from earl_jax.report.scores import WINDOW, last_mean
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import steps_text
+from earl_jax.runs.folder import RunFolder
+
+MACHINE = ("python", "backend", "device", "commit")
+"""Names in the provenance besides versions of packages."""
+UNKNOWN = "unknown"
+HERE = "this page"
+"""Where a row of the page's own runs comes from."""
+ARROWS = {"above": "▲ ", "below": "▼ "}
+SIZE, MEAN, INTERVAL, RECENT = "seeds × steps", "mean (s.e.)", "95 % of the mean", "last 100k steps (s.e.)"
+PUBLISHED, PUBLISHED_LAST, VERDICT = "published", f"published, last {WINDOW}", "verdict"
+HEADS = {
+    1: (SIZE, MEAN, INTERVAL, RECENT, PUBLISHED, PUBLISHED_LAST, VERDICT),
+    2: (SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT),
+}
+"""The columns of each of the paper's tables."""
+
+
+class TableRow(NamedTuple):
+    """A row of a table: a method with its options, its line if it is one of the page's, and cells as text."""
+
+    line: Line | None
+    name: str
+    options: str
+    cells: Sequence[str]
+
+    @classmethod
+    def of(cls, line: Line | None, label: str, cells: Sequence[str]) -> "TableRow":
+        """Return a row of which `label` is the method with options in brackets."""
+        name, _, options = label.partition(" (")
+        return cls(line, name, options.removesuffix(")"), cells)
 
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
-    """Return table `number` of the paper for the tasks of `lines`: heading, and rows by task with methods not run."""
+    """Return table `number` of the paper for the tasks of `lines`, rows by task with methods not run, and known faults."""
+    known = {(line.group.env, line.group.label): line for line in lines}
     rows = paper_rows(number, [line.group for line in lines])
-    lead, _, text = HEADINGS[number].partition(": ")
-    groups = []
+    groups, notes = [], []
     for env in task_order(line.group.env for line in lines):
-        task_rows = [_paper_row(number, row, lines) for row in rows if row["env"] == env]
-        fault = published_fault(f"table{number}", env)
-        groups.append({"title": task_title(env), "env": env, "rows": task_rows, "fault": fault})
-    return {"lead": lead, "text": text, "description": DESCRIPTIONS[number], "groups": groups}
+        of_task = [row for row in rows if row["env"] == env]
+        table_rows = [_paper_row(number, row, known.get((env, row["label"]))) for row in of_task]
+        groups.append({"title": task_title(env), "rows": table_rows})
+        if fault := published_fault(f"table{number}", env):
+            notes.append(f"{task_title(env)}, a known fault of the published scores: {fault}")
+    lead, _, text = HEADINGS[number].partition(": ")
+    about = {"lead": lead, "text": text, "description": DESCRIPTIONS[number], "notes": notes}
+    return {**about, "head": HEADS[number], "groups": groups}
 
 
-def _paper_row(number: int, row: dict[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
-    name = (row["env"], row["algo"], row["label"])
-    line = next((line for line in lines if (line.group.env, line.group.algo, line.group.label) == name), None)
-    published = PublishedScore(row["published_mean"], row["published_stderr"])
-    share = share_of_steps(row)
-    texts = {
-        "line": line,
-        "label": row["label"],
-        "published": "–" if published.mean == "-" else published.text.replace("-", "−"),
-        "verdict": "" if row["verdict"] == "-" else row["verdict"],
-        "share": f"at {share} of steps" if share else "",
-        "p": f"p = {row['p_holm']:.2g}" if row["p_holm"] is not None else "",
-    }
-    if line is None:
-        return texts
-    digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-    texts["size"] = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
-    texts |= {name: number_text(row[name], digits) for name in ("mean", "stderr", "low", "high")}
-    if number == 1:
-        texts |= {name: number_text(row[name], digits) for name in ("recent", "recent_stderr")}
-        texts["published_last10"] = row["published_last10"] or "–"
-    return texts
+def _paper_row(number: int, row: dict[str, Any], line: Line | None) -> TableRow:
+    score = PublishedScore(row["published_mean"], row["published_stderr"])
+    published = "–" if score.mean == "-" else score.text.replace("-", "−")
+    cells = {SIZE: "not run", PUBLISHED: published, VERDICT: _verdict(row)}
+    if line is not None:
+        digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
+        texts = {name: number_text(value, digits) for name, value in row.items() if isinstance(value, float)}
+        cells |= {
+            SIZE: f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}",
+            MEAN: f"{texts['mean']} ({texts['stderr']})",
+            INTERVAL: f"[{texts['low']}, {texts['high']}]",
+        }
+        if number == 1:
+            cells[RECENT] = f"{texts['recent']} ({texts['recent_stderr']})"
+            cells[PUBLISHED_LAST] = row["published_last10"] or "–"
+    return TableRow.of(line, row["label"], [cells.get(name, "") for name in HEADS[number]])
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    if share := share_of_steps(row):
+        return f"at {share} of steps"
+    if row["p_holm"] is None:
+        return ""
+    return f"{ARROWS.get(row['verdict'], '')}{row['verdict']}, p = {row['p_holm']:.2g}"
+
+
+def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the leaderboards of the tasks of `lines`, a row for each method; `left_out` are lines that it does not take.
+
+    It takes the paper's tasks, with their own options and in the deployment setting. A row of ours that ships and has the
+    method, the numbers and the commit of a line of the page is that run, and is shown once.
+    """
+    shipped = shipped_rows()
+    known = {row.env for row in shipped}
+    own = {_board_row(line): line for line in lines if line.group.env in known and line.curves.comparable}
+    shown = {_identity(row) for row in own}
+    rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
+    groups = [
+        {"title": task_title(env), "rows": [TableRow.of(own.get(row), row.method, row.texts[1:]) for row in rows[env]]}
+        for env in task_order(line.group.env for line in lines)
+        if env in known
+    ]
+    left_out = [line.group for line in lines if line.group.env in known and not line.curves.comparable]
+    names = [f"{group.label} on {group.env}" for group in left_out]
+    return {"head": HEADER[1:], "groups": groups, "left_out": names, "marked": True}
+
+
+def _board_row(line: Line) -> Row:
+    """Return the row of a line, under the name of its method with all of its changed options."""
+    group = line.group
+    commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
+    named = group._replace(label=label(group.algo, line.curves.options, [{}]))
+    return run_row(named, commits.pop() if len(commits) == 1 else "several", HERE)
+
+
+def _identity(row: Row) -> tuple[object, ...]:
+    """Return what tells the runs of two rows apart: a name can have more or fewer of the options."""
+    return row._replace(method=row.method.partition(" (")[0], source="", score=0.0)
+
+
+def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the tests of differences between the deployed scores of one task's `lines`, a row for each pair.
+
+    A pair of which one run ends before the other's first evaluation is left out.
+    """
+    pairs = [
+        (first, second)
+        for first, second in itertools.combinations(lines, 2)
+        if first.curves.steps[0] <= second.curves.steps[-1] and second.curves.steps[0] <= first.curves.steps[-1]
+    ]
+    tested = with_verdicts([pair_row(first.group, second.group) for first, second in pairs])
+    columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
+    rows = [
+        TableRow.of(line, line.group.label, [cell(row) for _, cell in columns])
+        for (line, _), row in zip(pairs, tested, strict=True)
+    ]
+    return {"head": [name for name, _ in columns], "groups": [{"title": "", "rows": rows}]}
 
 
 def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the final values of every seed of one task's `lines`: names of columns, and a row of texts per seed.
+    """Return the final values of every seed of one task's `lines`, a row for each.
 
-    The first two columns are the last deployed score and the mean of the last ten; the others are those of `PANELS`.
+    After the seed come the last deployed score, the mean of the last ten, and the values of `PANELS`.
     """
     panels = [panel for panel in PANELS if panel.metric and any(panel.metric in line.curves.metrics for line in lines)]
     rows = []
@@ -67,11 +157,26 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
             values = [scores[lane, -1], last_mean(scores[lane])]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
             texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
-            rows.append({"line": line, "seed": seed, "texts": texts})
+            rows.append(TableRow.of(line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
-    return {"head": [name, f"mean of the last {WINDOW}", *(panel.title for panel in panels)], "rows": rows}
+    head = ["seed", name, f"mean of the last {WINDOW}", *(panel.title for panel in panels)]
+    return {"head": head, "groups": [{"title": "", "rows": rows}]}
 
 
-def number_text(value: float | None, digits: int) -> str:
-    """Return a number with `digits` after the point, `–` for None and nan."""
-    return "–" if value is None or math.isnan(value) else f"{value:,.{digits}f}".replace("-", "−")
+def number_text(value: float, digits: int) -> str:
+    """Return a number with `digits` after the point, `–` for nan."""
+    return "–" if math.isnan(value) else f"{value:,.{digits}f}".replace("-", "−")
+
+
+def recorded(run: RunFolder) -> dict[str, Any]:
+    """Return the whole config.json of a run, with its provenance."""
+    return json.loads(run.config_file.read_text())
+
+
+def provenance(run: RunFolder) -> dict[str, str]:
+    """Return the machine and the version of each package from a run's config, as texts; `unknown` for what it lacks."""
+    known = recorded(run).get("provenance")
+    known = known if isinstance(known, dict) else {}
+    versions = known.get("versions")
+    values = {name: known.get(name) for name in MACHINE} | (versions if isinstance(versions, dict) else {})
+    return {str(name): UNKNOWN if value is None else str(value) for name, value in values.items()}

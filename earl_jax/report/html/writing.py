@@ -1,23 +1,31 @@
 """One self-contained HTML page about run folders: curves, tables, seeds, maps, videos, and the origin of all of it."""
 
 import base64
+import datetime
 import gzip
 import hashlib
 import json
+import shlex
+import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from earl_jax.errors import InputError
 from earl_jax.report.html.content import page_content, plot_numbers
-from earl_jax.report.html.lines import gather
-from earl_jax.report.html.origin import report_command
-from earl_jax.report.html.policy_videos import PolicyVideos
-from earl_jax.report.runs import find_runs
+from earl_jax.report.html.curves import lines_of
+from earl_jax.report.html.media import KINDS, PolicyVideos
+from earl_jax.report.runs import Curves, find_runs, gather
+from earl_jax.report.scores import row_of
+from earl_jax.runs.contents import FILES
 from earl_jax.runs.files import RunWarning, write_atomically
 
 TEMPLATES = Path(__file__).parent / "templates"
+LEAST_SECONDS = 1.0
+"""Shortest pause between two looks at the runs of a watched page."""
 
 
 def write_page(
@@ -31,25 +39,22 @@ def write_page(
     Raises:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
     """
-    environment, plotly = require_writable(out)
-    lines, left_out = gather(find_runs(folders))
-    if not lines:
-        causes = "\n".join(f"  {folder.path}: {folder.cause}" for folder in left_out)
-        raise InputError(f"none of the runs can be shown:\n{causes}")
-    for folder in left_out:
-        name = "" if str(folder.path) in folder.cause else f"{folder.path}: "
-        warnings.warn(f"left out: {name}{folder.cause}", RunWarning, stacklevel=2)
-    content = page_content(lines, policies)
+    environment, plotly = _libraries(out)
+    runs, left_out = gather(folders, _check)
+    for cause in left_out.values():
+        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
+    content = page_content(lines_of(runs), policies)
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
+    command = ["earl-jax", "report", *map(str, folders), "--out", str(out), *(["--videos"] if policies else [])]
     page = environment.get_template("report.html").render(
         content,
         left_out=left_out,
         reload_seconds=reload_seconds,
-        report_command=report_command(folders, out, policies is not None),
+        command=shlex.join(command),
         style=style,
         script=script,
-        plotly=packed(plotly),
-        numbers=packed(json.dumps(plot_numbers(content), allow_nan=False)),
+        plotly=_packed(plotly),
+        numbers=_packed(json.dumps(plot_numbers(content), allow_nan=False)),
         hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
     )
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +62,15 @@ def write_page(
     return out
 
 
-def require_writable(out: Path) -> tuple[Any, str]:
+def _check(curves: Curves) -> None:
+    """Raise an error if the method cannot be built or if a number of the page cannot be computed from `curves`."""
+    curves.config.build_method()
+    row_of(curves, 1, "")
+    if not np.isfinite(curves.metrics["interventions"]).all():
+        raise InputError("interventions are not finite")
+
+
+def _libraries(out: Path) -> tuple[Any, str]:
     """Return the environment of templates and plotly.js, with which a page can be written to `out`.
 
     Raises:
@@ -78,10 +91,68 @@ def require_writable(out: Path) -> tuple[Any, str]:
     return environment, get_plotlyjs()
 
 
-def packed(text: str) -> str:
+def _packed(text: str) -> str:
     """Return `text` compressed and in base64; the page's script unpacks it."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 def _sha256(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def watch_page(
+    folders: Sequence[Path],
+    out: Path,
+    every: float,
+    emit: Callable[[str], None],
+    sleep: Callable[[float], None] = time.sleep,
+    policies: PolicyVideos | None = None,
+) -> None:
+    """Write the page of `folders` to `out` again whenever a run changes, looking `every` so many seconds, until Ctrl-C.
+
+    The page reloads itself as often in a browser, and is never half written. After Ctrl-C it is written once more, without
+    that. Before the first run can be read it waits. With `policies`, the page has videos of policies.
+
+    Raises:
+        ValueError: `every` is under a second, `out` is not an .html file, or a library is missing.
+    """
+    if not every >= LEAST_SECONDS:
+        raise InputError(f"every must be at least {LEAST_SECONDS:g} second, not {every}")
+    _libraries(out)
+    seen, cause, written = None, "", False
+    try:
+        while True:
+            files = set(_files(folders))
+            if files != seen:
+                try:
+                    write_page(folders, out, every, policies)
+                    written = True
+                    emit(f"{out}: written at {_now()}; Ctrl-C ends")
+                except InputError as error:
+                    if str(error) != cause:
+                        emit(f"waiting: {error}")
+                    cause = str(error)
+            seen = files
+            sleep(every)
+    except KeyboardInterrupt:
+        if written:
+            write_page(folders, out, policies=policies)
+            emit(f"{out} is of {_now()} and does not reload any more")
+
+
+def _files(folders: Sequence[Path]) -> Iterator[tuple[Path, int, int]]:
+    """Yield path, size and time of each file that a page shows; a change of any means that the page is out of date."""
+    for folder in folders:
+        try:
+            runs = find_runs([folder])
+        except InputError:  # no run is there yet
+            continue
+        for run in runs:
+            for path in run.iterdir():
+                if path.name in FILES or path.suffix in KINDS:
+                    status = path.stat()
+                    yield path, status.st_size, status.st_mtime_ns
+
+
+def _now() -> str:
+    return f"{datetime.datetime.now(datetime.UTC):%H:%M:%S} UTC"

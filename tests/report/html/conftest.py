@@ -1,6 +1,10 @@
-"""A page of four runs that can be read and three that cannot."""
+"""A page of four runs that can be read and three that cannot, and a reader of pages."""
 
+import base64
+import gzip
+import html.parser
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +17,49 @@ EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 """A text that would run a script if a page took it as HTML."""
 
 
+class Reader(html.parser.HTMLParser):
+    """The parts of a page: its tags, the links a browser would load, the text it would show, its scripts."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.links, self.attributes, self.shown_parts, self.raw = [], [], [], [], {}
+        self.element = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [name for name, _ in attrs]
+        self.links += [value for name, value in attrs if name in ("src", "href", "srcset", "poster", "action", "data")]
+        self.element = (dict(attrs).get("id") or "own") if tag == "script" else tag
+
+    def handle_endtag(self, tag):
+        self.element = ""
+
+    def handle_data(self, data):
+        if self.element in ("plotly", "numbers", "own", "style"):
+            self.raw[self.element] = self.raw.get(self.element, "") + data
+        else:
+            self.shown_parts.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.shown_parts))
+
+    def unpacked(self, name):
+        """Return the bytes that the page's script unpacks under `name`."""
+        return gzip.decompress(base64.b64decode(self.raw[name]))
+
+    def numbers(self):
+        """Return the numbers from which the page's script draws plots."""
+        return json.loads(self.unpacked("numbers"))
+
+
+def change_config(run, **values):
+    """Write `values` to the config.json of `run`."""
+    file = run / "config.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
+
+
 @pytest.fixture(scope="package")
 def folders(tmp_path_factory):
     """Two tasks, variants of a method, a run whose texts are HTML, one cut short, and three that cannot be read."""
@@ -21,17 +68,13 @@ def folders(tmp_path_factory):
     write_page_run(root / "deep" / "naive1", "naive", rising(3, 30, 0.5), planned=600)
     evil = root / "deep" / EVIL.replace("/", "|")
     write_page_run(evil, "naive", rising(2, 30), env_options={"demo_file": EVIL})
-    write_page_run(root / "door", "oracle", rising(4, 3), env=DOOR)
-    config = json.loads((root / "door" / "config.json").read_text())
-    config["provenance"]["versions"] = {"jax": EVIL}
-    (root / "door" / "config.json").write_text(json.dumps(config))
-    for name in ("torn", "young", "alien"):
-        write_page_run(root / name, "r3l", rising(2, 2))
-    (root / "torn" / "config.json").write_text('{"env": ' + EVIL)
-    (root / "young" / "metrics.csv").unlink()
-    lines = (root / "alien" / "metrics.csv").read_text().splitlines()
-    (root / "alien" / "metrics.csv").write_text("\n".join([*lines[:2], "20,0,high"]) + "\n")
-    (root / "deep" / "naive1" / "checkpoints").mkdir()
+    door = write_page_run(root / "door", "oracle", rising(4, 3), env=DOOR)
+    change_config(door, provenance={"versions": {"jax": EVIL}, "commit": "a" * 40 + "-dirty"})
+    torn, young, alien = (write_page_run(root / name, "r3l", rising(2, 2)) for name in ("torn", "young", "alien"))
+    (torn / "config.json").write_text('{"env": ' + EVIL)
+    (young / "metrics.csv").unlink()
+    lines = (alien / "metrics.csv").read_text().splitlines()
+    (alien / "metrics.csv").write_text("\n".join([*lines[:2], "20,0,high"]) + "\n")
     broken = root / "fbrl" / "checkpoints" / "000000300"
     broken.mkdir(parents=True)
     (broken / "manifest.json").write_text("{}")
@@ -50,8 +93,7 @@ def written(folders):
     real = media.load_visits
 
     def load(folder):
-        has_map = folder.path.name == "naive1"
-        return (make(TABLETOP), visits) if has_map else real(folder)
+        return (make(TABLETOP), visits) if folder.path.name == "naive1" else real(folder)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(media, "load_visits", load)

@@ -1,44 +1,114 @@
-"""Maps and videos of a page."""
+"""Maps of visits, videos in run folders, and videos of policies."""
 
 import base64
 import os
-import re
 
 import numpy as np
 import pytest
 
+from earl_jax import rendering
 from earl_jax.envs import make
+from earl_jax.errors import InputError
 from earl_jax.report.html import media
-from earl_jax.report.html.lines import gather
-from earl_jax.report.html.media import VideoEmbedder, maps
+from earl_jax.report.html.curves import lines_of
+from earl_jax.report.html.media import PolicyVideos, maps, videos
+from earl_jax.report.runs import read_all
 from tests.report.run_files import TABLETOP, rising, write_page_run
 
 VIDEO = b"\0\0\0\x20ftypisom" + bytes(50)
 
 
-def test_regular_videos_that_fit_are_embedded(tmp_path, monkeypatch):
-    run = write_page_run(tmp_path / "run", "fbrl", rising(1, 1))
+def read_lines(*folders):
+    return lines_of(read_all(folders))
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of three seeds, of which seed 1 is the median, with policies at step 20."""
+    folder = write_page_run(tmp_path / "run", "fbrl", rising(3, 2))
+    (folder / "policies.npz").write_text("20")
+    return folder
+
+
+def test_regular_videos_that_fit_are_embedded(run, monkeypatch):
     for name in ("first.mp4", "second.mp4"):
         (run / name).write_bytes(VIDEO)
     (run / "large.gif").write_bytes(b"GIF89a" + bytes(200))
     os.symlink(run / "first.mp4", run / "link.mp4")
     monkeypatch.setattr(media, "LARGEST", 100)
     monkeypatch.setattr(media, "TOTAL", 100)
-    videos, sentences = VideoEmbedder().videos(gather([run])[0][0])
-    assert [video["name"] for video in videos] == ["first.mp4"]
-    assert videos[0]["uri"] == "data:video/mp4;base64," + base64.b64encode(VIDEO).decode()
-    causes = [re.search(r"(\w+\.\w+) is left out: (\w+ \w+ \w+)", text).groups() for text in sentences]
-    assert causes == [("large.gif", "it has 0"), ("link.mp4", "it is not"), ("second.mp4", "the videos of")]
+    first, *others = videos(read_lines(run))
+    assert (first.name, first.problem) == ("first.mp4", "")
+    assert first.uri == "data:video/mp4;base64," + base64.b64encode(VIDEO).decode()
+    assert [video.uri for video in others] == [""] * 3
+    causes = [
+        "large.gif is left out: it has 0 MB",
+        "link.mp4 is left out: it is not",
+        "second.mp4 is left out: the videos",
+    ]
+    assert all(cause in video.problem for cause, video in zip(causes, others, strict=True))
 
 
-def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
-    run = write_page_run(tmp_path / "run", "fbrl", rising(2, 1))
-    (run / "checkpoints").mkdir()
+@pytest.fixture
+def rendered(monkeypatch):
+    """The arguments of each rendering, which writes a video of a few bytes."""
+    calls = []
+
+    def render(source, out, acting, **options):
+        calls.append((source, acting, options["seed"], options["steps"]))
+        out.write_bytes(VIDEO)
+        return out
+
+    monkeypatch.setattr(rendering, "render", render)
+    monkeypatch.setattr(media, "policies_step", lambda path: int(path.read_text()))
+    return calls
+
+
+def test_a_page_has_the_policy_of_the_median_seed(run, rendered):
+    lines = read_lines(run)
+    [video] = videos(lines, PolicyVideos())
+    assert (video.name, video.problem) == ("policy of seed 1, the median of 3, at step 20", "")
+    assert video.uri.startswith("data:video/mp4;base64,")
+    assert rendered == [(run, "policy", 1, round(6 / make(TABLETOP).step_seconds))]
+    assert sorted(path.name for path in run.iterdir() if path.suffix) == ["config.json", "metrics.csv", "policies.npz"]
+    assert videos(lines) == []
+
+
+def test_a_policy_is_rendered_once(run, rendered, tmp_path):
+    other = write_page_run(
+        tmp_path / "other", "fbrl", np.array([[0.9], [0.1], [0.5], [0.4]]).repeat(2, 1), seeds=range(3, 7)
+    )
+    (other / "policies.npz").write_text("20")
+    told = []
+    lines, policies = read_lines(run, other), PolicyVideos(told.append)
+    for _ in range(3):
+        names = [video.name for video in videos(lines, policies)]
+    assert names == [f"policy of seed {seed}, the median of {of}, at step 20" for seed, of in ((1, 3), (6, 4))]
+    assert len(rendered) == len(told) == 2
+    (run / "policies.npz").write_text("30000")
+    assert [video.name.partition(", at ")[2] for video in videos(lines, policies)] == ["step 30,000", "step 20"]
+    assert len(rendered) == 3
+
+
+def test_a_run_without_a_video_is_named_with_the_cause(run, rendered, monkeypatch):
+    def fail(*arguments, **options):
+        rendered.append(arguments)
+        raise InputError("no way to draw without a display: install EGL\nmore")
+
+    monkeypatch.setattr(rendering, "render", fail)
+    lines, policies = read_lines(run), PolicyVideos()
+    cause = f"No video of the policy of {run}: no way to draw without a display: install EGL."
+    assert [video.problem for _ in range(2) for video in videos(lines, policies)] == [cause] * 2
+    assert len(rendered) == 1
+    (run / "policies.npz").unlink()
+    assert videos(lines, policies)[0].problem == f"No video of the policy of {run}: it has no policies.npz."
+
+
+def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
     visits = np.zeros((2, 4, 4), int)
     visits[0, 3, 0], visits[1, 1, 1] = 3, 1
     monkeypatch.setattr(media, "load_visits", lambda folder: (make(TABLETOP), visits))
-    lines, _ = gather([run])
-    [drawn], sentences = maps(lines)
+    [drawn], sentences = maps(read_lines(run))
     assert sentences == []
     assert drawn["shares"][0] == [None, None, None, 0.75]
     assert drawn["shares"][1] == [None, 0.25, None, None]
@@ -49,23 +119,15 @@ def test_maps_are_shares_of_visits_on_a_common_scale(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("env", "sentences"),
-    [(TABLETOP, ["No map of 1 runs of fbrl: they have no policies.npz and no checkpoint."]), ("franka_kitchen", [])],
+    ("error", "cause"), [(ValueError("it is damaged.\nDetails"), "it is damaged"), (KeyError(), "KeyError")]
 )
-def test_runs_without_a_checkpoint_and_tasks_without_a_map_have_no_map(tmp_path, env, sentences):
-    lines, _ = gather([write_page_run(tmp_path / "run", "fbrl", rising(2, 1), env=env)])
-    assert maps(lines) == ([], sentences)
-
-
-@pytest.mark.parametrize("error", [ValueError("it is damaged.\nDetails"), KeyError()])
-def test_a_checkpoint_that_cannot_be_read_is_reported(tmp_path, monkeypatch, error):
-    run = write_page_run(tmp_path / "run", "fbrl", rising(2, 1))
-    (run / "checkpoints").mkdir()
-
+def test_visits_that_cannot_be_read_are_reported(run, monkeypatch, error, cause):
     def load(folder):
         raise error
 
     monkeypatch.setattr(media, "load_visits", load)
-    lines, _ = gather([run])
-    cause = "it is damaged" if error.args else "KeyError"
-    assert maps(lines) == ([], [f"No map of fbrl: {cause}."])
+    assert maps(read_lines(run)) == ([], [f"No map of fbrl: {cause}."])
+
+
+def test_a_task_without_a_map_has_none(tmp_path):
+    assert maps(read_lines(write_page_run(tmp_path, "fbrl", rising(2, 1), env="franka_kitchen"))) == ([], [])

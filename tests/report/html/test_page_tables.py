@@ -1,69 +1,121 @@
-"""The tables of a page, row by row."""
+"""The tables and curves of a page, row by row."""
+
+import shutil
 
 import numpy as np
 import pytest
 
-from earl_jax.report.html.curves import POINTS, banded, panels, thinned
-from earl_jax.report.html.lines import gather
-from earl_jax.report.html.page_tables import paper_table, seed_table
-from earl_jax.report.runs import find_runs
-from tests.report.run_files import constant, write_page_run
+from benchmarks import leaderboard as committed
+from earl_jax.report.html.curves import POINTS, lines_of, panels
+from earl_jax.report.html.page_tables import HERE, difference_table, leaderboard, paper_table, seed_table
+from earl_jax.report.leaderboard import shipped_rows
+from earl_jax.report.runs import gather, read_all
+from tests.report.html.conftest import change_config
+from tests.report.run_files import DOOR, TABLETOP, constant, rising, write_page_run
+
+
+def read_lines(*folders):
+    return lines_of(read_all(folders))
+
+
+def cells(table, number=0):
+    """Return the cells of each row of a group of a table, by the names of their columns."""
+    rows = table["groups"][number]["rows"]
+    return [dict(zip(table["head"], row.cells, strict=True)) | {"row": row, "method": row.name} for row in rows]
 
 
 @pytest.fixture(scope="module")
 def lines(folders):
-    return gather(find_runs([folders]))[0]
-
-
-@pytest.fixture(scope="module")
-def fbrl(lines):
-    return [line for line in lines if line.group.label == "fbrl"]
+    return lines_of(gather([folders])[0])
 
 
 def test_the_paper_table_has_our_scores_beside_the_published(lines):
-    rows = {row["label"]: row for row in paper_table(1, lines)["groups"][0]["rows"]}
+    rows = {row["method"]: row for row in cells(paper_table(1, lines)) if not row["row"].options}
     fbrl = rows["fbrl"]
-    assert (fbrl["mean"], fbrl["size"], fbrl["published"]) == ("0.900", "3 × 300", "0.94 (0.04)")
-    assert fbrl["share"] == "at 0.012 % of steps"
-    assert rows["r3l"]["line"] is None
+    assert (fbrl["mean (s.e.)"], fbrl["seeds × steps"], fbrl["published"]) == (
+        "0.900 (0.047)",
+        "3 × 300",
+        "0.94 (0.04)",
+    )
+    assert fbrl["verdict"] == "at 0.012 % of steps"
+    assert (rows["r3l"]["row"].line, rows["r3l"]["seeds × steps"], rows["r3l"]["verdict"]) == (None, "not run", "")
+    assert [note[:11] for note in paper_table(2, lines)["notes"]] == ["Sawyer door"]
 
 
-def test_the_paper_table_names_known_faults_of_published_scores(lines):
-    faults = {group["env"]: group["fault"] for group in paper_table(2, lines)["groups"]}
-    assert faults["tabletop_organization"] is None
-    assert "counts steps twice" in faults["sawyer_door"]
+def test_the_paper_table_has_the_verdict_on_a_whole_run(tmp_path):
+    run = write_page_run(tmp_path / "a", "naive", constant(0.9, 1.0, 0.95), steps=[1_250_000, 2_500_000])
+    assert cells(paper_table(1, read_lines(run)))[0]["verdict"] == "▲ above, p = 0.029"
 
 
-def test_the_seed_table_has_the_final_values_of_every_seed(fbrl):
-    table = seed_table(fbrl)
-    assert table["head"][-1] == "Requested help"
-    assert table["rows"][2]["texts"] == ["0.8", "0.6759", "0.008", "30", "30", "30", "30"]
+def test_the_seed_table_has_the_final_values_of_every_seed(lines):
+    fbrl = seed_table([line for line in lines if line.group.label == "fbrl"])
+    assert fbrl["head"][-1] == "Requested help"
+    assert fbrl["groups"][0]["rows"][2].cells == ["2", "0.8", "0.6759", "0.008", "30", "30", "30", "30"]
+
+
+def test_pairs_of_methods_are_tested_where_they_have_a_step_in_common(tmp_path):
+    good, bad = constant(0.9, 1.0, 0.95, 0.9, 1.0), constant(0.0, 0.1, 0.0, 0.1, 0.05)
+    runs = [write_page_run(tmp_path / algo, algo, scores) for algo, scores in (("naive", bad), ("fbrl", good))]
+    late = write_page_run(tmp_path / "late", "oracle", good, steps=[1000, 2000])
+    [row] = cells(difference_table(read_lines(*runs, late)))
+    assert (row["method"], row["second"], row["verdict"]) == ("naive", "fbrl, 5 seeds", "below")
 
 
 def test_a_page_shows_wide_starts_and_the_life(tmp_path):
-    scores = constant(0.5, 1.0)
-    run = write_page_run(tmp_path / "a", "fbrl", scores)
-    table = (run / "metrics.csv").read_text().splitlines()
-    added = ["deployed/success_wide,continuing/back_success,continuing/alive", *["0.125,nan,1"] * 4]
-    (run / "metrics.csv").write_text("".join(f"{line},{more}\n" for line, more in zip(table, added, strict=True)))
-    lines = gather(find_runs([run]))[0]
-    seeds = seed_table(lines)
-    texts = dict(zip(seeds["head"], seeds["rows"][0]["texts"], strict=True))
-    assert (texts["Deployed, from wide starts"], texts["Ways back"], texts["Lanes alive"]) == ("0.125", "–", "1")
+    life = {"deployed/success_wide": 0.125, "continuing/back_success": np.nan, "continuing/alive": 1}
+    run = write_page_run(tmp_path / "a", "fbrl", constant(0.5, 1.0), metrics=life)
+    lines = read_lines(run)
+    [first, _] = cells(seed_table(lines))
+    assert (first["Deployed, from wide starts"], first["Ways back"], first["Lanes alive"]) == ("0.125", "–", "1")
     plots = {plot["title"]: plot for plot in panels(lines)}
     wide, back = plots["Deployed, from wide starts"], plots["Ways back"]
     assert wide["range"] == back["range"] == [-0.04, 1.04]
     assert wide["lines"][0]["plain"]["mean"] == [0.125, 0.125]
-    assert back["lines"][0]["plain"]["mean"] == [None, None]
+    assert back["lines"][0]["plain"]["mean"] == [None, None], "JSON has no nan"
 
 
-def test_long_curves_are_thinned_with_both_ends_kept():
-    indices = thinned(10_000)
-    assert (len(indices), indices[0], indices[-1]) == (POINTS, 0, 9_999)
-    assert thinned(7).tolist() == list(range(7))
+@pytest.mark.parametrize(("seeds", "evaluations", "drawn"), [(2, 7, 7), (3, POINTS + 50, POINTS)])
+def test_long_curves_are_thinned_with_both_ends_kept_and_a_band_needs_three_seeds(tmp_path, seeds, evaluations, drawn):
+    [line] = panels(read_lines(write_page_run(tmp_path, "fbrl", rising(seeds, evaluations))))[0]["lines"]
+    assert (len(line["x"]), line["x"][0], line["x"][-1]) == (drawn, 10, 10 * evaluations)
+    assert (line["plain"]["low"] is None) == (seeds < 3)
 
 
-def test_a_band_needs_three_seeds_and_numbers_that_json_cannot_hold_become_null():
-    assert banded(np.array([[1.0, np.nan]]))["mean"] == [1.0, None]
-    assert banded(np.ones((2, 1)))["low"] is None
-    assert banded(np.ones((3, 1)))["low"] == [1.0]
+def test_variants_of_a_method_have_names_shades_and_dashes_of_their_own(tmp_path):
+    runs = [write_page_run(tmp_path / str(scale), "fbrl", rising(1, 1), reward_scale=scale) for scale in (3.0, 20.0)]
+    lines = read_lines(*runs)
+    assert [line.options for line in lines] == ["reward_scale=3.0", "reward_scale=20.0"]
+    assert [line.dash for line in lines] == ["solid", "dash"]
+    assert lines[0].light != lines[1].light
+
+
+def test_a_run_stands_in_its_place_among_the_rows_that_ship(tmp_path):
+    run = write_page_run(tmp_path / "run", "fbrl", constant(0.5, 0.7), layer_norm=True)
+    change_config(run, provenance={"commit": "0123456789abcdef"})
+    board = leaderboard(read_lines(run))
+    rows = cells(board)
+    assert board["left_out"] == []
+    assert len(rows) == 1 + sum(row.env == TABLETOP for row in shipped_rows())
+    [own] = [row for row in rows if row["row"].line]
+    assert (own["method"], own["row"].options) == ("fbrl", "layer_norm=True")
+    assert own["deployed [95 %]"].startswith("0.600 [")
+    assert (own["from"], own["seeds"], own["commit"]) == (HERE, "2", "012345678")
+    scores = [float(row["deployed [95 %]"].split()[0]) for row in rows]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_a_run_of_another_task_or_with_other_options_is_not_ranked(tmp_path):
+    wide = write_page_run(tmp_path / "wide", "fbrl", constant(0.5), env_options={"wide": True})
+    fish = write_page_run(tmp_path / "fish", "naive", constant(3.0), env="fish_swim")
+    door = write_page_run(tmp_path / "door", "naive", constant(0.5), env=DOOR)
+    board = leaderboard(read_lines(wide, fish, door))
+    assert board["left_out"] == [f"fbrl on {TABLETOP}"]
+    assert [group["title"] for group in board["groups"]] == ["Tabletop organization", "Sawyer door"]
+    assert [sum(bool(row.line) for row in group["rows"]) for group in board["groups"]] == [0, 1]
+    assert leaderboard(read_lines(fish))["groups"] == []
+
+
+def test_a_run_of_the_repository_is_shown_once(tmp_path):
+    folder = next(path for path in committed.folders() if path.parts[-2:] == (DOOR, "r3l"))
+    rows = cells(leaderboard(read_lines(shutil.copytree(folder, tmp_path / "copy"))))
+    assert sorted(row["from"] for row in rows if row["method"] == "r3l") == ["EARL, 2022", HERE]

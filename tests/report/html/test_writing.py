@@ -1,4 +1,4 @@
-"""The HTML page of runs: its parts, its safety, and its errors."""
+"""The HTML page of runs: its parts, its safety, its errors, and how it follows runs while they train."""
 
 import base64
 import hashlib
@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from earl_jax.cli.report import report
-from earl_jax.report.html.lines import gather
-from earl_jax.report.html.origin import origins
-from earl_jax.report.html.writing import write_page
-from earl_jax.report.runs import find_runs
+from earl_jax.report.html import writing
+from earl_jax.report.html.writing import watch_page, write_page
+from earl_jax.runs.files import RunWarning
+from tests.cli.process import run
 from tests.conftest import tiny_train
-from tests.report.html.conftest import EVIL
-from tests.report.html.reader import Reader
+from tests.report.html.conftest import EVIL, Reader, change_config
+from tests.report.run_files import rising, write_page_run
 
 pytest.importorskip("jinja2", reason="reports need the extra 'report'")
 pytest.importorskip("plotly", reason="reports need the extra 'report'")
@@ -27,19 +27,23 @@ def page(written):
     return Reader(written.read_text(encoding="ascii"))
 
 
-def test_a_page_has_all_its_parts(page):
+def test_a_page_has_all_its_parts(page, folders):
     assert {"table", "figure", "svg", "button", "details", "img"} <= set(page.tags)
     parts = (
-        "Table 1", "Table 2", "Leaderboard",
-        "Final values of every seed", "Videos", "Visited positions", "Runs", "Versions", "Left out",
-        "config.json", "Tabletop organization", "Sawyer door", "Requested help",
+        "Table 1", "Table 2", "Leaderboard", "Differences between these methods", "Final values of every seed", "Videos",
+        "Visited positions", "Runs", "Versions", "Left out", "config.json", "Tabletop organization", "Sawyer door",
+        "Requested help", "300 of 600 steps trained", "0.94 (0.04)", f"No map of fbrl: checkpoint {folders}/fbrl",
+        f"earl-jax train --config {folders}/fbrl --out runs/again", f"earl-jax report {folders} --out",
     )  # fmt: skip
     for part in parts:
         assert part in page.text, part
-    assert "earl-jax train tabletop_organization --algo fbrl --seeds 3 --steps 300" in page.text
-    assert "300 of 600 steps trained" in page.text
-    assert "0.94 (0.04)" in page.text
-    assert "No map of fbrl: checkpoint" in page.text
+
+
+def test_versions_and_commits_that_differ_are_named(page):
+    assert "The runs differ in python, backend, device, commit, earl-jax, jax," in page.text
+    assert re.search(rf"jax \d[\w.]+, {re.escape(EVIL)} ", page.text)
+    assert f"numpy {np.__version__}, unknown" in page.text
+    assert "aaaaaaaaa-dirty" in page.text
 
 
 def test_a_page_makes_no_network_requests(page, written):
@@ -62,24 +66,43 @@ def test_texts_of_runs_are_escaped(page, written):
     assert EVIL not in written.read_text()
 
 
-def test_damaged_runs_are_listed_with_their_causes_and_affect_no_other(page, folders):
-    start = page.text.index("Left out")
-    assert "3 runs could not be read" in page.text
+def test_damaged_runs_are_listed_at_the_top_and_with_their_causes(page, folders, written):
+    header = written.read_text().split("</header>")[0]
+    assert "3 runs could not be read and are left out" in header
     for name, cause in (("torn", "is damaged"), ("young", "has no evaluation yet"), ("alien", "metrics.csv")):
-        assert re.search(rf"{re.escape(str(folders / name))}.*{cause}", page.text[start:])
-    lines, left_out = gather(find_runs([folders]))
-    assert len(lines) == 4
-    assert len(left_out) == 3
+        assert name in header
+        assert re.search(rf"{re.escape(str(folders / name))}.*{cause}", page.text[page.text.index("Left out") :])
+    with pytest.warns(RunWarning, match=r"^left out: \S*/young has no evaluation yet$"):
+        assert run("report", folders / "young", folders / "fbrl", "--out", written.parent / "b.html")[0] == 0
+
+
+def test_runs_that_cannot_be_built_or_pooled_here_cost_these_runs_only(tmp_path):
+    write_page_run(tmp_path / "intact", "fbrl", rising(2, 2))
+    other = write_page_run(tmp_path / "other", "fbrl", rising(2, 2), seeds=(1, 2))
+    (other / "metrics.csv").write_text((other / "metrics.csv").read_text().replace("reached", "renamed"))
+    causes = {
+        "unknown algo 'ppo'; choose from": {"algo": "ppo"},
+        "unknown env 'maze'; choose from": {"env": "maze"},
+        "int8": {"options": {"precision": "int8"}},
+        "discount must lie in [0, 1), not 2": {"options": {"discount": 2}},
+        "offline": {"setting": {"name": "offline"}},
+        "elsewhere:Method, which is not registered here": {"algo_class": "elsewhere:Method"},
+    }
+    for number, values in enumerate(causes.values()):
+        change_config(write_page_run(tmp_path / f"broken{number}", "fbrl", rising(2, 2)), **values)
+    with pytest.warns(RunWarning, match="other/metrics.csv has no column 'reached'|left out"):
+        text = Reader(write_page([tmp_path], tmp_path / "page.html").read_text()).text
+    assert "1, with 2 seeds" in text
+    assert "7 runs could not be read" in text
+    assert [cause for cause in causes if cause not in text] == []
 
 
 def test_errors_name_the_cause_and_write_nothing(tmp_path, folders):
     out = tmp_path / "a.html"
-    with pytest.raises(ValueError, match=r"none of the runs can be shown:\n.*torn: .*damaged"):
-        write_page([folders / "torn"], out)
+    with pytest.raises(ValueError, match=r"none of the runs can be read:\n.*torn.*damaged.*\n.*young"):
+        write_page([folders / "torn", folders / "young"], out)
     with pytest.raises(ValueError, match=r"no config\.json in it or below"):
         write_page([tmp_path], out)
-    with pytest.raises(ValueError, match="missing is not a folder"):
-        write_page([tmp_path / "missing"], out)
     with pytest.raises(ValueError, match="at least one"):
         write_page([], out)
     for name in ("a.htm", "a", "metrics.csv"):
@@ -103,15 +126,6 @@ def test_plots_have_means_bands_seeds_and_published_values(page):
     assert without_band == [f"naive (demo_file={EVIL})"]
 
 
-def test_versions_that_differ_are_marked(folders):
-    lines, _ = gather(find_runs([folders]))
-    table = origins([run for line in lines for run in line.runs])
-    assert [head["count"] for head in table["heads"]] == [3, 1]
-    assert "jax" in table["differing"]
-    assert "python" not in table["differing"]
-    assert next(row["values"] for row in table["rows"] if row["name"] == "numpy") == [np.__version__, "unknown"]
-
-
 def test_a_page_is_replaced_completely_or_not_at_all(folders, tmp_path, monkeypatch):
     page = tmp_path / "deep" / "page.html"
     assert write_page([folders / "door"], page) == page
@@ -121,6 +135,67 @@ def test_a_page_is_replaced_completely_or_not_at_all(folders, tmp_path, monkeypa
         write_page([folders / "fbrl"], page)
     assert page.read_text() == before
     assert list(page.parent.iterdir()) == [page]
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """The numbers of runs and the reloading times of the pages that are written; a page is a text."""
+    written = []
+
+    def write(folders, out, reload_seconds=None, policies=None):
+        written.append((len(writing.gather(folders)[0]), reload_seconds))
+        out.write_text("page")
+
+    monkeypatch.setattr(writing, "write_page", write)
+    return written
+
+
+def watch(folder, out, *steps, every=2.0):
+    """Return what `watch_page` emits while each of `steps` happens in a pause, until Ctrl-C."""
+    lines, actions = [], iter(steps)
+
+    def sleep(seconds):
+        assert seconds == every
+        action = next(actions, None)
+        if action is None:
+            raise KeyboardInterrupt
+        action()
+
+    watch_page([folder], out, every, lines.append, sleep)
+    return lines
+
+
+def test_a_page_is_written_when_a_run_changes_and_once_more_at_the_end(tmp_path, pages):
+    folder, out = tmp_path / "sweep", tmp_path / "page.html"
+    table = folder / "a" / "metrics.csv"
+    steps = [
+        lambda: None,
+        lambda: write_page_run(folder / "a", "fbrl", rising(2, 3)).joinpath("metrics.csv").rename(tmp_path / "later"),
+        lambda: (tmp_path / "later").rename(table),
+        lambda: None,
+        lambda: write_page_run(folder / "b", "naive", rising(2, 3)),
+        lambda: table.touch(),
+        lambda: table.with_name("video.gif").write_bytes(b"GIF89a"),
+        lambda: None,
+    ]
+    lines = watch(folder, out, *steps)
+    assert pages == [(1, 2.0), (2, 2.0), (2, 2.0), (2, 2.0), (2, None)]
+    assert lines[:2] == [f"waiting: {folder} is not a folder", f"waiting: {folder / 'a'} has no evaluation yet"]
+    assert lines[2].startswith(f"{out}: written at ")
+    assert lines[-1].endswith("does not reload any more")
+    assert len(lines) == 7
+
+
+def test_a_page_that_cannot_be_watched_is_an_error_at_once(tmp_path, pages):
+    with pytest.raises(ValueError, match=r"page\.pdf: a report is written as an \.html file"):
+        watch(tmp_path, tmp_path / "page.pdf")
+    assert "every must be at least 1 second, not 0.1" in run("report", tmp_path, "--watch", "--every", "0.1")[2]
+
+
+def test_a_page_that_is_watched_reloads_itself(folders, written, tmp_path):
+    text = write_page([folders / "fbrl"], tmp_path / "a.html", reload_seconds=30.0).read_text()
+    assert '<meta http-equiv="refresh" content="30.0">' in text
+    assert 'http-equiv="refresh"' not in written.read_text()
 
 
 @pytest.mark.slow
