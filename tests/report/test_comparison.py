@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.report.comparison import compare, table_text, write_comparison
-from earl_jax.report.published import PublishedScore, published_beside
+from earl_jax.report.published import published_beside
 from earl_jax.report.runs import read
 from tests.report.run_files import DOOR, KITCHEN, LIGHTBULB, TABLETOP, constant, count_pixels, read_csv, write_run
 
@@ -27,8 +27,7 @@ def folders(tmp_path_factory):
 
 def test_methods_are_compared_at_the_last_step_that_both_have(folders):
     [row] = compare(folders)
-    assert (row["env"], row["first"], row["second"]) == (TABLETOP, "naive", "fbrl")
-    assert row["steps"] == 20
+    assert (row["env"], row["first"], row["second"], row["steps"]) == (TABLETOP, "naive", "fbrl", 20)
     assert row["difference"] == pytest.approx(np.mean(BAD) - np.mean(GOOD))
     assert row["low"] < row["difference"] < row["high"] < 0
     assert row["p"] == row["p_holm"] == pytest.approx(2 / 252)
@@ -68,39 +67,22 @@ def test_a_task_that_is_our_reconstruction_is_not_compared_and_its_published_sco
     assert published_beside("table1", read(whole)) is None
 
 
-def test_published_errors_are_those_of_a_sample():
-    sample = PublishedScore("0.32", "0.17").sample
-    assert sample is not None
-    assert (sample.mean, sample.seeds) == (0.32, 5)
-    assert sample.stderr == pytest.approx(0.17 * math.sqrt(5 / 4))
-    exact = PublishedScore("1.00", "0.00").sample
-    assert exact is not None
-    assert exact.stderr == pytest.approx(0.005 * math.sqrt(5 / 4)), "0.00 is rounded"
-    assert PublishedScore("<0.001", "-").sample is PublishedScore("-", "-").sample is None
-
-
-def test_nothing_to_compare_is_refused(folders, tmp_path):
+def test_what_cannot_be_compared_is_refused(folders, tmp_path):
     with pytest.raises(ValueError, match="nothing to compare; compare needs runs of two methods on one task"):
         compare(folders[::2])
-    dense = write_run(tmp_path / "a", KITCHEN, "naive", constant(1.0), env_options={"reward_type": "sparse"})
-    with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
-        compare([dense], against="published")
-    with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
-        write_comparison(compare(folders), tmp_path / "a.html")
     late = write_run(tmp_path / "late", TABLETOP, "r3l", constant(1.0), steps=[1000, 2000])
     with pytest.raises(ValueError, match=f"r3l on {TABLETOP} has no evaluation in the first 20 steps"):
         compare([folders[0], late])
-
-
-def test_runs_with_different_metrics_are_refused(tmp_path):
-    rewards = {"naive": "dense", "fbrl": "sparse"}
-    runs = [
-        write_run(tmp_path / a, KITCHEN, a, constant(1.0), env_options={"reward_type": r}) for a, r in rewards.items()
-    ]
+    dense, sparse = (
+        write_run(tmp_path / algo, KITCHEN, algo, constant(1.0), env_options={"reward_type": reward})
+        for algo, reward in (("naive", "dense"), ("fbrl", "sparse"))
+    )
     with pytest.raises(
         ValueError, match=r"naive and fbrl .*on franka_kitchen have different metrics; compare them apart"
     ):
-        compare(runs)
+        compare([dense, sparse])
+    with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
+        compare([sparse], against="published")
 
 
 def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
@@ -113,21 +95,25 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     assert r"[95 \%]" in tex
     assert tex.startswith("% Scores are means")
     assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
+    with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
+        write_comparison(rows, tmp_path / "a.html")
+    single = [row | {"low": math.nan} for row in rows]
+    with pytest.raises(ValueError, match="no difference with an interval to draw"):
+        write_comparison(single, tmp_path / "b.png")
 
 
 def test_another_metric_is_compared_by_its_name(tmp_path):
-    wide = {"deployed/success_wide": constant(*GOOD)}, {"deployed/success_wide": constant(*BAD)}
+    wide = {"naive": GOOD, "fbrl": BAD, "r3l": [np.nan] * 5}
     paths = [
-        write_run(tmp_path / algo, TABLETOP, algo, constant(*BAD), metrics=metrics)
-        for algo, metrics in zip(("naive", "fbrl"), wide, strict=True)
+        write_run(tmp_path / algo, TABLETOP, algo, constant(*BAD), metrics={"deployed/success_wide": constant(*scores)})
+        for algo, scores in wide.items()
     ]
-    assert compare(paths)[0]["difference"] == 0
-    [row] = compare(paths, metric="deployed/success_wide")
+    assert compare(paths[:2])[0]["difference"] == 0
+    [row] = compare(paths[:2], metric="deployed/success_wide")
     assert row["difference"] == pytest.approx(np.mean(GOOD) - np.mean(BAD))
     with pytest.raises(ValueError, match="has no column 'deployed/wide'"):
         compare(paths, metric="deployed/wide")
     with pytest.raises(ValueError, match="leave out --metric"):
         compare(paths, "published", metric="deployed/success_wide")
-    unknown = write_run(tmp_path / "nan", TABLETOP, "r3l", constant(*BAD), metrics={"deployed/success_wide": np.nan})
     with pytest.raises(ValueError, match="of r3l has no value at some evaluations"):
-        compare([paths[0], unknown], metric="deployed/success_wide")
+        compare(paths, metric="deployed/success_wide")

@@ -1,4 +1,4 @@
-"""Published scores, their intervals, against numbers computed by hand."""
+"""Published scores, their intervals and samples, against numbers computed by hand."""
 
 import math
 
@@ -8,21 +8,27 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.report import published
 from earl_jax.report.published import PublishedScore
 
-
-def test_a_published_interval_is_students_and_half_a_printed_digit():
-    """t(4) is 2.7764, and the paper's errors of five seeds divide by n."""
-    reach = 2.7764 * (5 / 4) ** 0.5
-    naive = 0.17 * reach + 0.005
-    assert PublishedScore("0.32", "0.17").interval == pytest.approx((0.32 - naive, 0.32 + naive), abs=1e-4)
-    exact = 0.005 * reach + 0.005
-    assert PublishedScore("1.00", "0.00").interval == pytest.approx((1 - exact, 1 + exact), abs=1e-4)
-    assert PublishedScore("<0.001", "-").interval == (0, 0.001)
-    assert PublishedScore("-", "-").interval is None
+T4 = 2.7764
+"""The 97.5 % quantile of Student's distribution with four degrees of freedom."""
+CONVERTED = (5 / 4) ** 0.5
+"""The paper's errors of five seeds divide by n."""
 
 
-def test_a_published_score_as_text_and_number():
-    assert (PublishedScore("0.32", "0.17").text, PublishedScore("<0.001", "-").text) == ("0.32 (0.17)", "<0.001")
-    assert (PublishedScore("0.32", "0.17").value, PublishedScore("<0.001", "-").value) == (0.32, 0.001)
+@pytest.mark.parametrize(
+    ("mean", "stderr", "error", "text"), [("0.32", "0.17", 0.17, "0.32 (0.17)"), ("1.00", "0.00", 0.005, "1.00 (0.00)")]
+)
+def test_a_published_score_is_a_sample_with_students_interval_and_half_a_printed_digit(mean, stderr, error, text):
+    score = PublishedScore(mean, stderr)
+    assert (score.value, score.text) == (float(mean), text)
+    assert score.sample == pytest.approx((float(mean), error * CONVERTED, 5))
+    reach = error * CONVERTED * T4 + 0.005
+    assert score.interval == pytest.approx((float(mean) - reach, float(mean) + reach), abs=1e-4)
+
+
+def test_a_score_without_an_error_is_no_sample():
+    below = PublishedScore("<0.001", "-")
+    assert (below.value, below.text, below.interval, below.sample) == (0.001, "<0.001", (0, 0.001), None)
+    assert PublishedScore("-", "-").interval is PublishedScore("-", "-").sample is None
 
 
 def test_a_difference_is_clear_only_if_the_whole_interval_lies_on_one_side():

@@ -1,4 +1,4 @@
-"""Tables of run folders, on curves written by hand."""
+"""Tables of run folders, on curves written by hand, and tables as text."""
 
 import numpy as np
 import pytest
@@ -13,87 +13,70 @@ from tests.report.run_files import TABLETOP, read_csv, write_run
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
 
 
-def write_three_evaluations(path, seeds=(0, 1), **options):
-    """Write a run whose seeds score 0, 0.5, 1 and more, and whose reward per step rises to 0.02."""
-    success = np.array([0.0, 0.5, 1.0]) + 0.1 * np.arange(len(seeds))[:, None]
+def write_three_evaluations(path, **options):
+    """Write a run of two seeds that score 0, 0.5, 1 and 0.1 more, and whose reward per step rises to 0.02."""
+    success = np.add.outer([0.0, 0.1], [0.0, 0.5, 1.0])
     recent = np.array([0.0, 0.01, 0.02])
     metrics = {"continuing/reward": np.cumsum(recent) / np.arange(1, 4), "continuing/recent": recent}
-    return write_run(path, TABLETOP, "naive", success, seeds=seeds, metrics=metrics, **options)
+    return write_run(path, TABLETOP, "naive", success, metrics={**metrics, **options.pop("metrics", {})}, **options)
 
 
 def test_a_row_summarises_the_curves(tmp_path):
-    row = tables.tabulate([write_three_evaluations(tmp_path / "a")])[0]
-    assert row["deployed"] == pytest.approx(1.05)
-    assert row["continuing"] == pytest.approx(0.01)
-    assert row["seeds"] == 2
-    assert row["steps"] == 30
+    folder = write_three_evaluations(tmp_path)
+    [row] = tables.tabulate([folder])
+    expected = {"deployed": 1.05, "continuing": 0.01, "seeds": 2, "steps": 30, "steps_per_reward": 50}
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
     assert row["published_deployed"] == "0.32 (0.17)"
-    assert row["steps_per_reward"] == pytest.approx(1 / 0.02)
-    assert tables.tabulate([tmp_path / "a"], last=3)[0]["deployed"] == pytest.approx(0.55)
-
-
-def test_averaging_no_evaluation_is_refused(tmp_path):
+    assert row["steps_to_0.5"] is None
+    assert tables.markdown([row]).count("| - | - | 50.0 |") == 1
+    assert tables.tabulate([folder], last=3)[0]["deployed"] == pytest.approx(0.55)
     with pytest.raises(ValueError, match="last must be at least 1, not 0"):
-        tables.tabulate([tmp_path], last=0)
+        tables.tabulate([folder], last=0)
 
 
-def test_runs_in_the_continuing_setting_have_no_published_scores(tmp_path):
-    write_three_evaluations(tmp_path / "a")
-    write_three_evaluations(tmp_path / "b", setting=Continuing(goal_change=7))
-    deployment, continuing = tables.tabulate([tmp_path / "a", tmp_path / "b"])
-    assert deployment["algo"] == "naive"
-    assert deployment["published_deployed"] == "0.32 (0.17)"
-    assert continuing["algo"] == "naive (goal_change=7, setting=continuing)"
-    assert continuing["published_deployed"] is None
-    assert continuing["options"] == "goal_change=7, setting=continuing"
+def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_own(tmp_path):
+    settings = {"a": {}, "b": {"setting": Continuing(goal_change=7)}, "c": {"reward_scale": 1.0}}
+    paths = [write_three_evaluations(tmp_path / name, **options) for name, options in settings.items()]
+    rows = tables.tabulate(paths)
+    names = ["naive", "naive (goal_change=7, setting=continuing)", "naive (reward_scale=1.0)"]
+    assert [row["algo"] for row in rows] == names
+    assert [row["published_deployed"] for row in rows] == ["0.32 (0.17)", None, "0.32 (0.17)"]
+    text = tables.markdown(rows)
+    assert [f"| {name} |" in text for name in names] == [True] * 3
+    assert text.endswith("naive (reward_scale=1.0): reward_scale=1.0")
 
 
 def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_path):
     steps, late = list(range(20_000, 500_001, 20_000)), [[0.0] * 10 + [1.0] * 15, [0.0] * 12 + [1.0] * 13]
-    [row] = tables.tabulate([write_run(tmp_path / "a", TABLETOP, "naive", late, steps=steps, metrics=REWARDS)])
+    [row] = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", late, steps=steps, metrics=REWARDS)])
     assert [row[f"steps_to_0.5{end}"] for end in ("_low", "", "_high")] == [220_000, 280_000, 340_000]
     assert "| 0.28M [0.22M, 0.34M] |" in tables.markdown([row])
-    never = tables.tabulate([write_three_evaluations(tmp_path / "b")])[0]
-    assert never["steps_to_0.5"] is None
-    assert tables.markdown([never]).count("| - | - | 50.0 |") == 1
 
 
-def test_markdown_names_the_options_in_which_runs_differ(tmp_path):
-    paths = [write_three_evaluations(tmp_path / "a"), write_three_evaluations(tmp_path / "b", reward_scale=1.0)]
-    text = tables.markdown(tables.tabulate(paths))
-    assert "| naive |" in text
-    assert "| naive (reward_scale=1.0) |" in text
-    assert "naive (reward_scale=1.0): reward_scale=1.0" in text
-
-
-def test_tables_are_written_as_markdown_and_csv(tmp_path):
+def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
     rows = tables.tabulate([write_three_evaluations(tmp_path / "a")])
-    tables.write(rows, tmp_path / "t.csv")
+    for suffix in ("csv", "md", "tex"):
+        tables.write(rows, tmp_path / f"t.{suffix}")
     assert read_csv(tmp_path / "t.csv")[0]["published_continuing"] == "0.012 (0.004)"
-    tables.write(rows, tmp_path / "t.md")
     assert "| 1.050 [0.415, 1.685] | 100% |" in (tmp_path / "t.md").read_text()
-    tables.write(rows, tmp_path / "t.tex")
     assert r"& 1.050 [0.415, 1.685] & 100\%" in (tmp_path / "t.tex").read_text()
     with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 
 
 def test_tables_say_how_many_seeds_have_diverged(tmp_path):
-    folder = write_three_evaluations(tmp_path / "a")
-    text = (folder / "metrics.csv").read_text().splitlines()
-    rows = [f"{line},{'diverged' if number == 0 else int(number in (4, 6))}" for number, line in enumerate(text)]
-    (folder / "metrics.csv").write_text("\n".join(rows) + "\n")
-    row = tables.tabulate([folder])[0]
-    assert row["diverged"] == 1
-    assert f"| {row['seeds']}, 1 of {row['seeds']} diverged |" in tables.markdown([row])
+    diverged = {"diverged": [[0, 0, 0], [0, 1, 1]]}
+    rows = tables.tabulate([write_three_evaluations(tmp_path / "a", metrics=diverged)])
+    assert rows[0]["diverged"] == 1
+    assert "| 2, 1 of 2 diverged |" in tables.markdown(rows)
     assert "diverged" not in tables.markdown(tables.tabulate([write_three_evaluations(tmp_path / "b")]))
 
 
 def test_a_task_that_cannot_be_built_is_an_error_that_names_the_run(tmp_path):
-    folder = write_three_evaluations(tmp_path / "a")
-    (folder / "config.json").write_text((folder / "config.json").read_text().replace(TABLETOP, "maze"))
-    with pytest.raises(ValueError, match=f"{folder}: unknown env 'maze'"):
-        tables.tabulate([folder])
+    file = write_three_evaluations(tmp_path) / "config.json"
+    file.write_text(file.read_text().replace(TABLETOP, "maze"))
+    with pytest.raises(ValueError, match=f"{tmp_path}: unknown env 'maze'"):
+        tables.tabulate([tmp_path])
 
 
 def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_path):
@@ -127,30 +110,25 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     assert (code, "give one for each of: naive; naive (reward_scale=1.0)" in err) == (2, True)
 
 
-HEADER = ("task", "score [95 %]", "published")
-LINES = [["door", "0.5 [0.4, 0.6]", "-"], ["tabletop_organization", 1, "-"]]
+TABLE = tables.Table(
+    ("task", "score [95 %]", "published"), [["door", "0.5 [0.4, 0.6]", "-"], [TABLETOP, 1, "-"]], ["one two"]
+)
 
 
 def test_a_table_that_fits_is_aligned_and_has_no_empty_column():
-    assert tables.shown_table(HEADER, LINES, 80).splitlines() == [
-        "task                   score [95 %]",
-        "door                   0.5 [0.4, 0.6]",
-        "tabletop_organization  1",
-    ]
+    aligned = "task                   score [95 %]\ndoor                   0.5 [0.4, 0.6]\ntabletop_organization  1"
+    assert TABLE.text(80) == f"{aligned}\n\none two"
 
 
 def test_a_table_without_a_width_is_markdown():
-    assert tables.shown_table(HEADER, LINES, None).splitlines()[2] == "| door | 0.5 [0.4, 0.6] | - |"
+    assert TABLE.text().splitlines()[2:] == ["| door | 0.5 [0.4, 0.6] | - |", f"| {TABLETOP} | 1 | - |", "", "one two"]
 
 
-@pytest.mark.parametrize("width", [24, 36])
-def test_a_table_that_is_too_wide_has_a_block_for_each_row(width):
-    text = tables.shown_table(HEADER, LINES, width)
-    assert len(text.split("\n\n")) == 2
-    assert max(map(len, text.splitlines())) <= width
-    assert "tabletop_organization" in text.replace("\n", "").replace(" ", "")
-
-
-def test_notes_are_wrapped_to_the_width():
-    assert tables.wrapped("one two\nthree", 4) == "one\ntwo\nthre\ne"
-    assert tables.wrapped("one two", None) == "one two"
+@pytest.mark.parametrize("width", [6, 24, 36])
+def test_a_table_that_is_too_wide_has_a_block_for_each_row_and_wrapped_notes(width):
+    *blocks, note = TABLE.text(width).split("\n\n")
+    assert len(blocks) == 2
+    assert max(map(len, TABLE.text(width).splitlines())) <= width
+    assert TABLETOP in blocks[1].replace("\n", "").replace(" ", "").replace("task", "")
+    assert note.split() == ["one", "two"]
+    assert ("\n" in note) == (width < 7)

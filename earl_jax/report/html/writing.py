@@ -126,7 +126,7 @@ def watch_page(
             if files != seen:
                 try:
                     write_page(folders, out, every, policies)
-                    written = True
+                    cause, written = "", True
                     emit(f"{out}: written at {_now()}; Ctrl-C ends")
                 except InputError as error:
                     if str(error) != cause:

@@ -76,10 +76,9 @@ def test_damaged_runs_are_listed_at_the_top_and_with_their_causes(page, folders,
         assert run("report", folders / "young", folders / "fbrl", "--out", written.parent / "b.html")[0] == 0
 
 
-def test_runs_that_cannot_be_built_or_pooled_here_cost_these_runs_only(tmp_path):
+def test_runs_that_cannot_be_built_or_computed_here_cost_these_runs_only(tmp_path):
     write_page_run(tmp_path / "intact", "fbrl", rising(2, 2))
-    other = write_page_run(tmp_path / "other", "fbrl", rising(2, 2), seeds=(1, 2))
-    (other / "metrics.csv").write_text((other / "metrics.csv").read_text().replace("reached", "renamed"))
+    write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     causes = {
         "unknown algo 'ppo'; choose from": {"algo": "ppo"},
         "unknown env 'maze'; choose from": {"env": "maze"},
@@ -90,7 +89,7 @@ def test_runs_that_cannot_be_built_or_pooled_here_cost_these_runs_only(tmp_path)
     }
     for number, values in enumerate(causes.values()):
         change_config(write_page_run(tmp_path / f"broken{number}", "fbrl", rising(2, 2)), **values)
-    with pytest.warns(RunWarning, match="other/metrics.csv has no column 'reached'|left out"):
+    with pytest.warns(RunWarning, match="left out: .*endless: interventions are not finite"):
         text = Reader(write_page([tmp_path], tmp_path / "page.html").read_text()).text
     assert "1, with 2 seeds" in text
     assert "7 runs could not be read" in text
