@@ -37,10 +37,12 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
     names = dict.fromkeys(name for origin in origins for name in origin)
     versions = {name: list(dict.fromkeys(origin.get(name, UNKNOWN) for origin in origins)) for name in names}
     shown = videos(lines, policies)
-    sections = enumerate(_by_section(lines).items())
+    tasks: dict[tuple[str, str], list[Line]] = {}
+    for line in lines:
+        tasks.setdefault((line.group.env, line.curves.deployed_metric), []).append(line)
     return {
         "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
-        "tasks": [_task_section(f"t{number}", title, members, shown) for number, (title, members) in sections],
+        "tasks": [_task_section(f"t{number}", members, shown) for number, members in enumerate(tasks.values())],
         "lines": lines,
         "summary": _summary(lines, versions),
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
@@ -79,27 +81,16 @@ def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str,
     }
 
 
-def _by_section(lines: Sequence[Line]) -> dict[str, list[Line]]:
-    """Return the lines of each task by its title, those scored by success apart from those scored by return."""
-    groups: dict[tuple[str, str], list[Line]] = {}
-    for line in lines:
-        groups.setdefault((line.group.env, line.curves.deployed_metric), []).append(line)
-    envs = [env for env, _ in groups]
-    return {
-        task_title(env) + (f", scored by {metric.removeprefix('deployed/')}" if envs.count(env) > 1 else ""): members
-        for (env, metric), members in groups.items()
-    }
-
-
-def _task_section(key: str, title: str, lines: Sequence[Line], shown: Sequence[Video]) -> dict[str, Any]:
-    """Return everything that the page shows of one task."""
+def _task_section(key: str, lines: Sequence[Line], shown: Sequence[Video]) -> dict[str, Any]:
+    """Return everything that the page shows of one task, whose `lines` have the same deployed metric."""
     keys = {line.key for line in lines}
     plots, (visit_maps, sentences) = panels(lines), maps(lines)
     of_task = [video for video in shown if video.line.key in keys]
     return {
         "id": key,
         "env": lines[0].group.env,
-        "title": title,
+        "title": task_title(lines[0].group.env),
+        "metric": lines[0].curves.deployed_metric,
         "lines": lines,
         "notes": _notes(lines),
         "panels": plots,

@@ -43,11 +43,6 @@ class Line(NamedTuple):
         return self.group.curves
 
     @property
-    def options(self) -> str:
-        """The options that tell this line from others of its method; empty if there are none."""
-        return self.group.label[len(self.group.algo) + 2 : -1]
-
-    @property
     def runs(self) -> tuple[RunFolder, ...]:
         """The runs that its seeds come from."""
         return self.curves.runs

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.report.comparison import COLUMNS, pair_row, with_verdicts
@@ -23,6 +23,8 @@ MACHINE = ("python", "backend", "device", "commit")
 UNKNOWN = "unknown"
 HERE = "this page"
 """Where a row of the page's own runs comes from."""
+TableRow = tuple[Line | None, str, Sequence[str]]
+"""A row of a table: its line if it is one of the page's, the method with options in brackets, and cells as text."""
 ARROWS = {"above": "▲ ", "below": "▼ "}
 SIZE, MEAN, INTERVAL, RECENT = "seeds × steps", "mean (s.e.)", "95 % of the mean", "last 100k steps (s.e.)"
 PUBLISHED, PUBLISHED_LAST, VERDICT = "published", f"published, last {WINDOW}", "verdict"
@@ -31,21 +33,6 @@ HEADS = {
     2: (SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT),
 }
 """The columns of each of the paper's tables."""
-
-
-class TableRow(NamedTuple):
-    """A row of a table: a method with its options, its line if it is one of the page's, and cells as text."""
-
-    line: Line | None
-    name: str
-    options: str
-    cells: Sequence[str]
-
-    @classmethod
-    def of(cls, line: Line | None, label: str, cells: Sequence[str]) -> "TableRow":
-        """Return a row of which `label` is the method with options in brackets."""
-        name, _, options = label.partition(" (")
-        return cls(line, name, options.removesuffix(")"), cells)
 
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
@@ -79,7 +66,7 @@ def _paper_row(number: int, row: dict[str, Any], line: Line | None) -> TableRow:
         if number == 1:
             cells[RECENT] = f"{texts['recent']} ({texts['recent_stderr']})"
             cells[PUBLISHED_LAST] = row["published_last10"] or "–"
-    return TableRow.of(line, row["label"], [cells.get(name, "") for name in HEADS[number]])
+    return line, row["label"], [cells.get(name, "") for name in HEADS[number]]
 
 
 def _verdict(row: dict[str, Any]) -> str:
@@ -102,7 +89,7 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     shown = {_identity(row) for row in own}
     rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
     groups = [
-        {"title": task_title(env), "rows": [TableRow.of(own.get(row), row.method, row.texts[1:]) for row in rows[env]]}
+        {"title": task_title(env), "rows": [(own.get(row), row.method, row.texts[1:]) for row in rows[env]]}
         for env in task_order(line.group.env for line in lines)
         if env in known
     ]
@@ -137,7 +124,7 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
     tested = with_verdicts([pair_row(first.group, second.group) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
     rows = [
-        TableRow.of(line, line.group.label, [cell(row) for _, cell in columns])
+        (line, line.group.label, [cell(row) for _, cell in columns])
         for (line, _), row in zip(pairs, tested, strict=True)
     ]
     return {"head": [name for name, _ in columns], "groups": [{"title": "", "rows": rows}]}
@@ -157,7 +144,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
             values = [scores[lane, -1], last_mean(scores[lane])]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
             texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
-            rows.append(TableRow.of(line, line.group.label, [str(seed), *texts]))
+            rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", name, f"mean of the last {WINDOW}", *(panel.title for panel in panels)]
     return {"head": head, "groups": [{"title": "", "rows": rows}]}
