@@ -61,6 +61,9 @@ def test_runs_without_an_evaluation_and_no_runs_are_errors(tmp_path):
             function(path)
     with pytest.raises(ValueError, match="at least one run folder"):
         read_all([])
+    (path / "config.json").unlink()
+    with pytest.raises(ValueError, match=r"no config\.json in it or below"):
+        read_all([path])
 
 
 def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):

@@ -1,4 +1,4 @@
-"""The tables of a page as text: tables 1 and 2 of the paper, the leaderboard, and final scores of seeds."""
+"""The tables of a page as text: the paper's tables 1 and 2, the leaderboard, tests of differences, final scores of seeds."""
 
 import itertools
 import json

@@ -149,7 +149,7 @@ def _files(folders: Sequence[Path]) -> Iterator[tuple[Path, int, int]]:
             continue
         for run in runs:
             for path in run.iterdir():
-                if path.name in FILES or path.suffix in KINDS:
+                if (path.name in FILES or path.suffix.lower() in KINDS) and path.exists():
                     status = path.stat()
                     yield path, status.st_size, status.st_mtime_ns
 
