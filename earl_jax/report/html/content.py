@@ -57,18 +57,6 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
     }
 
 
-def plot_numbers(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the part of `page_content` from which the script draws plots, as plain JSON."""
-    return {
-        task["id"]: {
-            "styles": {line.key: {"label": line.group.label, "dash": line.dash} for line in task["lines"]},
-            "panels": task["panels"],
-            "maps": [{**visit_map, "line": visit_map["line"].key} for visit_map in task["maps"]],
-        }
-        for task in content["tasks"]
-    }
-
-
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)

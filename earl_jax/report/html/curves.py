@@ -126,6 +126,8 @@ def _curve(line: Line, metric: str) -> dict[str, Any]:
     smooth = metric == curves.deployed_metric and count >= 2 * WINDOW
     return {
         "line": line.key,
+        "label": line.group.label,
+        "dash": line.dash,
         "x": curves.steps[indices].tolist(),
         "plain": _banded(values[:, indices]),
         "smooth": _banded(trailing(values)[:, indices]) if smooth else None,

@@ -30,7 +30,7 @@ SIZE, FPS = (240, 320), 12.5
 
 
 def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the maps of one task's `lines`, ready to be drawn, and sentences about runs that have none.
+    """Return the maps of one task's `lines`, whose `plot` is drawn, and sentences about runs that have none.
 
     Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
@@ -46,9 +46,10 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
                 sentences.append(f"No map of {line.group.label}: {_cause(error)}.")
         if visits:
             drawn.append(_map(line, np.concatenate(visits)))
-    shares = [share for visit_map in drawn for column in visit_map["shares"] for share in column if share]
-    ends = [min(shares), max(shares)] if shares else [0.1, 1.0]
-    return [{**visit_map, "ends": ends} for visit_map in drawn], sentences
+    shares = [share for visit_map in drawn for row in visit_map["plot"]["shares"] for share in row if share]
+    for visit_map in drawn:
+        visit_map["plot"]["ends"] = [min(shares), max(shares)] if shares else [0.1, 1.0]
+    return drawn, sentences
 
 
 def _map(line: Line, visits: np.ndarray) -> dict[str, Any]:
@@ -58,9 +59,11 @@ def _map(line: Line, visits: np.ndarray) -> dict[str, Any]:
         "line": line,
         "covered": float(np.mean([score["covered"] for score in scores])),
         "entropy": float(np.mean([score["entropy"] for score in scores])),
-        "bounds": np.asarray(env.map_bounds, float).tolist(),
-        "unit": env.map_unit,
-        "shares": [[float(f"{v:.3g}") or None for v in row] for row in (total.T / max(total.sum(), 1)).tolist()],
+        "plot": {
+            "bounds": np.asarray(env.map_bounds, float).tolist(),
+            "unit": env.map_unit,
+            "shares": [[float(f"{v:.3g}") or None for v in row] for row in (total.T / max(total.sum(), 1)).tolist()],
+        },
     }
 
 

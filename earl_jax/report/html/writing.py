@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.report.html.content import page_content, plot_numbers
+from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
 from earl_jax.report.runs import Curves, find_runs, gather
@@ -44,6 +44,10 @@ def write_page(
     for cause in left_out.values():
         warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
     content = page_content(lines_of(runs), policies)
+    plots = {
+        task["id"]: {"panels": task["panels"], "maps": [visit_map["plot"] for visit_map in task["maps"]]}
+        for task in content["tasks"]
+    }
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     command = ["earl-jax", "report", *map(str, folders), "--out", str(out), *(["--videos"] if policies else [])]
     page = environment.get_template("report.html").render(
@@ -54,7 +58,7 @@ def write_page(
         style=style,
         script=script,
         plotly=_packed(plotly),
-        numbers=_packed(json.dumps(plot_numbers(content), allow_nan=False)),
+        numbers=_packed(json.dumps(plots, allow_nan=False)),
         hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
     )
     out.parent.mkdir(parents=True, exist_ok=True)

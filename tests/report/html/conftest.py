@@ -11,6 +11,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.report.html import media
+from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
@@ -97,4 +98,5 @@ def written(folders):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(media, "load_visits", load)
-        return write_page([folders], folders.parent / "page.html")
+        with pytest.warns(RunWarning, match="left out"):
+            return write_page([folders], folders.parent / "page.html")

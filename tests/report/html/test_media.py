@@ -110,12 +110,10 @@ def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
     monkeypatch.setattr(media, "load_visits", lambda folder: (make(TABLETOP), visits))
     [drawn], sentences = maps(read_lines(run))
     assert sentences == []
-    assert drawn["shares"][0] == [None, None, None, 0.75]
-    assert drawn["shares"][1] == [None, 0.25, None, None]
-    assert drawn["ends"] == [0.25, 0.75]
-    assert drawn["covered"] == 1 / 16
-    assert drawn["unit"] == "table units"
-    np.testing.assert_allclose(drawn["bounds"], make(TABLETOP).map_bounds)
+    plot = drawn["plot"]
+    assert plot["shares"][:2] == [[None, None, None, 0.75], [None, 0.25, None, None]]
+    assert (plot["ends"], plot["unit"], drawn["covered"]) == ([0.25, 0.75], "table units", 1 / 16)
+    np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map_bounds)
 
 
 @pytest.mark.parametrize(

@@ -77,14 +77,13 @@
     };
   }
 
-  function curvePlot(panel, styles, show) {
+  function curvePlot(panel, show) {
     const visible = panel.lines.filter((curve) => !show.hidden.has(curve.line));
     const longest = Math.max(...panel.lines.map((curve) => curve.x[curve.x.length - 1]));
     const below = [], above = [];
     for (const curve of visible) {
-      const { label, dash } = styles[curve.line];
       const part = (show.smooth && curve.smooth) || curve.plain;
-      const base = { type: "scatter", uid: `${curve.line}-`, name: escaped(label), line: { color: variable(`--${curve.line}`), dash, width: 2 } };
+      const base = { type: "scatter", uid: `${curve.line}-`, name: escaped(curve.label), line: { color: variable(`--${curve.line}`), dash: curve.dash, width: 2 } };
       const named = (kind, trace) => ({ ...trace, uid: `${curve.line}-${kind}` });
       if (show.band && part.low) below.push(named("band", bandTrace(curve.x, part, base)));
       if (show.each) below.push(named("each", seedsTrace(curve.x, part, base)));
@@ -144,7 +143,7 @@
     const isMap = "map" in plot.dataset;
     const [traces, layout] = isMap
       ? mapPlot(task.maps[plot.dataset.map])
-      : curvePlot(task.panels[plot.dataset.panel], task.styles, visibility(section));
+      : curvePlot(task.panels[plot.dataset.panel], visibility(section));
     return Plotly.react(plot, traces, layout, config);
   }
 
@@ -172,19 +171,14 @@
     await new Promise((next) => setTimeout(next));
   }
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => all(".plot").forEach(draw));
-  addEventListener("beforeprint", () => {
-    root.dataset.print = "";
-    for (const plot of all(".plot")) {
-      draw(plot);
-      Plotly.relayout(plot, { width: 320, height: plot.clientHeight });
-    }
-  });
-  addEventListener("afterprint", () => {
-    delete root.dataset.print;
-    for (const plot of all(".plot")) {
-      draw(plot);
-      Plotly.relayout(plot, { width: null, height: null, autosize: true });
-    }
-  });
+  for (const event of ["beforeprint", "afterprint"]) {
+    addEventListener(event, () => {
+      const printing = root.toggleAttribute("data-print", event === "beforeprint");
+      for (const plot of all(".plot")) {
+        draw(plot);
+        Plotly.relayout(plot, printing ? { width: 320, height: plot.clientHeight } : { width: null, height: null, autosize: true });
+      }
+    });
+  }
   root.dataset.ready = "";
 })();
