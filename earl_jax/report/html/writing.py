@@ -70,8 +70,9 @@ def _check(curves: Curves) -> None:
     """Raise an error if the method cannot be built or if a number of the page cannot be computed from `curves`."""
     curves.config.build_method()
     row_of(curves, 1, "")
-    if not np.isfinite(curves.metrics["interventions"]).all():
-        raise InputError("interventions are not finite")
+    for metric in (curves.deployed_metric, "interventions"):
+        if not np.isfinite(curves.metrics[metric]).all():
+            raise InputError(f"{metric} is not finite")
 
 
 def _libraries(out: Path) -> tuple[Any, str]:

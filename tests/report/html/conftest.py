@@ -11,6 +11,8 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.report.html import media
+from earl_jax.report.html.curves import lines_of
+from earl_jax.report.runs import read_all
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run
 
@@ -59,6 +61,11 @@ def change_config(run, **values):
     """Write `values` to the config.json of `run`."""
     file = run / "config.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
+
+
+def read_lines(*folders):
+    """Return the lines of a page of `folders`."""
+    return lines_of(read_all(folders))
 
 
 @pytest.fixture(scope="package")

@@ -10,16 +10,11 @@ from earl_jax import rendering
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.report.html import media
-from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import PolicyVideos, maps, videos
-from earl_jax.report.runs import read_all
+from tests.report.html.conftest import read_lines
 from tests.report.run_files import TABLETOP, rising, write_page_run
 
 VIDEO = b"\0\0\0\x20ftypisom" + bytes(50)
-
-
-def read_lines(*folders):
-    return lines_of(read_all(folders))
 
 
 @pytest.fixture

@@ -9,13 +9,9 @@ from benchmarks import leaderboard as committed
 from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, difference_table, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows
-from earl_jax.report.runs import gather, read_all
-from tests.report.html.conftest import change_config
+from earl_jax.report.runs import gather
+from tests.report.html.conftest import change_config, read_lines
 from tests.report.run_files import DOOR, TABLETOP, constant, rising, write_page_run
-
-
-def read_lines(*folders):
-    return lines_of(read_all(folders))
 
 
 def cells(table, number=0):

@@ -79,6 +79,8 @@ def test_damaged_runs_are_listed_at_the_top_and_with_their_causes(page, folders,
 def test_runs_that_cannot_be_built_or_computed_here_cost_these_runs_only(tmp_path):
     write_page_run(tmp_path / "intact", "fbrl", rising(2, 2))
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
+    write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
+    write_page_run(tmp_path / "huge", "naive", [[1e200, -1e200], [1e308, 1e308]])
     causes = {
         "unknown algo 'ppo'; choose from": {"algo": "ppo"},
         "unknown env 'maze'; choose from": {"env": "maze"},
@@ -89,11 +91,13 @@ def test_runs_that_cannot_be_built_or_computed_here_cost_these_runs_only(tmp_pat
     }
     for number, values in enumerate(causes.values()):
         change_config(write_page_run(tmp_path / f"broken{number}", "fbrl", rising(2, 2)), **values)
-    with pytest.warns(RunWarning) as caught:
+    with pytest.warns(RunWarning) as caught, np.errstate(all="ignore"):
         text = Reader(write_page([tmp_path], tmp_path / "page.html").read_text()).text
-    assert f"left out: {tmp_path}/endless: interventions are not finite" in [str(warning.message) for warning in caught]
-    assert "1, with 2 seeds" in text
-    assert "7 runs could not be read" in text
+    messages = [str(warning.message) for warning in caught]
+    for name, metric in (("endless", "interventions"), ("unknown", "deployed/success")):
+        assert f"left out: {tmp_path}/{name}: {metric} is not finite" in messages
+    assert "2, with 4 seeds" in text
+    assert "8 runs could not be read" in text
     assert [cause for cause in causes if cause not in text] == []
 
 
