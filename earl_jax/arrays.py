@@ -57,7 +57,14 @@ def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
     try:
         _check_sizes(data, {f"{name}.npy" for name in names})
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            return {name: _checked(stored[name]) for name in names if name in stored.files}
+            arrays = {name: stored[name] for name in names if name in stored.files}
+        for array in arrays.values():
+            kind = array.dtype.kind
+            if kind not in "biuf":
+                raise InputError(f"an array has elements of the type {array.dtype}, not of bool, int, uint or float")
+            if kind == "b" and array.view(np.uint8).max(initial=0) > 1:  # NumPy would write beyond its memory
+                raise InputError("an array of bools has other values than 0 and 1")
+        return arrays
     except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
         raise InputError(f"not an npz file of plain arrays: {shortened(error or type(error).__name__)}") from error
 
@@ -71,18 +78,5 @@ def _check_sizes(data: bytes, files: set[str]) -> None:
     if any(info.compress_type not in COMPRESSIONS for info in members):
         raise InputError("a member is packed in another way than numpy packs")
     total = sum(info.file_size for info in members)
-    if total > MAX_BYTES:
-        raise InputError(f"its arrays are larger than {MAX_BYTES >> 20} MiB, the limit")
-    if total > max(FREE_BYTES, MAX_RATIO * len(data)):
-        raise InputError(f"its arrays are more than {MAX_RATIO} times as large as the file")
-
-
-def _checked(array: np.ndarray) -> np.ndarray:
-    import numpy as np
-
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        kind = array.dtype.str if isinstance(array, np.ndarray) else "unknown"
-        raise InputError(f"an array has elements of the type {kind}, not of bool, int, uint or float")
-    if array.dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:  # NumPy would write beyond its memory
-        raise InputError("an array of bools has other values than 0 and 1")
-    return array
+    if total > min(MAX_BYTES, max(FREE_BYTES, MAX_RATIO * len(data))):
+        raise InputError(f"its arrays are larger than {MAX_BYTES >> 20} MiB or {MAX_RATIO} times the file, the limits")

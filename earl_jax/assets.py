@@ -128,7 +128,14 @@ def list_pretrained() -> dict[str, list[str]]:
 
 @functools.cache
 def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the description of the trained policies of `method` on `task`, and their parameters, float16 [N, ...] by name.
+    """Return `pretrained_info`, and the parameters of the policies, float16 [N, ...] by name. Errors as `pretrained_info`."""
+    info = pretrained_info(task, method)
+    with np.load(root() / "pretrained" / task / f"{method}.npz", allow_pickle=False) as stored:
+        return info, dict(stored)
+
+
+def pretrained_info(task: str, method: str) -> dict[str, Any]:
+    """Return the description of the trained policies of `method` on `task`.
 
     Raises:
         ValueError: none ship; the message lists the choices.
@@ -138,9 +145,7 @@ def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.nda
         raise InputError(f"no trained policies ship for {task!r}; choose from {', '.join(choices)}")
     if method not in choices[task]:
         raise InputError(f"no policies of {method!r} ship for {task}; choose from {', '.join(choices[task])}")
-    path = root() / "pretrained" / task / method
-    with np.load(path.with_suffix(".npz"), allow_pickle=False) as stored:
-        return json.loads(path.with_suffix(".json").read_text()), dict(stored)
+    return json.loads((root() / "pretrained" / task / f"{method}.json").read_text())
 
 
 @functools.cache

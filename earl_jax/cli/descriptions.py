@@ -1,21 +1,19 @@
-"""The descriptions of tasks and methods, taken from their classes; as a program, it writes the table of `catalog`."""
+"""Descriptions of tasks and methods, taken from their classes; as a program, it stores those of the package for `list`."""
 
 import ast
 import dataclasses
-import functools
 import inspect
 import json
 import re
 import textwrap
 from importlib.metadata import EntryPoint
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from earl_jax import algos, assets, envs
-from earl_jax.cli import catalog
+from earl_jax import algos, envs
+from earl_jax.cli.listing import CATALOG, LOCATE, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
 
@@ -23,110 +21,75 @@ SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
 CHOICES = re.compile(r"(?:is not one of|choose from) (.*)$")
-DESCRIBED = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
+SIZES = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
 
 
 def task(name: str) -> dict[str, Any]:
-    """Return what a task is, its sizes, rewards, horizons, demonstrations, policies and options."""
+    """Return what a task is, its sizes, rewards, horizons, demonstrations and options."""
     env = envs.make(name)
-    options = {key: {**option, "valid": option["valid"] or _choices(env, key)} for key, option in _options(type(env))}
+    options = _options(type(env))
+    for key, option in options.items():
+        option["valid"] = option["valid"] or _choices(env, key)
+    summary, details = _summary_and_details(type(env))
     return {
-        "summary": env.summary or _sentences(_docstrings(type(env))[0])[0],
-        "obs_size": env.obs_size,
-        "goal_size": env.goal_size,
-        "action_size": env.action_size,
-        "reward_type": env.reward_type,
+        "summary": env.summary or summary,
+        **{size: getattr(env, size, None) for size in SIZES},
         "reward_types": options["reward_type"]["valid"],
-        "train_horizon": env.train_horizon,
-        "eval_horizon": env.eval_horizon,
-        "goal_change": getattr(env, "goal_change", None),
         "demonstrations": list(env.demo_directions),
-        "policies": {method: _policy(name, method) for method in assets.list_pretrained().get(name, [])},
         "engines": list(ENGINES) if isinstance(env, envs.MujocoEnv) else [],
-        "details": _paragraphs(_docstrings(type(env))[0]),
+        "details": details,
         "options": options,
     }
 
 
 def method(name: str) -> dict[str, Any]:
-    """Return what a method does, its source, year, demonstrations, policies and own options."""
+    """Return what a method does, its source, year, demonstrations and own options."""
     cls = algos.algo_class(name)
-    docstring = _docstrings(cls)[0]
-    cited = SOURCE.search(" ".join(docstring.split()))
-    years = YEAR.findall(cited[1]) if cited else []
+    summary, details = _summary_and_details(cls)
+    cited = SOURCE.search(" ".join(details))
+    year = YEAR.search(cited[1]) if cited else None
     return {
-        "summary": _sentences(docstring)[0],
+        "summary": summary,
         "source": cited[1] if cited else None,
-        "year": int(years[0]) if years else None,
+        "year": int(year[0]) if year else None,
         "needs_demonstrations": cls.needs_demos,
         "uses_demonstrations": list(cls.demo_directions),
-        "policies": {env: _policy(env, name) for env, methods in assets.list_pretrained().items() if name in methods},
-        "details": _paragraphs(docstring),
-        "options": {option: values for option, values in _options(cls) if option != "sac"},
+        "details": details,
+        "options": {option: values for option, values in _options(cls).items() if option != "sac"},
     }
 
 
 DESCRIBE = {"task": task, "method": method}
 
 
-def table() -> dict[str, Any]:
-    """Return the descriptions of all tasks and methods of the package, and the options of the learner."""
-    return {
-        "tasks": _own("task", envs.list_envs()),
-        "methods": _own("method", algos.list_algos()),
-        "learner": dict(_options(algos.SAC)),
-    }
+def catalog() -> dict[str, Any]:
+    """Return the descriptions of the package's own classes by class, and under `learner` the options of every method."""
+    described: dict[str, Any] = {"learner": _options(algos.SAC)}
+    for kind, locate in LOCATE.items():
+        for name in names()[kind]:
+            target, package = locate(name)
+            if package == "earl_jax" and isinstance(target, EntryPoint):
+                described[target.value] = DESCRIBE[kind](name)
+    return described
 
 
-def _own(kind: str, names: list[str]) -> dict[str, Any]:
-    descriptions = {}
-    for name in names:
-        target, package = catalog.LOCATE[kind](name)
-        if package == "earl_jax" and isinstance(target, EntryPoint):
-            first = {"kind": kind, "name": name, "package": package, "class": target.value}
-            descriptions[name] = {**first, **DESCRIBE[kind](name)}
-    return descriptions
-
-
-def write(path: Path) -> None:
-    """Write the table to `path`, each name on a line of its own."""
-    lines = [
-        f"{json.dumps(group)}: {{\n"
-        + ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items())
-        for group, entries in table().items()
-    ]
-    path.write_text("{" + "},\n".join(lines) + "}}\n")
-
-
-def _policy(env: str, algo: str) -> dict[str, Any]:
-    """Return what is known of the trained policies of a method that ship: seeds, steps, scores, options of the run."""
-    from earl_jax.training import pretrained_info
-
-    info = pretrained_info(env, algo)
-    options = {**info["config"]["env_options"], **info["config"]["options"]}
-    return {**{key: info[key] for key in DESCRIBED}, "options": options}
-
-
-def _options(cls: type) -> list[tuple[str, dict[str, Any]]]:
+def _options(cls: type) -> dict[str, dict[str, Any]]:
     """Return the options of a class by name: type, default, valid values and meaning.
 
     Where the field has no docstring, the meaning is the sentence of a class's that names the option.
     """
-    meanings = _meanings(cls)
-    sentences = [sentence for text in _docstrings(cls) for sentence in _sentences(text)]
-    options = []
+    docstrings, meanings = _documentation(cls)
+    sentences = [sentence for text in docstrings for sentence in SENTENCE.split(" ".join(text.split()))]
+    options = {}
     for field in dataclasses.fields(cls):
-        if field.init:
-            about = (sentence for sentence in sentences if re.search(rf"`{field.name}[`=]", sentence))
-            default = None if field.default is dataclasses.MISSING else np.asarray(field.default).tolist()
-            interval = field.metadata.get("interval")
-            values = {
-                "type": field.type if isinstance(field.type, str) else inspect.formatannotation(field.type),
-                "default": default,
-                "valid": interval.text if interval else None,
-                "meaning": meanings.get(field.name) or next(about, ""),
-            }
-            options.append((field.name, values))
+        about = (sentence for sentence in sentences if re.search(rf"`{field.name}[`=]", sentence))
+        interval = field.metadata.get("interval")
+        options[field.name] = {
+            "type": field.type if isinstance(field.type, str) else inspect.formatannotation(field.type),
+            "default": None if field.default is dataclasses.MISSING else np.asarray(field.default).tolist(),
+            "valid": interval.text if interval else None,
+            "meaning": meanings.get(field.name) or next(about, ""),
+        }
     return options
 
 
@@ -141,39 +104,31 @@ def _choices(env: Any, option: str) -> list[str] | None:
         return named[1].split(", ") if named else None
 
 
-def _meanings(cls: type) -> dict[str, str]:
-    """Return the docstrings below the fields of a class and of its bases."""
-    meanings = {}
-    for node in reversed(_nodes(cls)):
+def _summary_and_details(cls: type) -> tuple[str, list[str]]:
+    """Return the first sentence and the paragraphs of the docstring of a class or of its nearest base that has one."""
+    text = next(iter(_documentation(cls)[0]), "")
+    paragraphs = [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+    return SENTENCE.split(" ".join(paragraphs))[0], paragraphs
+
+
+def _documentation(cls: type) -> tuple[list[str], dict[str, str]]:
+    """Return the docstrings of a class and of its bases of the same packages, nearest first, and those of their fields.
+
+    They are read from the source: `__doc__` has none of fields, and a dataclass without a docstring has its signature there.
+    """
+    tops = {"earl_jax", cls.__module__.partition(".")[0]}
+    docstrings, meanings = [], {}
+    for base in (base for base in cls.__mro__ if base.__module__.partition(".")[0] in tops):
+        node = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        assert isinstance(node, ast.ClassDef)
+        docstrings += filter(None, [ast.get_docstring(node)])
         for field, below in pairwise(node.body):
             match field, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    meanings[name] = " ".join(text.split())
-    return meanings
-
-
-def _docstrings(cls: type) -> list[str]:
-    """Return the docstrings of a class and of its bases, nearest first; one that is empty if there is none."""
-    return [text for node in _nodes(cls) if (text := ast.get_docstring(node))] or [""]
-
-
-@functools.cache
-def _nodes(cls: type) -> list[ast.ClassDef]:
-    """Return the parsed source of a class and of its bases of the same packages, because `__doc__` has no fields'."""
-    tops = {"earl_jax", cls.__module__.partition(".")[0]}
-    classes = [base for base in cls.__mro__ if base.__module__.partition(".")[0] in tops]
-    nodes = [ast.parse(textwrap.dedent(inspect.getsource(base))).body[0] for base in classes]
-    return [node for node in nodes if isinstance(node, ast.ClassDef)]
-
-
-def _sentences(text: str) -> list[str]:
-    """Return the sentences of a docstring, each on one line; "" for an empty one."""
-    return SENTENCE.split(" ".join(text.split()))
-
-
-def _paragraphs(text: str) -> list[str]:
-    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+                    meanings.setdefault(name, " ".join(text.split()))
+    return docstrings, meanings
 
 
 if __name__ == "__main__":
-    write(catalog.TABLE)
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in catalog().items()]
+    CATALOG.write_text("{" + ",\n".join(lines) + "}\n")

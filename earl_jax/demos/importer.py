@@ -38,16 +38,9 @@ class Recording(NamedTuple):
 
     def demos(self) -> Demos:
         """Return the same transitions as `Demos`; state and goal are the two halves of an observation."""
-        size = self.observations.shape[1] // 2
-        states, goals = self.observations[:, :size], self.observations[:, size:]
-        return Demos(
-            states=states,
-            goals=goals,
-            actions=self.actions,
-            next_states=self.next_observations[:, :size],
-            rewards=self.rewards,
-            ends=self.terminals,
-        )
+        states, goals = np.split(self.observations, 2, axis=1)
+        next_states, _ = np.split(self.next_observations, 2, axis=1)
+        return Demos(states, goals, self.actions, next_states, self.rewards, self.terminals)
 
 
 def read(path: Path) -> Recording:
@@ -59,8 +52,7 @@ def read(path: Path) -> Recording:
     """
     try:
         data = read_bytes(path)
-        is_zip = data.startswith(b"PK\3\4")
-        return _checked(load_npz(data if is_zip else _unpickled(data), Recording._fields))
+        return _checked(load_npz(data if data.startswith(b"PK\3\4") else _unpickled(data), Recording._fields))
     except MemoryError as error:
         raise InputError(f"{path}: reading it takes more memory than there is") from error
     except ValueError as error:
@@ -84,27 +76,21 @@ def _unpickled(data: bytes) -> bytes:
 def _checked(arrays: dict[str, np.ndarray]) -> Recording:
     if not set(Recording._fields) <= set(arrays):
         raise InputError(f"a recording has the arrays {', '.join(Recording._fields)}")
-    parts = [arrays[name] for name in Recording._fields]
-    if sum(part.size for part in parts) * np.float32().itemsize > MAX_BYTES:
+    observations, actions, rewards, next_observations, terminals = (arrays[name] for name in Recording._fields)
+    if sum(array.size for array in arrays.values()) * np.float32().itemsize > MAX_BYTES:
         raise InputError(f"its arrays take more than {MAX_BYTES >> 20} MiB in float32, the limit")
-    rows = len(parts[0]) if parts[0].ndim else 0
-    shapes = {name: part.shape for name, part in zip(Recording._fields, parts, strict=True)}
-    flat = all(part.size == rows for part in (parts[2], parts[4]))
-    matrices = all(part.ndim == 2 and len(part) == rows for part in (parts[0], parts[1], parts[3]))
-    if not rows or not flat or not matrices or parts[0].shape != parts[3].shape or parts[0].shape[1] % 2:
+    matrices, rows = (observations, actions, next_observations), observations.shape[:1]
+    fit = all(matrix.ndim == 2 and matrix.shape[:1] == rows and rows != (0,) for matrix in matrices)
+    fit = fit and (rewards.size,) == (terminals.size,) == rows and observations.shape == next_observations.shape
+    if not fit or observations.shape[1] % 2:
+        shapes = {name: array.shape for name, array in arrays.items()}
         raise InputError(f"its arrays don't fit together: {shapes}")
+    numbers = (observations, actions, rewards.reshape(-1), next_observations)
     with np.errstate(over="ignore"):  # too large values become infinite, which the next check finds
-        parts = [*(part.astype(np.float32) for part in parts[:4]), parts[4].astype(bool)]
-    if not all(np.isfinite(part).all() for part in parts) or not parts[4].reshape(-1)[-1]:
+        recording = Recording(*[part.astype(np.float32) for part in numbers], terminals.reshape(-1).astype(bool))
+    if not all(np.isfinite(part).all() for part in recording) or not recording.terminals[-1]:
         raise InputError("it has values that are not finite, or stops in the middle of an episode")
-    observations, actions, rewards, next_observations, terminals = parts
-    return Recording(
-        observations=observations,
-        actions=actions,
-        rewards=rewards.reshape(-1),
-        next_observations=next_observations,
-        terminals=terminals.reshape(-1),
-    )
+    return recording
 
 
 def import_demos(files: dict[str, Path]) -> dict[str, Demos]:

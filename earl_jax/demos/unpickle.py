@@ -21,9 +21,9 @@ HINT = "an npz of the arrays, by numpy.savez, can be imported instead"
 
 
 class Dtype:
-    """The type of elements that a pickle describes: `built` from BUILD on."""
+    """The type of elements that a pickle describes."""
 
-    def __init__(self, code: str, align: bool, copy: bool) -> None:
+    def __init__(self, code: str, *_: Any) -> None:
         if not ELEMENTS.fullmatch(code):
             raise ValueError(f"an array has elements of the type {code}, not of bool, int, uint or float")
         self.code = code
@@ -32,55 +32,40 @@ class Dtype:
         _, order, *rest = state
         if order not in ("<", ">", "|") or rest != [None, None, None, -1, -1, 0]:
             raise ValueError("a type of elements has fields, a size or flags of its own")
-        self.built = np.dtype(order + self.code)
+        self.dtype = np.dtype(order + self.code)
 
 
 class Array:
-    """An array that a pickle describes: `built` from BUILD on."""
+    """An array that a pickle describes, with its `values` from `__setstate__` on."""
+
+    values: Any = None
+
+    def __init__(self, *_: Any) -> None:
+        pass
 
     def __setstate__(self, state: tuple) -> None:
         _, shape, dtype, fortran, data = state
-        self.built = _array(data, dtype, shape, "F" if fortran else "C")
+        data = data.encode("latin1") if isinstance(data, str) else data  # Python 2
+        self.values = np.frombuffer(data, dtype.dtype).reshape(shape, order="F" if fortran else "C")
 
 
-def _array(data: Any, dtype: Any, shape: tuple, order: str) -> np.ndarray:
-    if not isinstance(dtype, Dtype):
-        raise ValueError("an array has no type of elements")
-    data = data.encode("latin1") if isinstance(data, str) else data  # Python 2
-    return np.frombuffer(data, dtype.built).reshape(shape, order="F" if order == "F" else "C")
-
-
-def _reconstruct(base: type, shape: tuple, code: Any) -> Array:
-    return Array()
-
-
-def _frombuffer(data: Any, dtype: Any, shape: tuple, order: str, axes: tuple | None = None) -> Array:
+def _array_of_buffer(data: Any, dtype: Dtype, shape: tuple, order: str, axes: tuple | None = None) -> Array:
     array = Array()
-    array.built = _array(data, dtype, shape, order)
-    array.built = array.built if axes is None else array.built.transpose(axes)
+    array.__setstate__((1, shape, dtype, order == "F", data))
+    array.values = array.values if axes is None else array.values.transpose(axes)
     return array
-
-
-def _encode(text: str, codec: str) -> bytes:
-    if codec != "latin1":
-        raise ValueError(f"it encodes text with {codec}")
-    return text.encode("latin1")
-
-
-def _no_bytes() -> bytes:
-    return b""
 
 
 ALLOWED = {
     "numpy.ndarray": Array,
     "numpy.dtype": Dtype,
-    "numpy.core.multiarray._reconstruct": _reconstruct,
-    "numpy._core.multiarray._reconstruct": _reconstruct,
-    "numpy.core.numeric._frombuffer": _frombuffer,
-    "numpy._core.numeric._frombuffer": _frombuffer,
-    "_codecs.encode": _encode,
-    "__builtin__.bytes": _no_bytes,
-    "builtins.bytes": _no_bytes,
+    "numpy.core.multiarray._reconstruct": Array,
+    "numpy._core.multiarray._reconstruct": Array,
+    "numpy.core.numeric._frombuffer": _array_of_buffer,
+    "numpy._core.numeric._frombuffer": _array_of_buffer,
+    "_codecs.encode": lambda text, codec: text.encode("latin1"),
+    "__builtin__.bytes": lambda: b"",
+    "builtins.bytes": lambda: b"",
 }
 
 
@@ -89,9 +74,10 @@ class Reader(pickle.Unpickler):
 
     def find_class(self, module_name: str, global_name: str) -> Any:
         """Return what a name of the pickle stands for."""
-        if f"{module_name}.{global_name}" not in ALLOWED:
-            raise ValueError(f"it asks for {module_name}.{global_name}, but only numpy arrays are allowed")
-        return ALLOWED[f"{module_name}.{global_name}"]
+        name = f"{module_name}.{global_name}"
+        if name not in ALLOWED:
+            raise ValueError(f"it asks for {name}, but only numpy arrays are allowed")
+        return ALLOWED[name]
 
 
 def read(data: bytes, names: list[str]) -> dict[str, Any]:
@@ -99,29 +85,24 @@ def read(data: bytes, names: list[str]) -> dict[str, Any]:
     content = Reader(io.BytesIO(data), encoding="latin1").load()
     if type(content) is not dict:
         raise ValueError(f"it is not a dictionary; {HINT}")
-    entries = {name: content[name] for name in names if name in content}
-    for name, entry in entries.items():
-        if not isinstance(entry, Array):
+    arrays = {}
+    for name in [name for name in names if name in content]:
+        arrays[name] = getattr(content[name], "values", None)
+        if not isinstance(arrays[name], np.ndarray):
             raise ValueError(f"its entry {name!r} is not a numpy array; {HINT}")
-    if sum(entry.built.nbytes for entry in entries.values()) > 2 * len(data):
+    if sum(array.nbytes for array in arrays.values()) > 2 * len(data):  # several can share the same bytes
         raise ValueError("its arrays are larger than the file")
-    return {name: entry.built for name, entry in entries.items()}
-
-
-def _limit(size: int) -> None:
-    """Limit the process, where the system can, to the memory and time that a pickle of `size` bytes may take."""
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY + 4 * size, MEMORY + 4 * size))
+    return arrays
 
 
 def main() -> None:
     """Read the pickle; an error is a line of text and the exit status 1."""
     data, out = sys.stdin.buffer.read(), io.BytesIO()
-    _limit(len(data))
+    with contextlib.suppress(ImportError, ValueError, OSError):  # a system without limits
+        import resource
+
+        for limit, size in (("CORE", 0), ("CPU", SECONDS), ("AS", MEMORY + 4 * len(data))):
+            resource.setrlimit(getattr(resource, f"RLIMIT_{limit}"), (size, size))
     try:
         np.savez(out, **read(data, sys.argv[1:]))
     except MemoryError:
