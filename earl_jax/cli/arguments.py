@@ -1,18 +1,25 @@
-"""Arguments that several commands share, and the output of a command as text or JSON."""
+"""Arguments that several commands share, how they are read, and the output of a command as text or JSON."""
 
 import contextlib
 import datetime
 import json
-import math
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from earl_jax.errors import InputError
-from earl_jax.options import TimeLimit
+from earl_jax.options import TimeLimit, parse_whole
+
+SEEDS = "--seeds"
+SEED_TOKEN = re.compile(r"[\d_:,]+")
+"""A count, a range or a list of seeds; no task is called so."""
+REGISTRY = ConstructorRegistry()
+"""The types that the parser of commands reads in another way than tyro."""
 
 Positional = tyro.conf.Positional
 JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
@@ -61,8 +68,6 @@ Slurm = Annotated[
     tuple[str, ...],
     tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none."),
 ]
-
-
 Labels = Annotated[
     tuple[str, ...],
     tyro.conf.arg(
@@ -75,6 +80,31 @@ Metric = Annotated[
         help="Column of metrics.csv to show, such as interventions. By default the deployed and continuing scores."
     ),
 ]
+
+
+@REGISTRY.primitive_rule
+def whole_number(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """Return how an int is read: also as 1e6, 2.5e6 or 2_500_000."""
+    if kind.type is not int:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda texts: parse_whole(texts[0]),
+        is_instance=lambda value: isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def join_seeds(arguments: list[str]) -> list[str]:
+    """Return `arguments` with the list after `--seeds` as one argument, so that the list ends before a task."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined[-2:-1] == [SEEDS] and all(map(SEED_TOKEN.fullmatch, (argument, joined[-1]))):
+            joined[-1] += f",{argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 @contextlib.contextmanager
@@ -101,16 +131,10 @@ def parse_minutes(text: str | None) -> TimeLimit | None:
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
-    """Print `result` as one JSON object with `as_json`, else `text`; JSON has null where a number is nan."""
-    print(json.dumps(_without_nan(result)) if as_json else text)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    """Print `result` as one JSON object with `as_json`, else `text`; JSON has null where a number is not finite."""
+    if as_json:
+        text = json.dumps(json.loads(json.dumps(result), parse_constant=lambda _: None))
+    print(text)
 
 
 def print_line(line: str) -> None:
@@ -119,25 +143,20 @@ def print_line(line: str) -> None:
 
 
 def parse_options(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value `pairs` as a dictionary.
+    """Return name=value `pairs` as a dictionary. A value is JSON, or else text, so that names need no quotes.
 
     Raises:
-        ValueError: a pair has no `=`.
+        ValueError: a pair has no `=`, or a value is a number of thousands of digits or has thousands of brackets.
     """
     options = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
             raise InputError(f"--set takes name=value, not {pair!r}")
-        options[name] = _parse_value(text)
+        try:
+            options[name] = json.loads(text)
+        except json.JSONDecodeError:
+            options[name] = text
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"--set: {text[:20]}... ({len(text)} characters) is no value: {error}") from None
     return options
-
-
-def _parse_value(text: str) -> Any:
-    """Return the JSON value of `text`, or `text` itself if it is not JSON, so that names need no quotes."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, or thousands of brackets
-        raise InputError(f"--set: {text[:20]}... ({len(text)} characters) is no value: {error}") from None

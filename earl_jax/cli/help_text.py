@@ -1,6 +1,5 @@
 """The help of a command: names of values such as FOLDER and NAME=VALUE ..., defaults in words, paragraphs without breaks."""
 
-import functools
 import inspect
 import re
 from collections.abc import Callable
@@ -23,7 +22,6 @@ VALUES = {
     "labels": "NAME",
     "metric": "COLUMN",
     "policy": "METHOD",
-    "preset": "NAME",
     "set": "NAME=VALUE",
     "slurm": "NAME=VALUE",
     "space": "FILE",
@@ -35,48 +33,25 @@ CONTINUED = re.compile(r"\n {12,}(?=\S)")
 
 
 def readable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `command` with a help that names values, and prints no default where it is None or empty; the text says it."""
-    signature = inspect.signature(command)
-
-    @functools.wraps(command)
-    def run(*args: Any, **options: Any) -> Any:
-        return command(*args, **options)
-
-    del run.__wrapped__  # the parser would read the command's own annotations there
-    parameters = [_with_help(parameter) for parameter in signature.parameters.values()]
-    run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    run.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
-    return run
-
-
-def _with_help(parameter: inspect.Parameter) -> inspect.Parameter:
-    """Return `parameter` with the name of its value and without a default that its text says."""
-    hints = {}
-    if parameter.default in NO_DEFAULTS:
-        hints["help_behavior_hint"] = ""
-    if metavar := _metavar(parameter):
-        hints["metavar"] = metavar
-    hint = tyro.conf.arg(**hints)
-    return parameter.replace(annotation=Annotated[parameter.annotation, hint])
+    """Give `command` a help that names values, and prints no default where it is None or empty: the text says it."""
+    for name, parameter in inspect.signature(command).parameters.items():
+        hints = {"metavar": _metavar(parameter), "help_behavior_hint": "" if parameter.default in NO_DEFAULTS else None}
+        hint = tyro.conf.arg(**{key: value for key, value in hints.items() if value is not None})
+        command.__annotations__[name] = Annotated[parameter.annotation, hint]
+    command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
+    return command
 
 
 def _metavar(parameter: inspect.Parameter) -> str | None:
     """Return what the help calls the value of `parameter`; None where the parser's own name for it is right."""
     is_annotated = get_origin(parameter.annotation) is Annotated
     kind, *metadata = get_args(parameter.annotation) if is_annotated else (parameter.annotation,)
-    if any(getattr(item, "metavar", None) for item in metadata):
-        return None
     parts = {*get_args(kind), kind}
-    if not (parts & {str, Path, ...}):
+    if any(getattr(item, "metavar", None) for item in metadata) or not (parts & {str, Path, ...}):
         return None
+    literals = [f"{{{','.join(get_args(part))}}}" for part in parts if get_origin(part) is Literal]
     is_positional = get_args(tyro.conf.Positional[int])[1] in metadata
-    name = VALUES.get(parameter.name) or (parameter.name.upper() if is_positional else _type_name(parts))
+    own = parameter.name.upper() if is_positional else "PATH" if Path in parts else "NAME"
+    name = VALUES.get(parameter.name) or next(iter(literals), own)
     several = f"{name} ..." if ... in parts else name
     return f"[{several}]" if is_positional and parameter.default is None else several
-
-
-def _type_name(parts: set[Any]) -> str:
-    """Return what a value is called by its type: its choices, PATH or NAME."""
-    literals = [get_args(part) for part in parts if get_origin(part) is Literal]
-    return f"{{{','.join(literals[0])}}}" if literals else "PATH" if Path in parts else "NAME"

@@ -10,41 +10,43 @@ import tyro
 
 from earl_jax import __version__
 from earl_jax.cli import (
-    demonstrations,
-    help_text,
+    episodes,
     inspect_runs,
     listing,
     paper,
-    parsing,
     quickstart,
-    render,
     report,
     search,
     sweep,
     train,
     xla_flags,
 )
+from earl_jax.cli.arguments import REGISTRY, join_seeds
+from earl_jax.cli.help_text import readable
 from earl_jax.errors import is_input_error
 from earl_jax.machine import FRACTION
 from earl_jax.runs.files import RunWarning
 
 COMMANDS = {
-    "list": listing.list_,
-    "train": train.train,
-    "resume": train.resume,
-    "sweep": sweep.sweep,
-    "search": search.search,
-    "reproduce": paper.reproduce,
-    "evaluate": inspect_runs.evaluate,
-    "plot": inspect_runs.plot,
-    "table": inspect_runs.table,
-    "best": inspect_runs.best,
-    "compare": inspect_runs.compare,
-    "render": render.render,
-    "report": report.report,
-    "demos": demonstrations.demos,
-    "import-demos": demonstrations.import_demos,
-    "quickstart": quickstart.quickstart,
+    name: readable(command)
+    for name, command in {
+        "list": listing.list_,
+        "train": train.train,
+        "resume": train.resume,
+        "sweep": sweep.sweep,
+        "search": search.search,
+        "reproduce": paper.reproduce,
+        "evaluate": inspect_runs.evaluate,
+        "plot": inspect_runs.plot,
+        "table": inspect_runs.table,
+        "best": inspect_runs.best,
+        "compare": inspect_runs.compare,
+        "render": episodes.render,
+        "report": report.report,
+        "demos": episodes.demos,
+        "import-demos": episodes.import_demos,
+        "quickstart": quickstart.quickstart,
+    }.items()
 }
 TRACEBACK = "--traceback"
 LONGEST = 1800
@@ -59,27 +61,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command.
 
     Invalid input exits with code 2 and a one-line error that gives the cause or the valid choices, or with its traceback
-    if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback. On a
-    GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
+    if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback.
     """
-    gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
-    warnings.formatwarning = _format_warning
-    os.environ.setdefault(FRACTION, "0.95")
     arguments = sys.argv[1:] if arguments is None else arguments
     given = [argument for argument in arguments if argument != TRACEBACK]
     if given == ["--version"]:
         print(f"earl-jax {__version__}")
         return
-    xla_flags.set_flags(given)
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            {name: help_text.readable(command) for name, command in COMMANDS.items()},
-            prog="earl-jax",
-            args=parsing.join_seeds(given),
-            description=DESCRIPTION,
-            config=(tyro.conf.DisallowNone,),
-            registry=parsing.REGISTRY,
-        )
+        _run(given)
         sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
@@ -93,6 +83,25 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print(f"earl-jax: {str(error)[:LONGEST]}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def _run(arguments: list[str]) -> None:
+    """Set up the process and run the command in `arguments`.
+
+    On a GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
+    """
+    gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
+    warnings.formatwarning = _format_warning
+    os.environ.setdefault(FRACTION, "0.95")
+    xla_flags.set_flags(arguments)
+    tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="earl-jax",
+        args=join_seeds(arguments),
+        description=DESCRIPTION,
+        config=(tyro.conf.DisallowNone,),
+        registry=REGISTRY,
+    )
 
 
 def _format_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from earl_jax.cli.arguments import (
     JSON,
+    SEEDS,
     Devices,
     Engine,
     Hosts,
@@ -18,7 +19,6 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
-from earl_jax.cli.parsing import SEEDS
 from earl_jax.errors import InputError
 from earl_jax.options import parse_seeds
 from earl_jax.presets import ALGO, LENGTHS

@@ -87,7 +87,7 @@ def _checked(arrays: dict[str, np.ndarray]) -> Recording:
         raise InputError(f"its arrays don't fit together: {shapes}")
     numbers = (observations, actions, rewards.reshape(-1), next_observations)
     with np.errstate(over="ignore"):  # too large values become infinite, which the next check finds
-        recording = Recording(*[part.astype(np.float32) for part in numbers], terminals.reshape(-1).astype(bool))
+        recording = Recording(*[*(part.astype(np.float32) for part in numbers), terminals.reshape(-1).astype(bool)])
     if not all(np.isfinite(part).all() for part in recording) or not recording.terminals[-1]:
         raise InputError("it has values that are not finite, or stops in the middle of an episode")
     return recording

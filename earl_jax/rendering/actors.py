@@ -82,22 +82,17 @@ def is_run(source: str | Path) -> bool:
 
 def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[Env, Policy | None]:
     """Return the environment of `source` and its policy: of a run, or of a `method` that ships; None without either."""
-    if is_run(source):
-        if method is not None:
-            raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
-        return _trained(Path(source), seed)
-    if method is None:
-        return make(str(source)), None
-    return pretrained_env(str(source), method), pretrained(str(source), method)
-
-
-def _trained(folder: Path, lane: int) -> tuple[Env, Policy]:
-    """Return the environment of a run folder and the newest policy of one lane."""
-    env, policies = load_policies(RunFolder.open(folder))
+    if not is_run(source):
+        if method is None:
+            return make(str(source)), None
+        return pretrained_env(str(source), method), pretrained(str(source), method)
+    if method is not None:
+        raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
+    env, policies = load_policies(RunFolder.open(Path(source)))
     try:
-        return env, select_seed(policies, lane)
+        return env, select_seed(policies, seed)
     except IndexError as error:
-        raise InputError(f"{folder}: {error}") from error
+        raise InputError(f"{source}: {error}") from error
 
 
 def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:

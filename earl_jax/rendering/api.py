@@ -10,15 +10,18 @@ from rich.progress import track
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.rendering.actors import Actor, actor_of, is_run
-from earl_jax.rendering.output import library
+from earl_jax.rendering.output import library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene
-from earl_jax.rendering.sheets import MOMENTS, moments, portraits, supersampled, write_sheet
-from earl_jax.rendering.video import DEFAULT_SECONDS, RATES, frames, write_film
+from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 
 ALL = "all"
 """The source that stands for the paper's six tasks."""
 SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".webp": (240, 320), ".png": (240, 320)}
 """Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
+RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
+"""Largest frames a second by suffix, unless the caller sets another."""
+DEFAULT_SECONDS = 10.0
+"""Length of a film, unless the caller sets the number of steps."""
 
 
 def render(
@@ -63,8 +66,7 @@ def render(
         return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
     actor = actor_of(source, acting, seed, policy)
     if path.suffix == ".png":
-        with Scene(actor.env, supersampled(size), camera) as scene:
-            return write_sheet(path, _tracked(moments(actor, scene, steps), MOMENTS, progress), columns=MOMENTS)
+        return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
     return _render_film(path, actor, steps, size, fps or RATES[path.suffix], camera, progress)
 
 

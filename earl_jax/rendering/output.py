@@ -1,12 +1,29 @@
-"""Writing pictures: optional libraries, and files that appear only when they are complete."""
+"""Files of pictures and videos: films as .mp4, .gif and .webp, and contact sheets as .png."""
 
-import contextlib
 import importlib
-from collections.abc import Iterator
+import io
+import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from earl_jax.errors import InputError
+from earl_jax.runs.files import write_atomically
+
+CRF = 26
+"""Compression of a video, as a constant rate factor; artefacts are invisible at 18."""
+WEBP_QUALITY = 60
+"""Quality of an animated .webp, of 100."""
+SUPERSAMPLING = 2
+"""The images of a sheet are drawn at this multiple of their size and reduced, for smooth edges."""
+CAPTION_COLOUR = (60, 64, 70)
+GAP = 6
+"""Pixels between two pictures of a sheet."""
+
+Shot = tuple[np.ndarray, str]
+"""An image, `SUPERSAMPLING` times its size on the sheet, and its caption."""
 
 
 def library(name: str) -> Any:
@@ -21,14 +38,53 @@ def library(name: str) -> Any:
         raise InputError(f"pictures need {name.partition('.')[0]}: pip install 'earl-jax[render]'") from error
 
 
-@contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to, and rename it to `path` if no exception was raised."""
+def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple[int, int]) -> Path:
+    """Write `images` of height and width `size` at `fps` to a .mp4, .gif or .webp and return its path."""
+    if path.suffix != ".mp4":
+        return _write_animation(path, images, fps)
+    mediapy = library("mediapy")
+    mediapy.set_ffmpeg(library("imageio_ffmpeg").get_ffmpeg_exe())
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder, path.name)
+        with mediapy.VideoWriter(part, size, fps=fps, crf=CRF) as video:
+            for image in images:
+                video.add_image(image)
+        return _written(path, part.read_bytes())
+
+
+def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Path:
+    pictures = map(library("PIL.Image").fromarray, images)
+    options: dict[str, Any] = {"format": "WEBP", "quality": WEBP_QUALITY, "method": 6}
+    if path.suffix == ".gif":
+        pictures = (picture.quantize(128, dither=0) for picture in pictures)
+        options = {"format": "GIF", "optimize": True}
+    film = io.BytesIO()
+    first, *rest = pictures
+    first.save(film, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, **options)
+    return _written(path, film.getvalue())
+
+
+def write_sheet(path: Path, shots: Iterable[Shot], columns: int) -> Path:
+    """Write images with their captions below, in rows of `columns`, to a .png and return its path."""
+    image, draw, fonts = (library(f"PIL.{name}") for name in ("Image", "ImageDraw", "ImageFont"))
+    pictures = [(image.fromarray(pixels).reduce(SUPERSAMPLING), caption) for pixels, caption in shots]
+    width, height = pictures[0][0].size
+    font = fonts.load_default(max(10, height / 14))
+    column_width, row_height = width + GAP, height + round(1.7 * font.size)
+    rows = -(-len(pictures) // columns)
+    sheet = image.new("RGB", (columns * column_width - GAP, rows * row_height), "white")
+    pen = draw.Draw(sheet)
+    for number, (picture, caption) in enumerate(pictures):
+        row, column = divmod(number, columns)
+        x, y = column * column_width, row * row_height
+        sheet.paste(picture, (x, y))
+        pen.text((x + width / 2, y + (height + row_height) / 2), caption, CAPTION_COLOUR, font, anchor="mm")
+    content = io.BytesIO()
+    sheet.quantize(256, kmeans=3).save(content, "PNG", optimize=True)
+    return _written(path, content.getvalue())
+
+
+def _written(path: Path, content: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    part.unlink(missing_ok=True)  # a link there would be followed
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_atomically(path, content)
+    return path

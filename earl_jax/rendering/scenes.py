@@ -1,6 +1,5 @@
 """Draws a state as an image: MuJoCo renders the task's model with its overlay, without a display."""
 
-import importlib
 import os
 from typing import Any
 
@@ -32,49 +31,42 @@ class Scene:
         Raises:
             ValueError: the task has no model, the model has no such camera, or this machine cannot draw.
         """
-        mujoco = drawing_mujoco()
+        self._mujoco = mujoco = drawing_mujoco()
         self.env = env
         self.goal = goal
         try:
             self.model = with_overlay(env.model)
         except ValueError as error:
             raise InputError(f"{env.name} cannot be drawn: {error}") from error
-        self.data = mujoco.MjData(self.model)
-        self.goal_data = mujoco.MjData(self.model)
-        self.camera = _camera(self.model, camera)
-        self._state_options = _options(mujoco, STATE_GROUPS)
-        self._goal_options = _options(mujoco, GOAL_GROUPS)
+        known = _camera_names(self.model)
+        if camera is not None and camera not in known:
+            raise InputError(f"no camera {camera!r}; choose from {', '.join(known)}")
+        self.camera = camera or ("default" if "default" in known else -1)
+        self._state = mujoco.MjData(self.model), _options(mujoco, STATE_GROUPS)
+        self._goal = mujoco.MjData(self.model), _options(mujoco, GOAL_GROUPS)
         self._renderer = _renderer(mujoco, self.model, size)
 
     def image(self, state: State) -> np.ndarray:
         """Return the picture of one unbatched `state`, uint8 [h, w, 3]."""
-        mujoco: Any = importlib.import_module("mujoco")
-        scene = self._renderer.scene
-        data = self._positioned(self.data, self.env.render_state(state))
-        self._renderer.update_scene(data, self.camera, self._state_options)
-        shadowless = [geom for geom in scene.geoms[: scene.ngeom] if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+        kinds, scene = self._mujoco.mjtCatBit, self._renderer.scene
+        data, options = self._state
+        self._place(data, self.env.render_state(state))
+        self._renderer.update_scene(data, self.camera, options)
+        first_marker = scene.ngeom
         goal = self.env.render_goal(state) if self.goal else None
         if goal is not None:
-            shadowless += self._add_goal_markers(mujoco, goal)
-        for geom in shadowless:
-            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+            data, options = self._goal
+            self._place(data, goal)
+            self._mujoco.mjv_addGeoms(self.model, data, options, self._mujoco.MjvPerturb(), kinds.mjCAT_ALL, scene)
+        for number, geom in enumerate(scene.geoms[: scene.ngeom]):  # planes and markers cast no shadow
+            if number >= first_marker or geom.type == self._mujoco.mjtGeom.mjGEOM_PLANE:
+                geom.category = kinds.mjCAT_DECOR
         return self._renderer.render()
 
-    def _add_goal_markers(self, mujoco: Any, goal: Any) -> list[Any]:
-        """Return the geoms of the goal markers, added to the scene where the physics state `goal` has them."""
-        scene = self._renderer.scene
-        first = scene.ngeom
-        data = self._positioned(self.goal_data, goal)
-        every_kind = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_addGeoms(self.model, data, self._goal_options, mujoco.MjvPerturb(), every_kind, scene)
-        return list(scene.geoms[first : scene.ngeom])
-
-    def _positioned(self, data: Any, state: Any) -> Any:
-        """Return `data` with the positions of the physics state `state`."""
-        mujoco: Any = importlib.import_module("mujoco")
+    def _place(self, data: Any, state: Any) -> None:
+        """Give `data` the positions of the physics state `state`."""
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = state.qpos, state.mocap_pos, state.mocap_quat
-        mujoco.mj_fwdPosition(self.model, data)
-        return data
+        self._mujoco.mj_fwdPosition(self.model, data)
 
     def close(self) -> None:
         """Release the resources of the graphics driver; the scene cannot draw afterwards."""
@@ -94,15 +86,6 @@ def cameras(env: Env) -> list[str]:
 
 def _camera_names(model: Any) -> list[str]:
     return [model.camera(number).name for number in range(model.ncam)]
-
-
-def _camera(model: Any, name: str | None) -> str | int:
-    names = _camera_names(model)
-    if name is None:
-        return "default" if "default" in names else -1
-    if name not in names:
-        raise InputError(f"no camera {name!r}; choose from {', '.join(names)}")
-    return name
 
 
 def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:

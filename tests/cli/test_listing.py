@@ -1,7 +1,6 @@
 """Tests of `earl-jax list`: its catalog is what the classes are, it fits a terminal, and it loads no jax."""
 
 import json
-import os
 import subprocess
 import sys
 
@@ -12,11 +11,6 @@ from earl_jax.cli import descriptions, listing
 from tests.cli.process import run
 from tests.conftest import write_files
 
-TASKS = [
-    "cheetah_run", "dhand_lightbulb", "fish_swim", "franka_kitchen", "minitaur_pen", "sawyer_door", "sawyer_peg",
-    "tabletop_organization",
-]  # fmt: skip
-METHODS = ["bc", "cfbrl", "fbrl", "medal", "naive", "oracle", "r3l", "risc", "rlpd", "vaprl"]
 THEIRS = '''
 import dataclasses
 from earl_jax.algos.naive import Naive
@@ -78,8 +72,8 @@ def test_the_text_fits_eighty_columns_and_names_the_options(arguments, texts):
 
 def test_json_describes_one_name_or_all():
     everything = json.loads(run("list", "--json")[1])
-    assert everything["envs"] == list(everything["tasks"]) == TASKS
-    assert everything["algos"] == list(everything["methods"]) == METHODS
+    assert everything["envs"] == list(everything["tasks"]) == earl_jax.list_envs()
+    assert everything["algos"] == list(everything["methods"]) == earl_jax.list_algos()
     assert json.loads(run("list", "sawyer_door", "--json")[1]) == everything["tasks"]["sawyer_door"]
     fbrl = json.loads(run("list", "fbrl", "--json")[1])
     assert fbrl == {**everything["methods"]["fbrl"], "learner": everything["learner"]}
@@ -99,15 +93,6 @@ def test_listing_loads_no_jax():
     code = "import sys; from earl_jax.cli import main; main(['list']); print({'jax', 'mujoco'} & set(sys.modules))"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "set()"
-
-
-def test_a_reader_that_leaves_early_ends_the_command_quietly():
-    reader, writer = os.pipe()
-    os.close(reader)
-    command = [sys.executable, "-m", "earl_jax.cli", "list"]
-    process = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
-    os.close(writer)
-    assert (process.returncode, process.stderr) == (1, "")
 
 
 def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatch):

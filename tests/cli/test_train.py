@@ -55,6 +55,11 @@ def test_config_takes_other_seeds(repeated, tmp_path):
     assert values(config) == dataclasses.replace(CONFIG, seeds=(8, 9)).values
 
 
+def test_a_list_of_seeds_ends_before_a_task(repeated):
+    config = repeated("--seeds", "3", "5:7", "8", "tabletop_organization", "--steps", "1e3", "--eval-every", "500")[1]
+    assert (list(config.seeds), config.steps) == ([3, 5, 6, 8], 1000)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

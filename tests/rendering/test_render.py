@@ -9,8 +9,8 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.rendering import render
 from earl_jax.rendering.actors import actor_of, episodes
+from earl_jax.rendering.output import GAP
 from earl_jax.rendering.scenes import Scene
-from earl_jax.rendering.sheets import GAP
 from tests.conftest import tiny_options
 
 pytest.importorskip("mediapy", reason="videos are written with mediapy: pip install 'earl-jax[render]'")

@@ -1,0 +1,76 @@
+"""Commands that act in a task and keep the episodes: render, demos, import-demos."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from earl_jax.cli.arguments import Engine, Positional, replacing
+from earl_jax.errors import InputError
+
+
+def render(
+    source: Positional[str],
+    out: Path | None = None,
+    acting: Literal["policy", "expert", "demos", "random"] | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="HEIGHT WIDTH")] = None,
+    fps: float | None = None,
+    camera: str | None = None,
+    policy: str | None = None,
+) -> None:
+    """Render a trained policy, a scripted expert, the demonstrations or random actions, as a video or a picture.
+
+    Args:
+        source: Run folder, task, or all (one picture of the paper's six tasks).
+        out: File to write: .mp4, .gif, .webp, or .png for a sheet of six moments. By default video.mp4 in a run folder, or
+            TASK.mp4.
+        acting: Source of the actions. By default the newest policy of a run, or the best that the task has.
+        seed: Random seed of the starts and goals. For a run folder also the lane of the policy.
+        steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
+        size: Height and width of a frame, or of one moment of a sheet. By default as the format has.
+        fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.
+        camera: Camera of the task. By default the task's own. An unknown name lists the valid ones.
+        policy: Method whose trained policy acts in a task, of those that ship. An unknown name lists them. By default none.
+    """
+    from earl_jax.rendering import api
+
+    with replacing(api.output_path(source, out)):
+        path = api.render(source, out, acting, seed, steps, size, fps, camera, policy=policy, progress=True)
+    print(path)
+
+
+def demos(env: Positional[str], out: Path, seed: int = 0, engine: Engine = None) -> None:
+    """Record demonstrations of a task with its scripted expert.
+
+    Args:
+        env: Task.
+        out: Output file, .npz.
+        seed: Random seed of the expert's noise. Seed 0 gives the file that ships with the package.
+    """
+    from earl_jax import envs
+    from earl_jax.demos import scripted
+
+    task = envs.with_engine(envs.make(env), engine)
+    scripted.save(scripted.make(task, seed), out)
+    print(out)
+
+
+def import_demos(file: Positional[Path], backward: Path | None = None, out: Path | None = None) -> None:
+    """Convert demonstrations of the original release into a file for training (--set demo_file=OUT).
+
+    Args:
+        file: Forward demonstrations: the original pickle, or an npz file of the same arrays. No code in it is executed.
+        backward: Backward demonstrations in the same format. Methods with a return phase need them. By default none.
+        out: New npz file. By default a file beside FILE.
+    """
+    from earl_jax.demos import importer, scripted
+
+    target = out or file.with_name(f"{file.stem}_imported.npz")
+    if target.exists():
+        raise InputError(f"{target} exists; choose another file with --out")
+    files = {"forward": file} if backward is None else {"forward": file, "backward": backward}
+    imported = importer.import_demos(files)
+    scripted.save(imported, target)
+    print(f"{target}: " + ", ".join(f"{int(demos.ends.sum())} {direction}" for direction, demos in imported.items()))

@@ -1,0 +1,60 @@
+"""What a film or a contact sheet shows of an actor's episodes."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from earl_jax.envs import State
+from earl_jax.rendering.actors import Actor, episodes
+from earl_jax.rendering.output import SUPERSAMPLING, Shot
+from earl_jax.rendering.scenes import Scene
+
+MOMENTS = 6
+"""Moments on a sheet of one task."""
+RANDOM_STEP = 40
+"""The step that is shown of an episode of random actions."""
+PORTRAIT_SHARE = 0.75
+"""Share of an episode after which a sheet of several tasks shows it."""
+
+
+def frames(actor: Actor, steps: int, stride: int) -> Iterator[State]:
+    """Yield every `stride`-th state of episodes that have `steps` steps together."""
+    for episode in episodes(actor):
+        length = len(episode.states.reward)
+        yield from (episode.at(number) for number in range(0, min(length, steps + 1), stride))
+        steps -= length - 1
+        if steps <= 0:
+            return
+
+
+def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int | None) -> Iterator[Shot]:
+    """Yield six moments with their captions; `size` is height and width on the sheet.
+
+    They show one episode up to its goal or `steps`; for random actions they show step 40, or `steps`, of six episodes.
+    """
+    upcoming = episodes(actor)
+    with Scene(actor.env, _supersampled(size), camera) as scene:
+        if actor.acting == "random":
+            shown = [(next(upcoming), steps or RANDOM_STEP, f"start {number}, ") for number in range(1, MOMENTS + 1)]
+        else:
+            episode = next(upcoming)
+            last = min(episode.last, steps or episode.last)
+            shown = [(episode, round(step), "") for step in np.linspace(0, last, MOMENTS)]
+        for episode, step, prefix in shown:
+            step = min(step, len(episode.states.reward) - 1)
+            reached = ", goal reached" * (episode.reached and step == episode.last)
+            yield scene.image(episode.at(step)), f"{prefix}{step * actor.env.step_seconds:.1f} s{reached}"
+
+
+def portraits(actors: Iterable[Actor], size: tuple[int, int]) -> Iterator[Shot]:
+    """Yield one moment of each of `actors`, captioned with the task's name; `size` is height and width on the sheet."""
+    for actor in actors:
+        episode = next(episodes(actor))
+        step = RANDOM_STEP if actor.acting == "random" else round(PORTRAIT_SHARE * episode.last)
+        with Scene(actor.env, _supersampled(size)) as scene:
+            yield scene.image(episode.at(step)), actor.env.name
+
+
+def _supersampled(size: tuple[int, int]) -> tuple[int, int]:
+    height, width = size
+    return SUPERSAMPLING * height, SUPERSAMPLING * width
