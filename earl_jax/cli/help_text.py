@@ -35,9 +35,9 @@ CONTINUED = re.compile(r"\n {12,}(?=\S)")
 def readable(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give `command` a help that names values, and prints no default where it is None or empty: the text says it."""
     for name, parameter in inspect.signature(command).parameters.items():
-        hints = {"metavar": _metavar(parameter), "help_behavior_hint": "" if parameter.default in NO_DEFAULTS else None}
-        hint = tyro.conf.arg(**{key: value for key, value in hints.items() if value is not None})
-        command.__annotations__[name] = Annotated[parameter.annotation, hint]
+        hint = "" if parameter.default in NO_DEFAULTS else None
+        argument = tyro.conf.arg(metavar=_metavar(parameter), help_behavior_hint=hint)
+        command.__annotations__[name] = Annotated[parameter.annotation, argument]
     command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
     return command
 

@@ -6,28 +6,18 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
 
 from earl_jax.sweeps.slots import cuda_plugin
 
 VARIABLE = "XLA_FLAGS"
-
-
-class Flag(NamedTuple):
-    """The `value` of a flag, and a `text` of XLA's table of flags without which the value is not understood."""
-
-    value: str
-    text: str = ""
-
-
 FLAGS = {
-    "xla_gpu_graph_enable_concurrent_region": Flag("true"),
-    "xla_gpu_enable_command_buffer": Flag("+WHILE,+CONDITIONAL", text="command types with + and - as prefix"),
+    "xla_gpu_graph_enable_concurrent_region": ("true", ""),
+    "xla_gpu_enable_command_buffer": ("+WHILE,+CONDITIONAL", "command types with + and - as prefix"),
 }
-"""By name. The first lets kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of
-steps of a task that the device simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
+"""Values by name, each with a text of XLA's table of flags without which the value is not understood. The first flag lets
+kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of steps of a task that the device
+simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
 COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
-HELP = {"-h", "--help"}
 
 
 def set_flags(arguments: Sequence[str]) -> None:
@@ -36,9 +26,8 @@ def set_flags(arguments: Sequence[str]) -> None:
     Flags that XLA_FLAGS contains already keep their values. A flag that the installed XLA does not know is not set,
     because XLA ends a process for it.
     """
-    if not arguments or arguments[0] not in COMMANDS or HELP & set(arguments):
-        return
-    added = helpful_flags(os.environ)
+    trains = bool(arguments) and arguments[0] in COMMANDS and not {"-h", "--help"} & set(arguments)
+    added = helpful_flags(os.environ) if trains else []
     if added:
         os.environ[VARIABLE] = " ".join([*os.environ.get(VARIABLE, "").split(), *added])
         print(f"earl-jax: XLA_FLAGS has {' '.join(added)}; a value of your own in XLA_FLAGS is kept", file=sys.stderr)
@@ -55,9 +44,9 @@ def helpful_flags(environment: Mapping[str, str]) -> list[str]:
     names = {flag.lstrip("-").partition("=")[0] for flag in given}
     folders = (Path(jaxlib.origin).parent, plugin)
     return [
-        f"--{name}={flag.value}"
-        for name, flag in FLAGS.items()
-        if name not in names and all(knows_flag(folder, name, flag.text) for folder in folders)
+        f"--{name}={value}"
+        for name, (value, text) in FLAGS.items()
+        if name not in names and all(knows_flag(folder, name, text) for folder in folders)
     ]
 
 
@@ -67,9 +56,8 @@ def knows_flag(folder: Path, name: str, text: str = "") -> bool:
     It takes milliseconds: the table is near the beginning of the file. The name of an option that is no flag any more
     can remain in descriptions of messages, where no zero byte follows.
     """
-    entry = name.encode() + b"\0"
     libraries = sorted(folder.glob("*.so"), key=lambda path: path.stat().st_size, reverse=True)
-    return any(_contains(path, entry, text.encode()) for path in libraries if path.stat().st_size)
+    return any(_contains(path, name.encode() + b"\0", text.encode()) for path in libraries if path.stat().st_size)
 
 
 def _contains(path: Path, *texts: bytes) -> bool:
