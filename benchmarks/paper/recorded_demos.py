@@ -10,7 +10,7 @@ from pathlib import Path
 
 from earl_jax import assets
 from earl_jax.assets import Demos
-from earl_jax.demos.importer import import_demos
+from earl_jax.demos.importer import read
 from earl_jax.demos.scripted import save
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
@@ -25,7 +25,7 @@ def with_recordings(task: str, files: dict[str, Path]) -> dict[str, Demos]:
         ValueError: a file is not a recording, or its states have another size than those of the task.
     """
     ours = {direction: assets.demos(task, direction) for direction in assets.demo_directions(task)}
-    recorded = import_demos(files)
+    recorded = {direction: read(path).demos() for direction, path in files.items()}
     for direction, demos in recorded.items():
         sizes = demos.states.shape[1], ours[direction].states.shape[1]
         if sizes[0] != sizes[1]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from earl_jax.arrays import MAX_BYTES, load_npz, read_bytes, shortened
-from earl_jax.assets import DIRECTIONS, Demos
+from earl_jax.assets import Demos
 from earl_jax.errors import InputError
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
@@ -91,15 +91,3 @@ def _checked(arrays: dict[str, np.ndarray]) -> Recording:
     if not all(np.isfinite(part).all() for part in recording) or not recording.terminals[-1]:
         raise InputError("it has values that are not finite, or stops in the middle of an episode")
     return recording
-
-
-def import_demos(files: dict[str, Path]) -> dict[str, Demos]:
-    """Return the demonstrations in `files`, recordings by direction.
-
-    Raises:
-        ValueError: the direction is unknown, or a file is not a recording, as in `read`.
-    """
-    unknown = set(files) - set(DIRECTIONS)
-    if unknown:
-        raise InputError(f"unknown direction {', '.join(sorted(unknown))}; choose from {', '.join(DIRECTIONS)}")
-    return {direction: read(path).demos() for direction, path in files.items()}

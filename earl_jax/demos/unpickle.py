@@ -36,35 +36,30 @@ class Dtype:
 
 
 class Array:
-    """An array that a pickle describes, with its `values` from `__setstate__` on."""
+    """An array that a pickle describes, with its `values` once it has data."""
 
     values: Any = None
 
-    def __init__(self, *_: Any) -> None:
-        pass
+    def __init__(self, *arguments: Any) -> None:
+        if len(arguments) > 3:  # as _frombuffer, else as _reconstruct, whose arguments say nothing
+            self._fill(*arguments)
+
+    def _fill(self, data: Any, dtype: Dtype, shape: tuple, order: str, axes: tuple | None = None) -> None:
+        data = data.encode("latin1") if isinstance(data, str) else data  # Python 2
+        values = np.frombuffer(data, dtype.dtype).reshape(shape, order="F" if order == "F" else "C")
+        self.values = values if axes is None else values.transpose(axes)
 
     def __setstate__(self, state: tuple) -> None:
         _, shape, dtype, fortran, data = state
-        data = data.encode("latin1") if isinstance(data, str) else data  # Python 2
-        self.values = np.frombuffer(data, dtype.dtype).reshape(shape, order="F" if fortran else "C")
-
-
-def _array_of_buffer(data: Any, dtype: Dtype, shape: tuple, order: str, axes: tuple | None = None) -> Array:
-    array = Array()
-    array.__setstate__((1, shape, dtype, order == "F", data))
-    array.values = array.values if axes is None else array.values.transpose(axes)
-    return array
+        self._fill(data, dtype, shape, "F" if fortran else "C")
 
 
 ALLOWED = {
     "numpy.ndarray": Array,
     "numpy.dtype": Dtype,
     "numpy.core.multiarray._reconstruct": Array,
-    "numpy._core.multiarray._reconstruct": Array,
-    "numpy.core.numeric._frombuffer": _array_of_buffer,
-    "numpy._core.numeric._frombuffer": _array_of_buffer,
+    "numpy.core.numeric._frombuffer": Array,
     "_codecs.encode": lambda text, codec: text.encode("latin1"),
-    "__builtin__.bytes": lambda: b"",
     "builtins.bytes": lambda: b"",
 }
 
@@ -74,6 +69,7 @@ class Reader(pickle.Unpickler):
 
     def find_class(self, module_name: str, global_name: str) -> Any:
         """Return what a name of the pickle stands for."""
+        module_name = module_name.replace("numpy._core.", "numpy.core.").replace("__builtin__", "builtins")
         name = f"{module_name}.{global_name}"
         if name not in ALLOWED:
             raise ValueError(f"it asks for {name}, but only numpy arrays are allowed")

@@ -32,7 +32,7 @@ def _registered(monkeypatch):
         monkeypatch.setattr(registry, "_table", dict(registry._table))
 
 
-@pytest.mark.parametrize(("what", "part", "kind"), CASES, ids=" ".join)
+@pytest.mark.parametrize(("what", "part", "kind"), CASES)
 def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path):
     def erring(self, *arguments, **options):
         ERRORS[kind]()
