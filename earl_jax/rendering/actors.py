@@ -43,16 +43,16 @@ class Episode(NamedTuple):
 
 
 class Actor(NamedTuple):
-    """Acts in `env`.
+    """Acts in `env`; `acting` is one of `ACTINGS`.
 
-    `act(obs [o], planned [a])` returns an action [a]. `start(number)` returns the start of an episode and the planned
-    actions that `act` receives one by one; an actor without a plan ignores them. `acting` is one of `ACTINGS`.
+    `start(number)` returns the start of an episode and its planned actions. They are taken one by one, unless `act(obs [o])`
+    returns the actions [a].
     """
 
     env: Env
     acting: str
-    act: Callable[[jax.Array, jax.Array], jax.Array]
     start: Callable[[int], EpisodeStart]
+    act: Callable[[jax.Array], jax.Array] | None = None
 
 
 def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, method: str | None = None) -> Actor:
@@ -106,21 +106,14 @@ def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
         actions = np.random.default_rng([seed, number]).uniform(-1, 1, no_plan.shape)
         return start(number)[0], actions.astype(np.float32)
 
-    actors = []
-    if policy is not None:
-        actors.append(Actor(env=env, acting="policy", act=lambda obs, _: policy(obs), start=start))
+    actors = {} if policy is None else {"policy": Actor(env, "policy", start, policy)}
     with contextlib.suppress(ValueError):  # no expert
         jax.eval_shape(env.expert, jax.ShapeDtypeStruct((env.obs_size,), jnp.float32))
-        actors.append(Actor(env=env, acting="expert", act=lambda obs, _: env.expert(obs), start=start))
+        actors["expert"] = Actor(env, "expert", start, env.expert)
     with contextlib.suppress(ValueError):  # no demonstrations
-        actors.append(Actor(env=env, acting="demos", act=_follow_plan, start=_demo_starts(env, seed)))
-    actors.append(Actor(env=env, acting="random", act=_follow_plan, start=random_start))
-    return {actor.acting: actor for actor in actors}
-
-
-def _follow_plan(obs: jax.Array, planned: jax.Array) -> jax.Array:
-    del obs
-    return planned
+        actors["demos"] = Actor(env, "demos", _demo_starts(env, seed))
+    actors["random"] = Actor(env, "random", random_start)
+    return actors
 
 
 def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
@@ -132,13 +125,13 @@ def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
     demos = env.demos("forward")
     stops = np.flatnonzero(demos.ends) + 1
     firsts = np.append(0, stops[:-1])
-    lengths = stops - firsts
+    longest = max(stops - firsts)
 
     def start(number: int) -> EpisodeStart:
         index = (seed + number) % len(stops)
-        first = firsts[index]
-        planned = np.zeros((lengths.max(), env.action_size), np.float32)
-        planned[: lengths[index]] = demos.actions[first : stops[index]]
+        first, stop = firsts[index], stops[index]
+        planned = np.zeros((longest, env.action_size), np.float32)
+        planned[: stop - first] = demos.actions[first:stop]
         return env.state_from_demo(jnp.asarray(demos.states[first]), jnp.asarray(demos.goals[first])), planned
 
     start(0)  # raises for a task that cannot start from a demonstration
@@ -152,7 +145,7 @@ def episodes(actor: Actor) -> Iterator[Episode]:
     @jax.jit
     def rollout(first: State, planned: jax.Array) -> State:
         def step(state: State, action: jax.Array) -> tuple[State, State]:
-            next_state = env.step(state, actor.act(state.obs, action))
+            next_state = env.step(state, actor.act(state.obs) if actor.act else action)
             return next_state, next_state
 
         states = jax.lax.scan(step, first, planned)[1]

@@ -9,7 +9,7 @@ from rich.progress import track
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
-from earl_jax.rendering.actors import Actor, actor_of, is_run
+from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
@@ -67,7 +67,12 @@ def render(
     actor = actor_of(source, acting, seed, policy)
     if path.suffix == ".png":
         return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
-    return _render_film(path, actor, steps, size, fps or RATES[path.suffix], camera, progress)
+    seconds = actor.env.step_seconds
+    stride = max(1, round(1 / ((fps or RATES[path.suffix]) * seconds)))
+    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride))
+    with Scene(actor.env, size, camera) as scene:
+        images = map(scene.image, _tracked(states, len(states), progress))
+        return write_film(path, images, 1 / (stride * seconds), size)
 
 
 def output_path(source: str | Path, out: str | Path | None) -> Path:
@@ -89,18 +94,7 @@ def _check_numbers(path: Path, size: tuple[int, int], **positive: float | None) 
         raise InputError(f"a video needs an even height and width, not {height} and {width}")
 
 
-def _render_film(
-    path: Path, actor: Actor, steps: int | None, size: tuple[int, int], fps: float, camera: str | None, progress: bool
-) -> Path:
-    seconds = actor.env.step_seconds
-    stride = max(1, round(1 / (fps * seconds)))
-    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride))
-    with Scene(actor.env, size, camera) as scene:
-        images = (scene.image(state) for state in _tracked(states, len(states), progress))
-        return write_film(path, images, 1 / (stride * seconds), size)
-
-
 def _tracked(items: Iterable[Any], total: int, show: bool) -> Iterable[Any]:
     """Return `items`, with a progress bar on stderr if `show` is set and stderr is a terminal."""
-    console = Console(stderr=True, quiet=not show)
-    return track(items, "drawing", total, console=console, transient=True, disable=not console.is_terminal)
+    console = Console(stderr=True)
+    return track(items, "drawing", total, console=console, transient=True, disable=not (show and console.is_terminal))

@@ -12,7 +12,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.errors import InputError
 
-HIDDEN_GROUP = 3
+HIDDEN_GROUP = "3"
 """The group of geoms that are never drawn."""
 DEFAULT_CLASS = "overlay"
 """The MJCF class of an overlay's geoms that name none."""
@@ -72,7 +72,8 @@ def merge(model: ET.Element, overlay: ET.Element) -> ET.Element:
     bodies = {body.get("name"): [body] for body in model.iter("body")}
     bodies[None] = model.findall("worldbody")
     for section in overlay.findall("*[@replace='true']"):
-        _hide_geoms(bodies.get(section.get("name"), []))
+        for geom in (geom for body in bodies.get(section.get("name"), []) for geom in body.findall("geom")):
+            geom.set("group", HIDDEN_GROUP)
     for section in overlay:
         if section.tag not in ("worldbody", "body"):
             model.append(section)
@@ -84,13 +85,6 @@ def merge(model: ET.Element, overlay: ET.Element) -> ET.Element:
             bodies[section.get("name")][-1].extend(list(section))
     _keep_last(model)
     return model
-
-
-def _hide_geoms(bodies: list[ET.Element]) -> None:
-    """Move the geoms of `bodies` to the group that is never drawn."""
-    for body in bodies:
-        for geom in body.findall("geom"):
-            geom.set("group", str(HIDDEN_GROUP))
 
 
 def _keep_last(model: ET.Element) -> None:
