@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import algos, envs
-from earl_jax.cli.listing import CATALOG, LOCATE, names
+from earl_jax.cli.listing import CATALOG, LOCATE, TASK_CELLS, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
 
@@ -21,7 +21,6 @@ SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
 CHOICES = re.compile(r"(?:is not one of|choose from) (.*)$")
-SIZES = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
 
 
 def task(name: str) -> dict[str, Any]:
@@ -33,7 +32,7 @@ def task(name: str) -> dict[str, Any]:
     summary, details = _summary_and_details(type(env))
     return {
         "summary": env.summary or summary,
-        **{size: getattr(env, size, None) for size in SIZES},
+        **{cell: getattr(env, cell, None) for cell in TASK_CELLS},
         "reward_types": options["reward_type"]["valid"],
         "demonstrations": list(env.demo_directions),
         "engines": list(ENGINES) if isinstance(env, envs.MujocoEnv) else [],

@@ -23,6 +23,7 @@ WIDTH = 80
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
 TASK_HEADER = TASK_ROW.format("task", "obs", "goal", "act", "reward", "H_T", "H_E", "change", "demos", "engine")
 TASK_CELLS = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
+"""The attributes of a task that are cells of its row."""
 TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --set reward_type=... takes the other. \
 H_T: steps between hard interventions; H_E: steps of an evaluation episode; change: steps between goal changes in the \
 continuing setting. demos: demonstrations that ship. engine: MuJoCo's is auto, mjx, warp or c; "none" is plain arithmetic."""

@@ -4,16 +4,7 @@ import shutil
 
 import pytest
 
-from tests.cli.process import run, snapshot
-
-TASK = "tabletop_organization"
-SET = ("--set", "hidden_sizes=[16]", "batch_size=16", "random_steps=20")
-LENGTHS = ("--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40")
-
-
-def training(folder, *others, task=TASK, algo="fbrl"):
-    """Return the arguments of a tiny run into `folder`."""
-    return ["train", task, "--algo", algo, "--out", str(folder), *LENGTHS, *others, *SET]
+from tests.cli.process import run, snapshot, training
 
 
 def one_line(code, err, *words):

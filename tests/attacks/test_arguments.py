@@ -3,8 +3,8 @@
 import pytest
 
 from earl_jax.training import api
-from tests.attacks.conftest import TASK, refused, training
-from tests.cli.process import run
+from tests.attacks.conftest import refused
+from tests.cli.process import TASK, run, training
 
 DIGITS = "9" * 400
 SETS = (
@@ -38,7 +38,6 @@ OTHERS = (
     ("evaluate", "run", "--engine", "mjx"), ("evaluate", "run", "--starts", "x"),
     ("table", "run", "--last", "0"), ("table", "run", "--out", "x.exe"), ("table",), ("plot", "run", "--out", "x.exe"), ("plot",),
     ("plot", "run/config.json"), ("report", "run", "--out", "x.txt"), ("report", "run", "--out", "."), ("report", "nowhere"),
-    ("sweep", "nowhere.toml"),
     ("reproduce", "table3"), ("reproduce", "table1", "--scale", "x"), ("reproduce", "table1", "--steps", "-1"),
     ("reproduce", "table1", "--seeds", "1000000000"), ("reproduce", "table1", "--set", "name=x"),
     ("render", "x"), ("demos", "x"), ("import-demos", "nowhere"), ("",), ("x",),

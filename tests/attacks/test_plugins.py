@@ -8,7 +8,7 @@ import pytest
 from earl_jax import InputError, algos, cli, envs, register_algo, register_env
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
-from tests.attacks.conftest import training
+from tests.cli.process import training
 
 ERRORS = {
     "ValueError": lambda: "".index("x"),

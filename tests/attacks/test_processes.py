@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from tests.attacks.conftest import training
-from tests.cli.process import ENVIRONMENT, run_process, start
+from tests.cli.process import ENVIRONMENT, run_process, start, training
 
 pytestmark = pytest.mark.slow
 LIMITED = """

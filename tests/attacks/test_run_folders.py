@@ -9,8 +9,8 @@ import signal
 import pytest
 
 from earl_jax.runs.checkpoint import newest
-from tests.attacks.conftest import contents, one_line, refused, training
-from tests.cli.process import run
+from tests.attacks.conftest import contents, one_line, refused
+from tests.cli.process import run, training
 
 SCRIPT = "<script>alert(1)</script>"
 BLOCKED = {

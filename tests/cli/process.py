@@ -10,8 +10,11 @@ import warnings
 from earl_jax import cli
 from tests.conftest import CACHE, TESTS
 
+TASK = "tabletop_organization"
 LENGTHS = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
+TINY = ["--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
+TINY_OPTIONS = ["--set", "hidden_sizes=[16]", "batch_size=16", "random_steps=20"]
 ADDED = {
     "JAX_PLATFORMS": "cpu",
     "JAX_COMPILATION_CACHE_DIR": str(CACHE),
@@ -51,7 +54,12 @@ def run(*arguments):
 
 def train(folder, algo="fbrl"):
     """Return the arguments of a training run of 400 steps into `folder`."""
-    return ["train", "tabletop_organization", "--algo", algo, "--out", folder, *LENGTHS, *OPTIONS]
+    return ["train", TASK, "--algo", algo, "--out", folder, *LENGTHS, *OPTIONS]
+
+
+def training(folder, *others, task=TASK, algo="fbrl"):
+    """Return the arguments of a run of 120 steps into `folder`, whose program all tests share."""
+    return ["train", task, "--algo", algo, "--out", str(folder), *TINY, *others, *TINY_OPTIONS]
 
 
 def snapshot(folder):

@@ -12,9 +12,10 @@ import warnings
 import pytest
 
 from earl_jax import InputError, __version__, cli
-from tests.cli.process import run, snapshot, start, train
+from earl_jax.runs.checkpoint import newest
+from tests.cli.process import TASK, run, snapshot, start, training
 
-TRAIN = ["train", "tabletop_organization"]
+TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
 
 
@@ -22,7 +23,7 @@ SWEEP = ["sweep", "nowhere.toml"]
 def finished(tmp_path_factory):
     """The folder of a finished run, and the JSON that the command printed."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    code, out, err = run(*train(folder), "--json")
+    code, out, err = run(*training(folder), "--json")
     assert code == 0, err
     return folder, json.loads(out)
 
@@ -31,20 +32,20 @@ def test_run_folder_contains_config_and_metrics(finished):
     folder, printed = finished
     config = json.loads((folder / "config.json").read_text())
     assert config["algo"] == "fbrl"
-    assert config["options"] == {"batch_size": 16, "hidden_sizes": [16, 16], "random_steps": 20}
+    assert config["options"] == {"batch_size": 16, "hidden_sizes": [16], "random_steps": 20}
     assert config["engine"] == "kinematic"
     assert config["provenance"]["versions"]["jax"]
     lines = (folder / "metrics.csv").read_text().splitlines()
-    assert len(lines) == 1 + 2 * 10
+    assert len(lines) == 1 + 2 * 3
     assert lines[0].startswith("step,seed,")
-    assert printed["steps"] == 400
+    assert printed["steps"] == 120
     assert set(printed["deployed/success"]) >= {"mean", "stderr", "iqm", "low", "high"}
 
 
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
     whole, _ = finished
     folder = tmp_path / "killed"
-    process = start(*train(folder))
+    process = start(*training(folder))
     deadline = time.monotonic() + 240
     while not list(folder.glob("checkpoints/0*")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -55,6 +56,7 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     code, _, err = run("resume", folder)
     assert code == 0, err
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    assert [newest(path / "checkpoints") for path in (folder, whole)] == [120, 120]
     evaluations = [run("evaluate", path, "--episodes", "5", "--json")[1] for path in (folder, whole)]
     assert evaluations[0] == evaluations[1]
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
@@ -69,15 +71,15 @@ def test_plot_and_table_read_a_run_folder(finished, tmp_path):
     assert code == 0
     row = json.loads(out)["rows"][0]
     assert row["published_deployed"] == "0.94 (0.04)"
-    assert row["options"] == "batch_size=16, hidden_sizes=[16, 16], random_steps=20"
-    assert row["steps"] == 400
-    assert "| fbrl | 2 | 400 |" in (tmp_path / "table.md").read_text()
+    assert row["options"] == "batch_size=16, hidden_sizes=[16], random_steps=20"
+    assert row["steps"] == 120
+    assert "| fbrl | 2 | 120 |" in (tmp_path / "table.md").read_text()
 
 
 def test_train_refuses_the_folder_of_another_run(finished):
     folder, _ = finished
     before = snapshot(folder)
-    code, _, err = run(*train(folder, algo="naive"))
+    code, _, err = run(*training(folder, algo="naive"))
     assert code == 2
     assert "holds another run" in err
     assert "earl-jax resume" in err
@@ -97,12 +99,12 @@ def show_warning(message, category, *location):
 def test_damaged_checkpoints_are_skipped_in_one_line_and_named_where_none_is_left(finished, tmp_path, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", show_warning)
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
-    truncate_largest_file(folder / "checkpoints/000000400")
+    truncate_largest_file(folder / "checkpoints/000000120")
     code, _, err = run("resume", folder)
     assert code == 0, err
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
-    assert "000000400 is damaged" in err
-    assert "continuing from 000000360" in err
+    assert "000000120 is damaged" in err
+    assert "continuing from 000000080" in err
     assert (folder / "metrics.csv").read_bytes() == (finished[0] / "metrics.csv").read_bytes()
     for path in (folder / "checkpoints").iterdir():
         truncate_largest_file(path)
