@@ -77,16 +77,14 @@ def describe(kind: str, name: str) -> dict[str, Any]:
     """
     if kind == "preset":
         return _preset(name)
+    head: dict[str, Any] = {"kind": kind, "name": name, "package": ""}
     try:
-        target, package = LOCATE[kind](name)
-    except InputError as error:
-        return {"kind": kind, "name": name, "package": "", "error": str(error)}
-    path = target.value if isinstance(target, EntryPoint) else f"{target.__module__}:{target.__qualname__}"
-    head = {"kind": kind, "name": name, "package": package, "class": path, "policies": _policies(name)}
-    try:
-        return {**head, **(_catalog().get(path) or _imported(kind, name))}
+        target, head["package"] = LOCATE[kind](name)
+        path = target.value if isinstance(target, EntryPoint) else f"{target.__module__}:{target.__qualname__}"
+        head |= {"class": path, "policies": _policies(name)}
+        return head | (_catalog().get(path) or _imported(kind, name))
     except Exception as error:  # the code of another package
-        return {**head, "error": str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"}
+        return head | {"error": str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"}
 
 
 def _imported(kind: str, name: str) -> dict[str, Any]:
@@ -117,7 +115,6 @@ def _catalog() -> dict[str, Any]:
 def _preset(name: str) -> dict[str, Any]:
     """Return the description of a preset, whose steps are None where they are those of the paper for the task."""
     summary, lengths, options = PRESETS[name]
-    options = {option: list(value) if isinstance(value, tuple) else value for option, value in options.items()}
     return {"kind": "preset", "name": name, "summary": summary, **LENGTHS, "steps": None, **lengths, "values": options}
 
 
@@ -209,7 +206,7 @@ def _cell(value: Any) -> str:
         return "none"
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return ", ".join(value) if isinstance(value[0], str) else f"[{', '.join(map(_cell, value))}]"
     return str(value)
 

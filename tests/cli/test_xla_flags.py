@@ -100,7 +100,7 @@ def test_importing_the_package_sets_nothing(tmp_path):
     (tmp_path / "jax_plugins/xla_cuda13").mkdir(parents=True)
     (tmp_path / "jax_plugins/xla_cuda13/plugin.so").write_bytes(TABLE)
     code = """
-import os, sys, earl_jax, earl_jax.training, earl_jax.cli
+import os, sys, earl_jax, earl_jax.cli
 print(os.environ.get("XLA_FLAGS"))
 from earl_jax.cli import xla_flags
 xla_flags.knows_flag = lambda *_: True
