@@ -9,45 +9,27 @@ from typing import Any
 import tyro
 
 from earl_jax import __version__
-from earl_jax.cli import (
-    episodes,
-    inspect_runs,
-    listing,
-    paper,
-    quickstart,
-    report,
-    search,
-    sweep,
-    train,
-    xla_flags,
-)
 from earl_jax.cli.arguments import REGISTRY, join_seeds
+from earl_jax.cli.episodes import demos, import_demos, render
 from earl_jax.cli.help_text import readable
+from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, table
+from earl_jax.cli.listing import list_
+from earl_jax.cli.paper import reproduce
+from earl_jax.cli.quickstart import quickstart
+from earl_jax.cli.report import report
+from earl_jax.cli.search import search
+from earl_jax.cli.sweep import sweep
+from earl_jax.cli.train import resume, train
+from earl_jax.cli.xla_flags import set_flags
 from earl_jax.errors import is_input_error
 from earl_jax.machine import FRACTION
 from earl_jax.runs.files import RunWarning
 
-COMMANDS = {
-    name: readable(command)
-    for name, command in {
-        "list": listing.list_,
-        "train": train.train,
-        "resume": train.resume,
-        "sweep": sweep.sweep,
-        "search": search.search,
-        "reproduce": paper.reproduce,
-        "evaluate": inspect_runs.evaluate,
-        "plot": inspect_runs.plot,
-        "table": inspect_runs.table,
-        "best": inspect_runs.best,
-        "compare": inspect_runs.compare,
-        "render": episodes.render,
-        "report": report.report,
-        "demos": episodes.demos,
-        "import-demos": episodes.import_demos,
-        "quickstart": quickstart.quickstart,
-    }.items()
-}
+FUNCTIONS = (
+    list_, train, resume, sweep, search, reproduce, evaluate, plot, table, best, compare, render, report, demos,
+    import_demos, quickstart,
+)  # fmt: skip
+COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}
 TRACEBACK = "--traceback"
 LONGEST = 1800
 """Characters of an error line at most; a path in it can have thousands."""
@@ -93,7 +75,7 @@ def _run(arguments: list[str]) -> None:
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
     warnings.formatwarning = _format_warning
     os.environ.setdefault(FRACTION, "0.95")
-    xla_flags.set_flags(arguments)
+    set_flags(arguments)
     tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="earl-jax",

@@ -111,8 +111,7 @@ def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple
     if not path.exists():
         raise InputError(f"--config takes a run folder or a config.json, and {path} does not exist")
     config = RunFolder.open(path).config if path.is_dir() else read_config(path)[0]
-    lengths = ("seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every")
-    values = {name: getattr(config, name) for name in lengths}
+    values = {name: getattr(config, name) for name in LENGTHS}
     return config.build_env(), {**values, "algo": config.build_method(), "setting": config.build_setting()}
 
 
