@@ -1,19 +1,30 @@
 """Draws a state as an image: MuJoCo renders the task's model with its overlay, without a display."""
 
+import functools
+import importlib
 import os
+import platform
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
 
 from earl_jax.envs import Env, State
 from earl_jax.errors import InputError
-from earl_jax.rendering.headless import NO_GRAPHICS, drawing_mujoco
 from earl_jax.rendering.overlays import with_overlay
 
 STATE_GROUPS = (0, 1, 2)
 """Groups of geoms that are drawn where the state has them."""
 GOAL_GROUPS = (5,)
 """Groups of geoms that are drawn where the goal has them: the overlay's class `goal_marker`."""
+BACKENDS = ("egl", "osmesa")
+"""Values of `MUJOCO_GL` that need no display: a GPU's driver or Mesa through EGL, and Mesa's software renderer."""
+PROBE = "import mujoco; mujoco.GLContext(8, 8).make_current()"
+NO_GRAPHICS = (
+    "no way to draw without a display: install EGL (apt-get install libegl1 libgl1-mesa-dri) "
+    "or OSMesa (apt-get install libosmesa6), or set MUJOCO_GL"
+)
 
 
 class Scene:
@@ -31,7 +42,7 @@ class Scene:
         Raises:
             ValueError: the task has no model, the model has no such camera, or this machine cannot draw.
         """
-        self._mujoco = mujoco = drawing_mujoco()
+        self._mujoco = mujoco = _drawing_mujoco()
         self.env = env
         self.goal = goal
         try:
@@ -105,3 +116,34 @@ def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
         return mujoco.Renderer(model, height, width)
     except (ImportError, RuntimeError, AttributeError, mujoco.FatalError) as error:
         raise InputError(f"{NO_GRAPHICS} ({os.environ.get('MUJOCO_GL', 'unset')}: {error})") from error
+
+
+def _drawing_mujoco() -> Any:
+    """Return the module `mujoco`, able to draw: on Linux without a display, through the first of `BACKENDS` that works.
+
+    Raises:
+        ValueError: no backend works; the message says what to install.
+    """
+    has_display = any(os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"))
+    if platform.system() == "Linux" and not has_display:
+        os.environ["MUJOCO_GL"] = headless_backend()
+        if "mujoco" in sys.modules:  # mujoco chose its backend when it was imported
+            renderer: Any = sys.modules[sys.modules["mujoco"].Renderer.__module__]
+            importlib.reload(renderer.gl_context)
+    return importlib.import_module("mujoco")
+
+
+@functools.cache
+def headless_backend() -> str:
+    """Return the first of `BACKENDS` that draws here.
+
+    Each is tried in a process of its own, because a process cannot recover from a failed one.
+
+    Raises:
+        ValueError: no backend works; the message says what to install.
+    """
+    for backend in BACKENDS:
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        if not subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True).returncode:
+            return backend
+    raise InputError(NO_GRAPHICS)

@@ -1,4 +1,9 @@
-"""Images of states and goals."""
+"""Images of states and goals, and the choice of a graphics backend that needs no display."""
+
+import os
+import subprocess
+import sys
+import types
 
 import jax
 import jax.numpy as jnp
@@ -7,6 +12,7 @@ import pytest
 
 from earl_jax.envs import HelpBudget, list_envs, make
 from earl_jax.physics import load_model
+from earl_jax.rendering import scenes
 from earl_jax.rendering.scenes import Scene
 
 mujoco = pytest.importorskip("mujoco", reason="pictures are drawn by MuJoCo")
@@ -74,3 +80,45 @@ def test_a_moved_object_changes_the_image(graphics, name):
         before, after = scene.image(state), scene.image(moved)
     assert before.std() > 10
     assert 10 < (before != after).any(axis=-1).sum() < (1.0 if name == "cheetah_run" else 0.7) * before[..., 0].size
+
+
+def test_the_first_working_backend_is_chosen(monkeypatch):
+    def install(*backends):
+        scenes.headless_backend.cache_clear()
+
+        def run(command, env, **_):
+            return types.SimpleNamespace(returncode=int(env["MUJOCO_GL"] not in backends))
+
+        monkeypatch.setattr(scenes.subprocess, "run", run)
+
+    install("egl", "osmesa")
+    assert scenes.headless_backend() == "egl"
+    install("osmesa")
+    assert scenes.headless_backend() == "osmesa"
+    install()
+    with pytest.raises(ValueError, match="apt-get install libegl1"):
+        scenes.headless_backend()
+    scenes.headless_backend.cache_clear()
+
+
+PROGRAM = """
+import mujoco, jax
+from earl_jax.envs import make
+from earl_jax.rendering import Scene
+env = make("tabletop_organization")
+with Scene(env, (64, 96)) as scene:
+    print(scene.image(env.reset(jax.random.key(0))).std())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["", "egl", "osmesa"])
+def test_no_display_is_needed(graphics, backend):
+    """MuJoCo chooses its backend at import, which the program does before it makes the scene."""
+    screens = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
+    environment = {name: value for name, value in os.environ.items() if name not in screens}
+    environment |= {"MUJOCO_GL": backend} if backend else {}
+    finished = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True)
+    if backend and finished.returncode:
+        pytest.skip(f"{backend} is not installed")
+    assert float(finished.stdout) > 10, finished.stderr
