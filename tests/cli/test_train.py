@@ -39,20 +39,20 @@ def repeated(monkeypatch, tmp_path):
     return train
 
 
+@pytest.fixture
+def folder(tmp_path):
+    return RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+
+
 def values(config):
     return RunConfig(**{**config.values, "seeds": tuple(config.seeds)}).values
 
 
-def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, tmp_path):
-    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, folder):
     assert values(repeated("--config", folder.path)[1]) == CONFIG.values
     assert values(repeated("--config", folder.config_file)[1]) == CONFIG.values
-
-
-def test_config_takes_other_seeds(repeated, tmp_path):
-    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
-    config = repeated("--config", folder.path, "--seeds", "8:10")[1]
-    assert values(config) == dataclasses.replace(CONFIG, seeds=(8, 9)).values
+    others = repeated("--config", folder.path, "--seeds", "8:10")[1]
+    assert values(others) == dataclasses.replace(CONFIG, seeds=(8, 9)).values
 
 
 def test_a_list_of_seeds_ends_before_a_task(repeated):
@@ -68,8 +68,7 @@ def test_a_list_of_seeds_ends_before_a_task(repeated):
         (["tabletop_organization"], "leave out the task 'tabletop_organization'"),
     ],
 )
-def test_config_refuses_options_that_change_the_run(repeated, tmp_path, arguments, message):
-    folder = RunFolder.create(tmp_path / "run", CONFIG, "kinematic")
+def test_config_refuses_options_that_change_the_run(repeated, folder, arguments, message):
     code, config, err = repeated("--config", folder.path, *arguments)
     assert (code, config) == (2, None)
     assert message in err
