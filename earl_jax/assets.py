@@ -1,16 +1,19 @@
 """Access to the files that ship with the code, in a checkout and in a wheel: models, demonstrations, the paper's tables."""
 
+from __future__ import annotations
+
 import csv
 import functools
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from earl_jax.arrays import load_npz, read_bytes
 from earl_jax.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 DIRECTIONS = ("forward", "backward")
 
@@ -112,6 +115,8 @@ def starts(name: str) -> dict[str, np.ndarray]:
     Raises:
         ValueError: the task has no such file; the message lists the choices.
     """
+    import numpy as np  # `earl-jax list` starts faster without it
+
     with np.load(_file("starts", name, ".npz"), allow_pickle=False) as stored:
         arrays = dict(stored)
     for array in arrays.values():
@@ -129,6 +134,8 @@ def list_pretrained() -> dict[str, list[str]]:
 @functools.cache
 def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return `pretrained_info`, and the parameters of the policies, float16 [N, ...] by name. Errors as `pretrained_info`."""
+    import numpy as np
+
     info = pretrained_info(task, method)
     with np.load(root() / "pretrained" / task / f"{method}.npz", allow_pickle=False) as stored:
         return info, dict(stored)

@@ -5,6 +5,7 @@ Importing this module loads neither NumPy nor jax.
 
 from typing import Any, NamedTuple
 
+from earl_jax import assets
 from earl_jax.errors import InputError
 
 LENGTHS = {"seeds": 5, "steps": 100_000, "eval_every": 10_000, "eval_episodes": 10, "checkpoint_every": 100_000}
@@ -69,8 +70,6 @@ def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
 
 
 def _published_steps(name: str, env: str) -> int:
-    from earl_jax import assets  # it loads NumPy
-
     row = assets.published_row("steps", env=env)
     if not row:
         known = ", ".join(row["env"] for row in assets.published("steps"))

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from earl_jax import algos, envs
+from earl_jax import algos, assets, envs
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.errors import InputError
 from earl_jax.presets import LENGTHS, PRESETS
@@ -95,8 +95,6 @@ def _imported(kind: str, name: str) -> dict[str, Any]:
 
 def _policies(name: str) -> dict[str, Any]:
     """Return the trained policies that ship, by method for a task and by task for a method: seeds, scores, options."""
-    from earl_jax import assets  # loads NumPy
-
     policies = {}
     for task, methods in assets.list_pretrained().items():
         for method in methods:

@@ -89,8 +89,8 @@ def test_trained_policies_that_ship_are_listed(everything):
     assert "trained policies" not in run("list", "fish_swim")[1]
 
 
-def test_listing_loads_no_jax():
-    code = "import sys; from earl_jax.cli import main; main(['list']); print({'jax', 'mujoco'} & set(sys.modules))"
+def test_listing_loads_no_jax_and_no_numpy():
+    code = "import sys; from earl_jax.cli import main; main(['list']); print({'jax', 'numpy'} & set(sys.modules))"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "set()"
 
