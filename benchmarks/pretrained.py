@@ -24,7 +24,7 @@ from earl_jax.report.runs import read
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import policies_step
 from earl_jax.training import Policy, load_policies
-from earl_jax.training.pretrained_policies import actor_of_arrays, arrays_of_actor
+from earl_jax.training.policy import actor_of_arrays, arrays_of_actor
 
 LEAST = 0.3
 """Smallest success of a run's best seed."""

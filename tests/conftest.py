@@ -29,7 +29,7 @@ from earl_jax.envs import make
 from earl_jax.metrics.life import BACK, FORWARD
 from earl_jax.protocol import Protocol
 from earl_jax.training import runner, select_seed, train
-from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.init import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys

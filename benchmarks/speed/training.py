@@ -16,8 +16,7 @@ from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.report.tables import write
-from earl_jax.training.demo_rows import replay_capacity
-from earl_jax.training.init import init_train_state
+from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys

@@ -8,15 +8,13 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from earl_jax.adapters._camera import Camera
-from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
-from earl_jax.adapters._session import Session, checked_array, jitted
-from earl_jax.adapters._session_state import SessionState, StepResult
+from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
+from earl_jax.adapters._session import Session, StepResult, checked_array
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
 
-class ResetFreeVectorEnv(VectorEnv):
+class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
     """Many lanes of a task in one jitted program; lane i of a seed equals `ResetFreeEnv` with `seed + i` step by step.
 
     Lifetimes are never reset automatically (`AutoresetMode.DISABLED`). `autoreset_mode` says when episodes are: in the
@@ -24,7 +22,7 @@ class ResetFreeVectorEnv(VectorEnv):
     `ResetFreeEnv`, each with its mask.
     """
 
-    metadata = METADATA
+    has_lanes = True
 
     def __init__(
         self,
@@ -41,39 +39,28 @@ class ResetFreeVectorEnv(VectorEnv):
         if num_envs < 1:
             raise InputError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
-        self.session = Session.of(task, lanes=num_envs, **options)
+        self._open(Session.of(task, lanes=num_envs, **options), render_mode, width, height)
         env = self.session.env
         self.single_observation_space, self.single_action_space = env.observation_space, env.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.autoreset_mode = _autoreset_mode(self.session, autoreset_mode)
-        self.metadata = {**metadata(self.session.env, render_mode), "autoreset_mode": self.autoreset_mode}
-        self.render_mode = render_mode
-        self._camera = Camera(self.session.env, height, width)
-        self._states: SessionState | None = None
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._over = np.zeros(num_envs, bool)
-
-    @property
-    def states(self) -> SessionState:
-        """The current states of all lanes, with a leading axis [N]."""
-        return require_reset(self._states)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Return observations [N, s + g] and infos after a reset of all lanes, or of `options["reset_mask"]` [N]."""
         super().reset(seed=seed)
-        mask = self._mask(options) | (self._states is None)
-        from_seed = mask & (self._states is None or seed is not None)
+        first = self._state is None
+        mask = self._mask(options) | first
+        from_seed = mask & (first or seed is not None)
         generators = [self.np_random if seed is None else np_random(seed + i)[0] for i in range(self.num_envs)]
         seeds = np.stack([draw_seed(generator) for generator in generators])
-        states = self._call("start", seeds) if self._states is None else self._states
-        self._states, result = self._call("restart", states, seeds, from_seed, mask)
+        states = self._call("start", seeds) if first else self._state
+        self._state, result = self._call("restart", states, seeds, from_seed, mask)
         self._over &= ~mask
         result = jax.device_get(result)
         return np.array(result.obs), self._masked_infos(result, mask)
-
-    def _call(self, name: str, *arguments: Any) -> Any:
-        """Return the result of the session's method `name` on all lanes."""
-        return jitted(self.session, name, batched=True)(*arguments)
 
     def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
         options = {"reset_mask": np.ones(self.num_envs, bool), **(options or {})}
@@ -92,12 +79,12 @@ class ResetFreeVectorEnv(VectorEnv):
         """
         actions = checked_array("actions", actions, (self.num_envs, self.session.env.action_size))
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            self._states, result, last = self._call("step_and_reset", self.states, actions)
+            self._state, result, last = self._call("step_and_reset", self.state, actions)
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            self._states, result = self._call("step_or_reset", self.states, actions, self._over)
+            self._state, result = self._call("step_or_reset", self.state, actions, self._over)
             last = result
         else:
-            self._states, result = self._call("step", self.states, actions)
+            self._state, result = self._call("step", self.state, actions)
             last = result
         result, last = jax.device_get((result, last))
         self._over = last.terminated | last.truncated
@@ -110,7 +97,7 @@ class ResetFreeVectorEnv(VectorEnv):
     def _masked_infos(self, result: StepResult, mask: np.ndarray) -> dict[str, np.ndarray]:
         """Return the infos of the lanes in `mask` with zeros elsewhere, and the mask of each under `_` and its name."""
         masked = {}
-        for name, values in infos(self.session, result).items():
+        for name, values in self._infos(result).items():
             wide_mask = mask.reshape(-1, *[1] * (values.ndim - 1))
             masked |= {name: np.where(wide_mask, values, np.zeros_like(values)), f"_{name}": mask.copy()}
         return masked
@@ -129,24 +116,19 @@ class ResetFreeVectorEnv(VectorEnv):
         `ResetFreeEnv.set_goal` describes goals and errors.
         """
         mask = self._mask(None if mask is None else {"reset_mask": mask})
-        if goals is None:
-            self._states = self._call("draw_goal", self.states, mask)
-        else:
-            goals = checked_array("goals", goals, (self.num_envs, self.session.env.goal_size))
-            self._states = self._call("set_goal", self.states, goals, mask)
-        return np.array(self.states.env_state.obs)
+        return self._change_goal("goals", goals, (self.num_envs, self.session.env.goal_size), mask)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of each lane, uint8 [height, width, 3], or None without a render mode."""
         if self.render_mode is None:
             return None
-        env_states = jax.device_get(self.states.env_state)
+        env_states = jax.device_get(self.state.env_state)
         lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], env_states) for i in range(self.num_envs)]
-        return tuple(map(self._camera, lanes))
+        return tuple(map(self._picture, lanes))
 
     def close_extras(self, **_: Any) -> None:
         """Release the resources of the pictures."""
-        self._camera.close()
+        self._close_scene()
 
 
 def _autoreset_mode(session: Session, mode: AutoresetMode | str | None) -> AutoresetMode:

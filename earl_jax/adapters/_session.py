@@ -6,13 +6,13 @@ The rules are those of `earl_jax.protocol`, as in the training loop.
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
-from earl_jax.adapters._session_state import SessionState, StepResult
 from earl_jax.envs import Env, State, make, start_of
 from earl_jax.envs.state import STARTS, tree_where
 from earl_jax.envs.wrappers.without_help import without_help
@@ -32,6 +32,40 @@ from earl_jax.protocol import (
 MODES = ("train", "eval")
 ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
+
+
+class SessionState(struct.PyTreeNode):
+    """The state of one lane.
+
+    `key` of all future draws; `env_state`; int32 `steps` of the lifetime or the episode; int32 `attempt_age`: steps
+    since the goal was drawn; int32 `interventions`; bool `goal_is_set`: the caller set the goal; bool `reached`: a step
+    of the lifetime or the episode reached its goal.
+    """
+
+    key: jax.Array
+    env_state: State
+    steps: jax.Array
+    attempt_age: jax.Array
+    interventions: jax.Array
+    goal_is_set: jax.Array
+    reached: jax.Array
+
+
+class StepResult(NamedTuple):
+    """The result of a step or a reset: `obs [s + g]`, and scalars.
+
+    `success`: the step reached the goal that it was made under. `reached`: so did a step of this episode. `terminated`:
+    the lifetime ended. `truncated`: the episode is over. `fault`: the simulation broke, and the reward is 0.
+    """
+
+    obs: Any
+    reward: Any
+    success: Any
+    reached: Any
+    terminated: Any
+    truncated: Any
+    fault: Any
+    interventions: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,16 +163,7 @@ class Session:
     def reset_result(self, state: SessionState) -> StepResult:
         """Return the result of a reset that led to `state`."""
         false = jnp.zeros((), bool)
-        return StepResult(
-            obs=state.env_state.obs,
-            reward=jnp.zeros(()),
-            success=false,
-            reached=false,
-            terminated=false,
-            truncated=false,
-            fault=false,
-            interventions=state.interventions,
-        )
+        return _result(state, reward=jnp.zeros(()), success=false, truncated=false, fault=false)
 
     def step(self, state: SessionState, action: jax.Array) -> tuple[SessionState, StepResult]:
         """Return the state and the result after one control step with `action [a]`."""
@@ -152,16 +177,8 @@ class Session:
         else:
             state = state.replace(env_state=tree_where(fault, state.env_state, next_env_state))
             truncated = fault | (state.steps >= self.protocol.eval_horizon)
-        return state, StepResult(
-            obs=state.env_state.obs,
-            reward=jnp.where(fault, 0.0, next_env_state.reward),
-            success=success,
-            reached=state.reached,
-            terminated=state.env_state.done > 0,
-            truncated=truncated,
-            fault=fault,
-            interventions=state.interventions,
-        )
+        reward = jnp.where(fault, 0.0, next_env_state.reward)
+        return state, _result(state, reward=reward, success=success, truncated=truncated, fault=fault)
 
     def _advance_lifetime(self, state: SessionState, next_env_state: State) -> SessionState:
         """Return the state after step number `state.steps` led to `next_env_state`: interventions and goal changes."""
@@ -224,6 +241,17 @@ class Session:
         """Return `state`, where `mask` started from `seed` (where `from_seed`) or reset, and the result."""
         state = tree_where(mask, tree_where(from_seed, self.start(seed), self.reset(state)), state)
         return state, self.reset_result(state)
+
+
+def _result(state: SessionState, **of_step: jax.Array) -> StepResult:
+    """Return the result of a step or a reset that led to `state`."""
+    return StepResult(
+        obs=state.env_state.obs,
+        reached=state.reached,
+        terminated=state.env_state.done > 0,
+        interventions=state.interventions,
+        **of_step,
+    )
 
 
 def _make_task(task: str | Env, options: dict[str, Any]) -> Env:

@@ -14,8 +14,7 @@ from brax.envs.base import Env as BraxEnv
 from brax.envs.base import State as BraxState
 from brax.envs.wrappers import training
 
-from earl_jax.adapters._session import Session
-from earl_jax.adapters._session_state import StepResult
+from earl_jax.adapters._session import Session, StepResult
 from earl_jax.envs import Env
 
 NO_TIME_LIMIT = 2**30

@@ -60,14 +60,15 @@ class EARLEnvs:
             ValueError: an unknown name or option (the original ignores unknown options), or one that this task lacks.
         """
         self._samples = options.pop("num_initial_state_samples", None)
-        self._goal_change = options.pop("goal_change_frequency", None)
+        continuing = Continuing(goal_change=options.pop("goal_change_frequency", None))
         name = ORIGINAL_NAMES.get(env_name, env_name)
         task_options = _task_options(name, reward_type, options)
-        self._task = make(name, **task_options)
-        self._lifelong = with_explicit_horizon(Continuing(goal_change=self._goal_change), self._task, task_options)
-        self._reset_at_goal = reset_train_env_at_goal
-        if self._reset_at_goal and "reset_at_goal" not in _fields(self._task):
-            raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
+        self._task = self._train_task = make(name, **task_options)
+        self._lifelong = with_explicit_horizon(continuing, self._task, task_options)
+        if reset_train_env_at_goal:
+            if not hasattr(self._task, "reset_at_goal"):
+                raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
+            self._train_task = dataclasses.replace(self._task, **{"reset_at_goal": True})
         self._train = self.get_train_env(setup_as_lifelong_learning)
         self._eval = None if setup_as_lifelong_learning else self.get_eval_env()
 
@@ -77,7 +78,7 @@ class EARLEnvs:
 
     def get_train_env(self, lifelong: bool = False) -> "PersistentEnv":
         """Return a new train env, done every H_T steps; with `lifelong` its goal changes on a schedule."""
-        task = dataclasses.replace(self._task, **{"reset_at_goal": True}) if self._reset_at_goal else self._task
+        task = self._train_task
         if not lifelong:
             return PersistentEnv(task, task.train_horizon)
         protocol = self._lifelong.protocol(task)
@@ -217,10 +218,6 @@ class PersistentEnv:
     def unwrapped(self) -> "PersistentEnv":
         """This env, which wraps none."""
         return self
-
-
-def _fields(task: Env) -> set[str]:
-    return {field.name for field in dataclasses.fields(task)}
 
 
 def _task_options(name: str, reward_type: str | None, options: dict[str, Any]) -> dict[str, Any]:

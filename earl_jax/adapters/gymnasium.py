@@ -11,11 +11,9 @@ import gymnasium
 import jax
 import numpy as np
 
-from earl_jax.adapters._camera import Camera
-from earl_jax.adapters._gymnasium_common import METADATA, draw_seed, infos, metadata, require_reset
+from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
 from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv  # noqa: F401
-from earl_jax.adapters._session import Session, checked_array, jitted
-from earl_jax.adapters._session_state import SessionState, StepResult
+from earl_jax.adapters._session import Session, StepResult, checked_array
 from earl_jax.envs import Env, list_envs
 from earl_jax.errors import InputError
 
@@ -36,7 +34,7 @@ def register_envs(names: Iterable[str] | None = None) -> None:
             gymnasium.register(env_id(name), single, kwargs={"task": name}, vector_entry_point=vector)
 
 
-class ResetFreeEnv(gymnasium.Env):
+class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
     """A task as one reset-free lifetime (`mode="train"`) or as evaluation episodes (`mode="eval"`).
 
     A lifetime is never truncated. It terminates only when a budget for help is spent. Hard interventions happen inside
@@ -50,8 +48,6 @@ class ResetFreeEnv(gymnasium.Env):
     far; and in episodes `is_success`: a step so far was a success. With `starts="wide"` the latter is `is_success_wide`
     too, by which a log tells both kinds of episodes apart.
     """
-
-    metadata = METADATA
 
     def __init__(
         self, task: str | Env, *, render_mode: str | None = None, width: int = 640, height: int = 480, **options: Any
@@ -71,18 +67,9 @@ class ResetFreeEnv(gymnasium.Env):
         Raises:
             ValueError: an unknown mode, setting, option or name; the message lists the choices.
         """
-        self.session = Session.of(task, **options)
+        self._open(Session.of(task, **options), render_mode, width, height)
         env = self.session.env
         self.observation_space, self.action_space = env.observation_space, env.action_space
-        self.metadata = metadata(self.session.env, render_mode)
-        self.render_mode = render_mode
-        self._camera = Camera(self.session.env, height, width)
-        self._state: SessionState | None = None
-
-    @property
-    def state(self) -> SessionState:
-        """The current state of the lifetime or the episode."""
-        return require_reset(self._state)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Return the first observation [s + g] and info of a lifetime or an episode, or those after an intervention."""
@@ -90,10 +77,10 @@ class ResetFreeEnv(gymnasium.Env):
         if options:
             raise InputError(f"reset takes no options, not {', '.join(options)}; set_goal chooses a goal")
         if seed is None and self._state is not None:
-            self._state = jitted(self.session, "reset")(self._state)
+            self._state = self._call("reset", self._state)
         else:
-            self._state = jitted(self.session, "start")(draw_seed(self.np_random))
-        obs, *_, info = self._outputs(jitted(self.session, "reset_result")(self._state))
+            self._state = self._call("start", draw_seed(self.np_random))
+        obs, *_, info = self._outputs(self._call("reset_result", self._state))
         return obs, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
@@ -103,13 +90,13 @@ class ResetFreeEnv(gymnasium.Env):
             ValueError: the action has another shape or is not finite.
         """
         action = checked_array("action", action, (self.session.env.action_size,))
-        self._state, result = jitted(self.session, "step")(self.state, action)
+        self._state, result = self._call("step", self.state, action)
         return self._outputs(result)
 
     def _outputs(self, result: StepResult) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Return `result` as gymnasium's five values."""
         result = jax.device_get(result)
-        values = infos(self.session, result)
+        values = self._infos(result)
         info = {name: value if name == "goal" else value.item() for name, value in values.items()}
         return np.array(result.obs), float(result.reward), bool(result.terminated), bool(result.truncated), info
 
@@ -121,20 +108,15 @@ class ResetFreeEnv(gymnasium.Env):
         Raises:
             ValueError: the goal has another shape or is not finite.
         """
-        if goal is None:
-            self._state = jitted(self.session, "draw_goal")(self.state, True)
-        else:
-            goal = checked_array("goal", goal, (self.session.env.goal_size,))
-            self._state = jitted(self.session, "set_goal")(self.state, goal, True)
-        return np.array(self.state.env_state.obs)
+        return self._change_goal("goal", goal, (self.session.env.goal_size,), True)
 
     def render(self) -> np.ndarray | None:
         """Return a picture of the current state, uint8 [height, width, 3], or None without a render mode."""
-        return None if self.render_mode is None else self._camera(self.state.env_state)
+        return None if self.render_mode is None else self._picture(self.state.env_state)
 
     def close(self) -> None:
         """Release the resources of the pictures."""
-        self._camera.close()
+        self._close_scene()
 
 
 register_envs()

@@ -14,7 +14,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
-from earl_jax.training.demo_rows import demo_rows
+from earl_jax.training.init import demo_rows
 from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run
 from earl_jax.training.state import Problem

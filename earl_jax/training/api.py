@@ -1,4 +1,4 @@
-"""Training by name or by object."""
+"""Training by name or by object, and its result."""
 
 import contextlib
 import dataclasses
@@ -6,19 +6,67 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
+
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
+from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.options import TimeLimit, seed_list
 from earl_jax.presets import ALGO
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
-from earl_jax.runs.config import RESERVED, RunConfig
+from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import first_host
+from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs, require_libraries
 from earl_jax.training.plan import Plan
-from earl_jax.training.result import Result
+from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
+from earl_jax.training.state import TrainState
+
+
+@dataclasses.dataclass
+class Result:
+    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`.
+
+    `engine` names the physics engine that stepped the task, or is `kinematic`. After a time limit they end early
+    (`finished` is False). Before the first evaluation, `metrics` is empty.
+    """
+
+    config: RunConfig
+    env: Env
+    method: Method
+    seeds: tuple[int, ...]
+    steps: np.ndarray
+    metrics: dict[str, np.ndarray]
+    train_state: TrainState
+    engine: str
+
+    @property
+    def step(self) -> int:
+        """The steps that each seed was trained."""
+        return int(gathered(self.train_state.step))
+
+    @property
+    def finished(self) -> bool:
+        """Whether training reached its last step, rather than a time limit."""
+        return self.step >= self.config.steps
+
+    @property
+    def scores(self) -> Scores:
+        """The paper's scores of the lifetimes: J_D, D(A), C(A).
+
+        Raises:
+            ValueError: training ended before the first evaluation.
+        """
+        if not len(self.steps):
+            raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
+        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
+
+    def policy(self, seed: int = 0) -> Policy:
+        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o] of the task without help."""
+        return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
 
 
 def train(
@@ -80,20 +128,19 @@ def train(
 
 
 def _new_run(env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any], **lengths: Any) -> Run:
-    """Return the run of `algo` on `env`, with the seeds and `lengths` of its config. Errors as `train`."""
-    task, method, resolved = _resolve_objects(env, algo, setting, options)
-    return Run.resolve(RunConfig.from_objects(task, method, resolved, **lengths), task, method, resolved)
-
-
-def _resolve_objects(
-    env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any]
-) -> tuple[Env, Method, Setting]:
-    """Return the environment, with help if the setting has a budget, the method and the setting. Errors as `train`."""
+    """Return the run of `algo` on `env`, with help if the setting has a budget, and with `lengths`. Errors as `train`."""
     setting = setting_of(setting) if isinstance(setting, str) else setting
-    task, setting = split_setting(env, setting)
-    wrapped = setting.wrap(task)
-    method = method_for(wrapped, algo, **options) if isinstance(algo, str) else _without_options(algo, options)
-    return wrapped, method, setting
+    env, setting = split_setting(env, setting)
+    env = setting.wrap(env)
+    if isinstance(algo, str):
+        method = method_for(env, algo, **options)
+    elif options:
+        raise InputError(
+            f"options {', '.join(options)} go with an algo's name; this algo is an object: use .replace(...)"
+        )
+    else:
+        method = algo
+    return Run.resolve(RunConfig.from_objects(env, method, setting, **lengths), env, method, setting)
 
 
 def resume(
@@ -194,9 +241,20 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     return setting.wrap(task), setting, rest
 
 
-def _without_options(method: Method, options: dict[str, Any]) -> Method:
-    if options:
-        raise InputError(
-            f"options {', '.join(options)} go with an algo's name; this algo is an object: use .replace(...)"
-        )
-    return method
+def select_seed(state: Any, i: int) -> Any:
+    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
+
+    Raises:
+        IndexError: there is no such lane.
+    """
+    lanes = state.lanes if isinstance(state, TrainState) else state
+    count = jax.tree.leaves(lanes)[0].shape[0]
+    if not -count <= i < count:
+        raise IndexError(f"no lane {i}: there are {count}")
+    return _lane(lanes, i)
+
+
+@jax.jit
+def _lane(lanes: Any, i: jax.Array) -> Any:
+    """Return lane `i`, by one program for all leaves."""
+    return jax.tree.map(lambda leaf: leaf[i], lanes)

@@ -4,8 +4,7 @@ Lanes do not communicate, so programs are mapped explicitly (`shard_map`) and co
 partitioning would gather the replay, which is indexed by lane.
 """
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -58,61 +57,25 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     return jax.make_mesh((count,), ("lanes",), axis_types=(AxisType.Auto,), devices=available[:count])
 
 
-def mapped(function: Callable, mesh: Mesh | None, in_specs: Sequence[Any], out_specs: Any) -> Callable:
+def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any) -> Callable:
     """Return `function` mapped over the devices of `mesh`, or `function` itself without a mesh.
 
     `in_specs`, one for each argument, and `out_specs` are partition specs or trees of them, as `shard_map` takes them.
+    Empty arrays stay outside: XLA for GPUs (jaxlib 0.11) crashes on them on several devices.
     """
     if mesh is None:
         return function
 
     def call(*arguments):
-        inputs, in_tree = jax.tree.flatten(arguments)
-        outputs, out_tree = jax.tree.flatten(jax.eval_shape(function, *arguments))
-        input_specs = _leaf_specs(tuple(in_specs), arguments)
-        output_specs = _leaf_specs(out_specs, jax.tree.unflatten(out_tree, outputs))
+        local = _with_specs(in_specs, arguments, lambda spec, leaf: _local_shape(leaf, mesh, spec))
 
-        def run_locally(*local_inputs):
-            empty = [_empty_part(leaf, spec, mesh.size) for leaf, spec in zip(inputs, input_specs, strict=True)]
-            result = function(*jax.tree.unflatten(in_tree, _with_nonempty(empty, local_inputs)))
-            return _nonempty(jax.tree.leaves(result))
+        def run_locally(*parts):
+            return _without_empty(function(*_with_empty(parts, local)))
 
-        specs = [[spec for leaf, spec in zip(leaves, leaf_specs, strict=True) if leaf.size]
-                 for leaves, leaf_specs in ((inputs, input_specs), (outputs, output_specs))]  # fmt: skip
-        run = jax.shard_map(run_locally, mesh=mesh, in_specs=tuple(specs[0]), out_specs=specs[1], check_vma=False)
-        empty = [_empty_part(leaf, REPLICATED, 1) for leaf in outputs]
-        return jax.tree.unflatten(out_tree, _with_nonempty(empty, run(*_nonempty(inputs))))
+        run = jax.shard_map(run_locally, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
+        return _with_empty(run(*_without_empty(arguments)), jax.eval_shape(function, *arguments))
 
     return call
-
-
-def _leaf_specs(specs: Any, tree: Any) -> list[PartitionSpec]:
-    """Return the spec of every leaf of `tree`; a spec in `specs` can apply to a whole branch."""
-    spread = jax.tree.map(lambda spec, part: jax.tree.map(lambda _: spec, part), specs, tree, is_leaf=_is_spec)
-    return jax.tree.leaves(spread, is_leaf=_is_spec)
-
-
-def _is_spec(node: Any) -> bool:
-    return isinstance(node, PartitionSpec)
-
-
-def _nonempty(leaves: Sequence[Any]) -> list[Any]:
-    """Return the leaves with elements: XLA for GPUs (jaxlib 0.11) crashes on an empty array on several devices."""
-    return [leaf for leaf in leaves if leaf.size]
-
-
-def _with_nonempty(leaves: Sequence[Any], nonempty: Sequence[Any]) -> list[Any]:
-    """Return `leaves` with the leaves that have elements replaced by `nonempty`, in their order."""
-    rest = iter(nonempty)
-    return [next(rest) if leaf.size else leaf for leaf in leaves]
-
-
-def _empty_part(leaf: Any, spec: PartitionSpec, count: int) -> Any:
-    """Return the part of an empty leaf on one of `count` devices; a leaf with elements is returned unchanged."""
-    if leaf.size:
-        return leaf
-    axes = (*spec, *[None] * (len(leaf.shape) - len(spec)))
-    return jnp.zeros([size // count if axis else size for size, axis in zip(leaf.shape, axes, strict=True)], leaf.dtype)
 
 
 def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
@@ -122,12 +85,32 @@ def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
     """
     if mesh is None:
         return jax.device_put(tree)
+    return _with_specs(specs, tree, lambda spec, leaf: _put(leaf, NamedSharding(mesh, spec)))
 
-    def put_branch(spec, branch):
-        put = functools.partial(_put, sharding=NamedSharding(mesh, spec))
-        return jax.tree.map(put, branch)
 
-    return jax.tree.map(put_branch, specs, tree, is_leaf=_is_spec)
+def _with_specs(specs: Any, tree: Any, function: Callable) -> Any:
+    """Return the tree of `function(spec, leaf)`; a spec in `specs` can apply to a whole branch of `tree`."""
+    return jax.tree.map(
+        lambda spec, branch: jax.tree.map(lambda leaf: function(spec, leaf), branch),
+        specs,
+        tree,
+        is_leaf=lambda node: isinstance(node, PartitionSpec),
+    )
+
+
+def _local_shape(leaf: Any, mesh: Mesh, spec: PartitionSpec) -> jax.ShapeDtypeStruct:
+    """Return the shape of the part of `leaf` that one device of `mesh` has."""
+    return jax.ShapeDtypeStruct(NamedSharding(mesh, spec).shard_shape(leaf.shape), leaf.dtype)
+
+
+def _without_empty(tree: Any) -> Any:
+    """Return `tree` with None in place of arrays that have no elements."""
+    return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)
+
+
+def _with_empty(tree: Any, shapes: Any) -> Any:
+    """Return `tree` with the arrays of `shapes` that have no elements, which `_without_empty` has removed."""
+    return jax.tree.map(lambda shape, leaf: leaf if shape.size else jnp.zeros(shape.shape, shape.dtype), shapes, tree)
 
 
 def _put(leaf: Any, sharding: NamedSharding) -> jax.Array:

@@ -12,8 +12,7 @@ from earl_jax.errors import InputError
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training.demo_rows import replay_capacity
-from earl_jax.training.init import init_train_state
+from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.policy import Policy, plain_actor
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys

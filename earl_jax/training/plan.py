@@ -12,8 +12,8 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.errors import InputError
 from earl_jax.training import memory
-from earl_jax.training.demo_rows import replay_capacity
 from earl_jax.training.devices import lane_mesh
+from earl_jax.training.init import replay_capacity
 from earl_jax.training.state import Problem
 
 LONGEST_CHUNK = 1000

@@ -16,8 +16,6 @@ import jax
 
 VARIABLE = "EARL_JAX_CACHE"
 CHECKSUM_SIZE = 32
-ENTRY = "-cache"
-"""The end of the name of jax's entries."""
 
 
 def folder() -> Path:
@@ -39,42 +37,34 @@ def keep_programs() -> None:
         config.update("jax_compilation_cache_dir", str(folder()))
 
 
-class CheckedCache:
-    """jax's cache `files`, with a checksum at the end of each entry: one that does not match is removed."""
+@functools.cache
+def _check_entries() -> None:
+    """Let jax open a cache of checked entries. A release without these modules keeps its own."""
+    with contextlib.suppress(ImportError, AttributeError):
+        module: Any = importlib.import_module("jax._src.compilation_cache")
+        module.LRUCache = checked(module.LRUCache)
 
-    def __init__(self, files: Any):
-        self._files = files
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._files, name)
+def checked(cache: Any) -> Any:
+    """Return a subclass of jax's `cache` with a checksum at the end of each entry, which removes one that does not match."""
 
-    def get(self, key: str) -> bytes | None:
-        """Return the program stored as `key`, or None if there is no intact one."""
-        content = self._files.get(key)
-        if content is None:
+    class CheckedCache(cache):
+        def get(self, key: str) -> bytes | None:
+            content = super().get(key)
+            if content is None:
+                return None
+            program, checksum = content[:-CHECKSUM_SIZE], content[-CHECKSUM_SIZE:]
+            if _checksum(program) == checksum:
+                return program
+            with contextlib.suppress(OSError):  # a folder that cannot be written to
+                (Path(self.path) / f"{key}-cache").unlink()  # jax does not replace an entry
             return None
-        program, checksum = content[:-CHECKSUM_SIZE], content[-CHECKSUM_SIZE:]
-        if _checksum(program) == checksum:
-            return program
-        with contextlib.suppress(OSError):  # a folder that cannot be written to
-            (Path(self._files.path) / f"{key}{ENTRY}").unlink()  # jax does not replace an entry
-        return None
 
-    def put(self, key: str, value: bytes) -> None:
-        """Store the program `value` as `key`."""
-        self._files.put(key, value + _checksum(value))
+        def put(self, key: str, value: bytes) -> None:
+            super().put(key, value + _checksum(value))
+
+    return CheckedCache
 
 
 def _checksum(program: bytes) -> bytes:
     return hashlib.blake2b(program, digest_size=CHECKSUM_SIZE).digest()
-
-
-def _check_entries() -> None:
-    """Let jax open a `CheckedCache`. A release without these modules keeps its own."""
-    with contextlib.suppress(ImportError, AttributeError):
-        module: Any = importlib.import_module("jax._src.compilation_cache")
-        original = module.LRUCache
-        if not hasattr(original, "__wrapped__"):
-            module.LRUCache = functools.wraps(original)(
-                lambda *args, **options: CheckedCache(original(*args, **options))
-            )

@@ -58,12 +58,15 @@ def _draws_ahead(problem: Problem, state: TrainState) -> bool:
 
     Where the host simulates, the draw would delay the next start. A CPU does one thing after the other.
     """
-    if jax.default_backend() == "cpu":
-        return False
+    return jax.default_backend() != "cpu" and not host_simulates(problem, state)
+
+
+def host_simulates(problem: Problem, state: TrainState) -> bool:
+    """Return whether the host simulates the control steps of `state` beside the device."""
     env_states = state.lanes.env_state
     actions = jax.ShapeDtypeStruct((len(env_states.obs), problem.env.action_size), jnp.float32)
     pending: PendingStep = jax.eval_shape(jax.vmap(problem.env.start_step), env_states, actions)
-    return pending.ticket is None
+    return pending.ticket is not None
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:

@@ -10,7 +10,7 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.envs import make
 from earl_jax.training import lifetime
-from earl_jax.training.demo_rows import demonstrations
+from earl_jax.training.init import demonstrations
 from earl_jax.training.plan import prepare
 from earl_jax.training.state import seed_keys
 from tests.algos.lives import OPTIONS, lived

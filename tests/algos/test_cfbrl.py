@@ -16,7 +16,7 @@ from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.envs.sawyer.experts import peg_grasp
-from earl_jax.training.demo_rows import demonstrations
+from earl_jax.training.init import demonstrations
 from tests.algos.lives import lived
 from tests.conftest import CHUNK, make_problem, tiny_train
 

@@ -12,7 +12,7 @@ from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
-from earl_jax.training.demo_rows import demo_rows, demonstrations
+from earl_jax.training.init import demo_rows, demonstrations
 from tests.algos.lives import PHASE, lived
 from tests.conftest import CHUNK, take_lane, tiny_method, tiny_train, without_shares
 

@@ -10,7 +10,7 @@ from earl_jax.algos import Method, list_algos, make_algo, register_algo
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags, unpack
 from earl_jax.algos.method import RETURN, TASK
-from earl_jax.training.demo_rows import demo_rows
+from earl_jax.training.init import demo_rows
 from tests.algos.lives import OPTIONS, lived
 from tests.conftest import (
     CHUNK,

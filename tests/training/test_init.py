@@ -8,7 +8,7 @@ import pytest
 from earl_jax import assets
 from earl_jax.algos.learner import replay
 from earl_jax.envs import make
-from earl_jax.training.demo_rows import demo_rows, replay_capacity
+from earl_jax.training.init import demo_rows, replay_capacity
 from tests.conftest import ALGOS, make_problem, make_train_state, take_lane, tiny_method
 
 

@@ -10,7 +10,7 @@ import earl_jax
 from earl_jax.algos import make_algo
 from earl_jax.envs import list_envs, make
 from earl_jax.training import memory
-from earl_jax.training.demo_rows import replay_capacity
+from earl_jax.training.init import replay_capacity
 from tests.conftest import make_problem, make_train_state, tiny_method, tiny_train
 
 PUBLISHED_STEPS = {

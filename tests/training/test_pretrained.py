@@ -10,7 +10,7 @@ from benchmarks import pretrained as packing
 from earl_jax import assets
 from earl_jax.metrics.deployed import deployed
 from earl_jax.training import pretrained_env
-from earl_jax.training.pretrained_policies import actor_of_arrays, arrays_of_actor
+from earl_jax.training.policy import actor_of_arrays, arrays_of_actor
 
 TABLETOP = "tabletop_organization"
 EPISODES = 20

@@ -1,0 +1,88 @@
+"""What the single and the vector environment of gymnasium share: a session with its state, infos and pictures."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from earl_jax.adapters._session import Session, SessionState, StepResult, checked_array, jitted
+from earl_jax.envs import State
+from earl_jax.errors import InputError
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+class GymnasiumSession:
+    """A `Session` under jit, for one lane or for all lanes of a vector environment (`has_lanes`)."""
+
+    metadata = METADATA
+    has_lanes = False
+
+    def _open(self, session: Session, render_mode: str | None, width: int, height: int) -> None:
+        """Take over `session`, which has no state before the first reset.
+
+        Raises:
+            ValueError: the render mode is unknown; the message lists the choices.
+        """
+        modes = self.metadata["render_modes"]
+        if render_mode not in (None, *modes):
+            raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
+        self.session, self.render_mode = session, render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1 / session.env.step_seconds)}
+        self._state: SessionState | None = None
+        self._scene: Any = None
+        self._picture_size = (height, width)
+
+    @property
+    def state(self) -> SessionState:
+        """The current state of the lifetime or the episode; in a vector environment, of all lanes.
+
+        Raises:
+            gymnasium.error.ResetNeeded: there was no reset yet.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._state
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Return the result of the session's method `name`, of all lanes if there are several."""
+        return jitted(self.session, name, self.has_lanes)(*arguments)
+
+    def _infos(self, result: StepResult) -> dict[str, np.ndarray]:
+        """Return the infos of one lane, or of all with a leading axis."""
+        values = {
+            "goal": np.array(result.obs[..., self.session.env.state_size :]),
+            "success": np.array(result.success),
+            "interventions": np.array(result.interventions, np.int64),
+        }
+        if not self.session.is_training:
+            values["is_success"] = np.array(result.reached)
+        if self.session.starts == "wide":
+            values["is_success_wide"] = np.array(result.reached)
+        return values
+
+    def _change_goal(self, name: str, goal: np.ndarray | None, shape: tuple[int, ...], mask: Any) -> np.ndarray:
+        """Return the observations with `goal`, whose argument is called `name`, or a drawn one, where `mask`."""
+        if goal is None:
+            self._state = self._call("draw_goal", self.state, mask)
+        else:
+            self._state = self._call("set_goal", self.state, checked_array(name, goal, shape), mask)
+        return np.array(self.state.env_state.obs)
+
+    def _picture(self, env_state: State) -> np.ndarray:
+        """Return the picture of one `env_state`, by a scene that is made for the first one."""
+        from earl_jax.rendering.scenes import Scene
+
+        self._scene = self._scene or Scene(self.session.env, self._picture_size)
+        return self._scene.image(env_state)
+
+    def _close_scene(self) -> None:
+        """Release the resources of the graphics driver."""
+        if self._scene is not None:
+            self._scene.close()
+        self._scene = None
+
+
+def draw_seed(generator: np.random.Generator) -> np.uint32:
+    """Return a seed of a session, drawn from gymnasium's generator."""
+    return generator.integers(2**32, dtype=np.uint32)
