@@ -25,9 +25,10 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
+from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
 from earl_jax.metrics.life import BACK, FORWARD
-from earl_jax.protocol import Protocol
+from earl_jax.protocol import Protocol, Rules
 from earl_jax.training import runner, select_seed, train
 from earl_jax.training.init import replay_capacity
 from earl_jax.training.plan import per_lane
@@ -41,11 +42,10 @@ RUN_STEPS = 120
 """The length of the tiny runs, which is part of the shapes of their programs: one length, one program a method."""
 TINY_RUN = {"seeds": 2, "steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2}
 LONGEST = [
-    "physics/test_engines.py", "training/test_loop.py", "training/test_api.py", "paper/test_reproduce.py",
-    "training/test_mjx.py", "cli/test_cli.py", "training/test_dense_tasks.py", "algos/learner/test_sac.py",
-    "training/test_resume.py", "sweeps/test_worker.py", "training/test_devices.py", "training/test_program_cache.py",
-    "training/test_lifetime.py", "sweeps/test_launcher.py", "adapters/test_gymnasium.py",
-    "runs/test_checkpoint.py", "training/test_faults.py",
+    "physics/test_engines.py", "training/test_api.py", "training/test_loop.py", "paper/test_reproduce.py",
+    "training/test_mjx.py", "cli/test_cli.py", "training/test_rules.py", "algos/learner/test_sac.py",
+    "training/test_resume.py", "sweeps/test_worker.py", "training/test_program_cache.py", "training/test_dense_tasks.py",
+    "training/test_lifetime.py", "sweeps/test_launcher.py", "adapters/test_gymnasium.py", "runs/test_checkpoint.py",
 ]  # fmt: skip
 """The files that take longest, relative to this folder; those that compile programs of others stand before them."""
 CHUNK = 20
@@ -87,6 +87,11 @@ def problem(env):
     return make_problem(env, eval_every=40, eval_episodes=2)
 
 
+@pytest.fixture(scope="session")
+def door():
+    return make_problem(make("sawyer_door", engine="c"), eval_every=40, eval_episodes=2)
+
+
 def make_problem(env, **protocol):
     """Return the problem of `env` with its own horizons and the other fields of its `protocol`."""
     return Problem(env, Protocol(env.train_horizon, env.eval_horizon, **protocol))
@@ -114,6 +119,17 @@ def make_train_state(problem, method, seeds, steps=RUN_STEPS, rules=None):
     return runner._init(problem, method, seed_keys(seeds), rules, capacity, None)
 
 
+def lane_rules(horizon, chance, goal_change):
+    """Return the rules of lanes from lists of their numbers."""
+    return Rules(jnp.array(horizon), jnp.array(chance, jnp.float32), jnp.array(goal_change))
+
+
+def stored_flags(state, steps):
+    """Return the flags [steps, N] of the last `steps` transitions."""
+    first = int(state.replay.row) - steps
+    return jax.tree.map(np.asarray, unpack(state.replay.flags[first : first + steps]))
+
+
 def advance(problem, method, state, steps, explore=False):
     """Return the train state `steps` steps later, by the programs of `train`: whole chunks of `CHUNK` steps share one.
 
@@ -129,6 +145,11 @@ def advance(problem, method, state, steps, explore=False):
 def copy_of(tree):
     """Return a copy, by one program for all leaves, because `advance` gives its argument away."""
     return jax.tree.map(jnp.copy, tree)
+
+
+def evaluate(problem, method, state):
+    """Return the state after both evaluations and their metrics [N], by the program of `train`."""
+    return runner._evaluate(problem, method, copy_of(state), None)
 
 
 def run_whole(problem, method, state, steps, explore=False, compiler_options=None):

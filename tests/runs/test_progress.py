@@ -102,3 +102,9 @@ def test_without_show_nothing_is_printed(clock, capsys):
 )
 def test_durations(seconds, text):
     assert duration(seconds) == text
+
+
+def test_an_evaluation_counts_the_lanes_that_have_diverged(capsys):
+    with make() as bar:
+        bar.report(40, [{**ROWS[0], "diverged": diverged} for diverged in (0, 1)])
+    assert "1 of 2 lanes have diverged" in capsys.readouterr().err

@@ -10,12 +10,15 @@ from earl_jax import Continuing
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.life import ALIVE, FORWARD, STILL
 from earl_jax.training import select_seed, split_options, train
-from tests.conftest import ALGOS, assert_all_finite, tiny_train, without_shares
+from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
 
 
 @pytest.mark.parametrize("algo", ALGOS)
-def test_results_have_a_leading_seed_axis(algo):
+def test_results_have_a_leading_seed_axis(problem, algo):
     result = tiny_train(algo)
+    start = make_train_state(problem, tiny_method(algo), [0, 1])
+    types = [[jax.typeof(leaf) for leaf in jax.tree.leaves(state)] for state in (start, result.train_state)]
+    assert types[0] == types[1], "dtypes and weak types too, so that one program serves all chunks"
     np.testing.assert_array_equal(result.steps, [40, 80, 120])
     assert {values.shape for values in result.metrics.values()} == {(2, 3)}
     assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
@@ -72,12 +75,6 @@ def test_a_list_gives_each_lane_its_own_hyper_parameter():
 def test_invalid_numbers_are_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         tiny_train("naive", **changed)
-
-
-def test_steps_that_are_no_multiple_of_the_refresh_period_are_trained():
-    result = tiny_train("vaprl", refresh_every=16)
-    assert int(result.train_state.step) == 120
-    assert (result.train_state.lanes.method_state.values != 0).all()
 
 
 def test_options_beside_a_method_object_are_refused():

@@ -1,4 +1,4 @@
-"""The three tasks with dense rewards, and every method that applies to them."""
+"""Training on dense rewards: one task and method, and with the slow tests the other tasks and methods."""
 
 import itertools
 
@@ -12,12 +12,17 @@ from earl_jax.training import train
 from earl_jax.training.scan import run_steps
 from tests.conftest import assert_all_finite, make_problem, make_train_state, tiny_method
 
-TASKS = ("dhand_lightbulb", "franka_kitchen", "minitaur_pen")
 PAIRS = [
-    *((task, "fbrl") for task in TASKS),
+    ("minitaur_pen", "fbrl"),
     *(
         pytest.param(*pair, marks=pytest.mark.slow)
-        for pair in (("minitaur_pen", "naive"), ("minitaur_pen", "r3l"), ("franka_kitchen", "oracle"))
+        for pair in (
+            ("dhand_lightbulb", "fbrl"),
+            ("franka_kitchen", "fbrl"),
+            ("franka_kitchen", "oracle"),
+            ("minitaur_pen", "naive"),
+            ("minitaur_pen", "r3l"),
+        )
     ),
 ]
 """A return to the start is the only phase whose reward the task computes; the other methods learn from the stored one."""
@@ -62,8 +67,7 @@ def test_methods_train_on_dense_rewards(task, algo):
         np.testing.assert_allclose(stored, expected, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_vaprl_without_demonstrations_is_refused_and_nothing_is_written(task, tmp_path):
-    with pytest.raises(ValueError, match=f"vaprl needs demonstrations, and {task} has none"):
-        train(task, "vaprl", steps=100, out=tmp_path / "run")
+def test_vaprl_without_demonstrations_is_refused_and_nothing_is_written(tmp_path):
+    with pytest.raises(ValueError, match="vaprl needs demonstrations, and minitaur_pen has none"):
+        train("minitaur_pen", "vaprl", steps=100, out=tmp_path / "run")
     assert not (tmp_path / "run").exists()

@@ -8,23 +8,17 @@ import pytest
 
 import earl_jax
 from earl_jax.algos import make_algo
-from earl_jax.envs import list_envs, make
+from earl_jax.envs import make
 from earl_jax.training import memory
-from earl_jax.training.init import replay_capacity
 from tests.conftest import make_problem, make_train_state, tiny_method, tiny_train
 
-PUBLISHED_STEPS = {
-    "tabletop_organization": 2.5e6, "sawyer_door": 4e6, "sawyer_peg": 5.9e6, "franka_kitchen": 5e6, "dhand_lightbulb": 5e6,
-    "minitaur_pen": 3e6, "cheetah_run": 3e6, "fish_swim": 3e6,
-}  # fmt: skip
-"""Steps of the published tables; of the two dm_control tasks as many as the minitaur's."""
 CARD_BYTES = 141e9
 
 
-@pytest.mark.parametrize("name", list_envs())
-def test_a_hundred_lanes_of_the_published_length_fit_on_one_card(name):
-    assert set(PUBLISHED_STEPS) == set(list_envs())
-    need = memory.need(make_problem(make(name)), make_algo("r3l"), 100, int(PUBLISHED_STEPS[name]))
+@pytest.mark.parametrize(("name", "steps"), [("sawyer_peg", 5_900_000), ("dhand_lightbulb", 5_000_000)])
+def test_a_hundred_lanes_of_the_published_length_fit_on_one_card(name, steps):
+    """The longest published run, and the one with the largest observation."""
+    need = memory.need(make_problem(make(name)), make_algo("r3l"), 100, steps)
     assert need.total < 0.95 * CARD_BYTES
 
 
@@ -33,24 +27,16 @@ def occupied(tree):
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
-@pytest.mark.parametrize("algo", ["naive", "fbrl", "vaprl"])
-def test_replay_and_agent_occupy_the_computed_bytes(problem, algo):
-    method, steps = tiny_method(algo, lanes=3), 300
+@pytest.mark.parametrize("replay_capacity", [None, 50])
+@pytest.mark.parametrize("algo", ["naive", "vaprl"])
+def test_replay_and_agent_occupy_the_computed_bytes(problem, algo, replay_capacity):
+    method, steps = tiny_method(algo, lanes=3, replay_capacity=replay_capacity), 300
     need = memory.need(problem, method, 3, steps)
     state = jax.eval_shape(lambda: make_train_state(problem, method, range(3), steps))
-    assert abs(occupied(state.replay) - 3 * need.replay) < 200, "counts, and one more state than transitions"
+    assert abs(occupied(state.replay) - 3 * need.replay) < 250, "counts, and one more state than transitions"
     assert occupied(state.lanes) == 3 * need.agent
-    assert replay_capacity(problem, method, steps) >= steps
-
-
-@pytest.mark.parametrize("algo", ["naive", "fbrl", "vaprl"])
-def test_the_capacity_of_a_replay_bounds_its_bytes(problem, algo):
-    method, steps = tiny_method(algo, lanes=3, replay_capacity=50), 300
-    need = memory.need(problem, method, 3, steps)
-    state = jax.eval_shape(lambda: make_train_state(problem, method, range(3), steps))
-    assert abs(occupied(state.replay) - 3 * need.replay) < 250
-    assert need.replay < memory.need(problem, tiny_method(algo), 3, steps).replay
-    assert need == memory.need(problem, method, 3, 10 * steps)
+    longer = memory.need(problem, method, 3, 10 * steps)
+    assert (longer == need) if replay_capacity else (longer.replay > need.replay)
 
 
 def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes_nothing(monkeypatch, tmp_path):
@@ -76,11 +62,6 @@ def test_programs_on_a_cpu_have_equal_shares_of_its_memory(monkeypatch):
     whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     monkeypatch.setenv(memory.PER_DEVICE, "1000")
     assert memory.free_bytes(jax.devices("cpu")[0]) <= whole / 1000
-
-
-def test_free_bytes_of_this_machine_are_known_or_none():
-    free = memory.free_bytes(jax.devices()[0])
-    assert free is None or free > 1e8
 
 
 def test_a_run_prints_its_memory_before_its_progress(capsys):

@@ -65,15 +65,6 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
         earl_jax.resume(tmp_path / "run", steps=80)
 
 
-@pytest.mark.parametrize("setting", ["deployment", "continuing"])
-def test_unregistered_objects_train_in_both_settings(setting):
-    result = train_meadow(setting=setting)
-    assert (result.config.env, result.config.algo) == ("meadow", "patient")
-    assert (result.env, type(result.method)) == (Meadow(), Patient)
-    expected = tiny_train("naive", reward_scale=10.0, setting=setting)
-    np.testing.assert_array_equal(result.metrics["entropy"], expected.metrics["entropy"])
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A run of unregistered objects that was never stopped."""
@@ -92,6 +83,13 @@ def part(tmp_path_factory):
 def folder(part, tmp_path):
     """A copy of `part`."""
     return shutil.copytree(part, tmp_path / "part")
+
+
+def test_unregistered_objects_train_as_registered_ones_do(whole):
+    assert (whole.config.env, whole.config.algo) == ("meadow", "patient")
+    assert (whole.env, type(whole.method)) == (Meadow(), Patient)
+    expected = tiny_train("naive", reward_scale=10.0)
+    np.testing.assert_array_equal(whole.metrics["entropy"], expected.metrics["entropy"])
 
 
 def test_a_folder_names_the_classes_of_unregistered_objects(folder):

@@ -1,70 +1,61 @@
-"""Rules as data of the training loop: interventions, goals set by the environment, the absorbing end, and the map."""
+"""Rules in training: interventions, faults, the absorbing end, lanes that diverge, and the map of visits."""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos.learner.replay import unpack
-from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
-from earl_jax.protocol import Deployment, Rules
-from earl_jax.training import loop
-from earl_jax.training.scan import run_steps
+from earl_jax.envs.tabletop import TabletopOrganization
+from earl_jax.metrics.deployed import episode
+from earl_jax.protocol import Deployment
 from earl_jax.training.state import MAP_BINS, Problem
-from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
+from tests.conftest import (
+    CHUNK,
+    advance,
+    assert_all_finite,
+    evaluate,
+    lane_rules,
+    make_problem,
+    make_train_state,
+    stored_flags,
+    tiny_method,
+)
 
 
-def lane_rules(horizon, chance, goal_change):
-    return Rules(jnp.array(horizon), jnp.array(chance, jnp.float32), jnp.array(goal_change))
-
-
-def test_lanes_of_one_program_follow_their_own_rules(problem):
-    method = tiny_method("naive")
-    rules = lane_rules([0, 20], [0.1, 0.0], [0, 0])
-    start = make_train_state(problem, method, [0, 1], 200, rules)
-    state = advance(problem, method, start, 200, explore=True)
+def test_lanes_of_one_program_follow_their_own_rules(env, problem):
+    rules = lane_rules([0, 40], [0.1, 0.0], [0, 0])
+    start = make_train_state(problem, tiny_method("fbrl"), [0, 1], rules=rules)
+    state = advance(problem, tiny_method("fbrl"), start, 120, explore=True)
     by_chance, by_horizon = np.asarray(state.lanes.counters.interventions)
-    assert by_horizon == 10
-    assert 8 <= by_chance <= 34
-    method, rules = tiny_method("naive", 1), lane_rules([20], [0.0], [0])
-    alone = advance(problem, method, make_train_state(problem, method, [1], 200, rules), 200, explore=True)
-    assert_equal_trees(take_lane(state.lanes.env_state, slice(1, None)), alone.lanes.env_state)
+    assert by_horizon == 3
+    assert 4 <= by_chance <= 24
+    flags = stored_flags(state, 120)
+    assert np.flatnonzero(flags.no_successor[:, 1]).tolist() == [39, 79, 119]
+    assert flags.no_successor[:, 0].sum() == by_chance
+    assert flags.timeout[flags.no_successor].all()
+    np.testing.assert_array_equal(state.lanes.env_state.obs[1, :6], env.initial_states[0])
+    assert int(state.lanes.phase[1]) == 0
 
 
-@pytest.mark.parametrize("algo", ["naive", "fbrl"])
-def test_goals_that_the_environment_sets_change_by_the_clock_alone(env, problem, monkeypatch, algo):
-    """An attempt at the task follows a goal change at once; a return goes on to its own end."""
-    monkeypatch.setattr(
-        loop, "_act", lambda problem, method, lane, key, explore: problem.env.expert(lane.env_state.obs)
-    )
-    method, tasks = tiny_method(algo), []
-    rules = lane_rules([0, 0], [0.0, 0.0], [100, 100])
-    state = make_train_state(problem, method, [0, 1], 400, rules)
-    run = jax.jit(lambda m, state: run_steps(problem, m, state, 25, explore=True))
-    for _ in range(16):
-        state = run(method, state)
-        goal_indices, phase = state.lanes.goal_indices, np.asarray(state.lanes.phase)
-        tasks.append(np.asarray(goal_indices.task))
-        assert (np.asarray(goal_indices.goal) == goal_indices.task)[phase == TASK].all()
-        assert (np.asarray(goal_indices.goal) >= len(env.goal_states))[phase == RETURN].all()
-    periods = [tasks[start : start + 4] for start in (3, 7, 11)]
-    assert all((np.asarray(period) == period[0]).all() for period in periods), "a task lasts for 100 steps"
-    assert len(np.unique([period[0] for period in periods] + tasks[-1:])) > 1
-    earned = float(state.lanes.counters.window_reward.sum())
-    assert (earned > 400) if algo == "naive" else (8 < earned < 40)
+def test_a_bootstrapped_timeout_without_successor_is_not_listed(problem):
+    method = tiny_method("naive", timeout_bootstrap=[False, True])
+    start = make_train_state(problem, method, [0, 1], rules=lane_rules([40, 40], [0.0, 0.0], [0, 0]))
+    counts = advance(problem, method, start, 120, explore=True).replay.counts[:, 0]
+    assert counts[0] - counts[1] == 3
 
 
 def test_the_step_into_the_absorbing_end_is_rewarded_for_all_later_steps(problem):
     task = make("tabletop_organization", reward_type="dense")
     env = Deployment(budget=1.0, help_above=-1.0, absorbed_reward=-2.0).wrap(task)
-    problem = Problem(env, problem.protocol)
     method = tiny_method("naive", discount=[0.9, 0.5])
-    state = make_train_state(problem, method, [0, 1])
+    state = make_train_state(Problem(env, problem.protocol), method, [0, 1])
     first = int(state.replay.row)
-    state = advance(problem, method, state, 3, explore=True)
+    state = advance(Problem(env, problem.protocol), method, state, 3, explore=True)
     np.testing.assert_allclose(state.replay.reward[first], [-20.0, -4.0], rtol=1e-5)
-    assert np.asarray(unpack(state.replay.flags[first]).absorbed).all()
+    assert stored_flags(state, 3).absorbed[0].all()
     listed = np.asarray(state.replay.counts[:, 0] - state.replay.demos[0])
     assert listed.tolist() == [1, 1]
     assert np.asarray(state.lanes.counters.window_reward).tolist() == [-6.0, -6.0]
@@ -81,6 +72,90 @@ def test_the_map_counts_every_step(problem):
     assert all(visits[lane, x, y] > 0 for lane, (x, y) in enumerate(bins))
 
 
-def test_a_task_without_a_map_counts_no_visits(problem):
-    cheetah = Problem(make("cheetah_run", engine="c"), problem.protocol)
-    assert make_train_state(cheetah, tiny_method("naive"), [0, 1]).lanes.visits is None
+def break_lane(state, lane, fault):
+    """Return the train state with a lane whose next step is a `fault`: not a number, or outside the workspace."""
+    env_state = state.lanes.env_state
+    data = env_state.data
+    broken = {
+        "nan": data.replace(qvel=data.qvel.at[lane].set(jnp.nan)),
+        "outside": data.replace(qpos=data.qpos.at[lane, 9].set(3.0)),
+    }
+    return state.replace(lanes=state.lanes.replace(env_state=env_state.replace(data=broken[fault])))
+
+
+@pytest.mark.parametrize("fault", ["nan", "outside"])
+def test_a_fault_is_an_intervention_of_its_lane_alone_and_never_learnt_from(door, fault):
+    method = tiny_method("fbrl", 2)
+    state = advance(door, method, make_train_state(door, method, [0, 1]), CHUNK, explore=True)
+    unbroken = advance(door, method, state, CHUNK)
+    after = advance(door, method, break_lane(state, 1, fault), CHUNK)
+    assert np.asarray(after.lanes.counters.faults).tolist() == [0, 1]
+    assert np.asarray(after.lanes.counters.interventions).tolist() == [0, 1]
+    np.testing.assert_array_equal(after.lanes.env_state.obs[0], unbroken.lanes.env_state.obs[0])
+    assert_all_finite((after.replay, after.lanes.agent, after.lanes.counters))
+    listed = np.asarray(after.replay.counts - state.replay.counts).sum(axis=1)
+    assert listed.tolist() == [CHUNK, CHUNK - 1]
+    row, index, counts = int(state.replay.row), np.asarray(after.replay.index), np.asarray(after.replay.counts)
+    assert row in index[: counts[0, 0], 0]
+    assert row not in index[: counts[1, 0], 1]
+    restart = np.asarray(after.replay.state[row + 1, 1])
+    np.testing.assert_allclose(restart[:3], door.env.initial_states[0, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_peg", "minitaur_pen"])
+def test_an_action_that_is_not_finite_is_a_fault(name):
+    """The kinematic task, a task that moves a mocap body, and one that drives actuators."""
+    env = make(name) if name == "tabletop_organization" else make(name, engine="c")
+
+    @jax.jit
+    def fault_after(state, action):
+        return env.fault(env.step(state, action))
+
+    state = jax.jit(env.reset)(jax.random.key(0))
+    action = jnp.zeros(env.action_size)
+    assert not bool(fault_after(state, action))
+    assert bool(fault_after(state, action.at[0].set(jnp.nan)))
+
+
+def test_an_evaluation_episode_ends_where_the_simulation_breaks(env):
+    """The policy's NaN breaks the simulation at once: no success, and a return of the steps before it, not NaN."""
+    result = jax.jit(lambda key: episode(env, lambda obs: jnp.full(3, jnp.nan), key, 10))(jax.random.key(0))
+    assert float(result["success"]) == 0.0
+    assert float(result["return"]) == 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class BrokenReward(TabletopOrganization):
+    name = "broken_reward"
+
+    def reward(self, obs):
+        """Return a reward that is not finite in the right half of the table."""
+        return jnp.where(obs[..., 0] > 0, jnp.nan, -jnp.abs(obs[..., 0]))
+
+
+def test_a_reward_that_is_not_finite_is_a_fault_of_its_lane():
+    problem = make_problem(BrokenReward(reward_type="dense"), eval_every=40, eval_episodes=2)
+    method = tiny_method("naive")
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, explore=True)
+    assert (np.asarray(state.lanes.counters.faults) > 0).all()
+    assert np.isfinite(state.lanes.counters.window_reward).all()
+    assert np.isfinite(state.replay.reward).all()
+
+
+def test_a_lane_that_diverges_is_marked_and_changes_no_other(problem):
+    """A temperature that is not finite spoils the losses of its lane, then its networks and actions."""
+    method = tiny_method("naive")
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, explore=True)
+    agent = state.lanes.agent
+    agent = agent.replace(log_temperature=agent.log_temperature.at[1].set(jnp.inf))
+    broken = state.replace(lanes=state.lanes.replace(agent=agent))
+    sound, diverged = (
+        evaluate(problem, method, advance(problem, method, start, CHUNK))[1] for start in (state, broken)
+    )
+    assert sound["diverged"].tolist() == [0, 0]
+    assert diverged["diverged"].tolist() == [0, 1]
+    for name, values in sound.items():
+        np.testing.assert_array_equal(diverged[name][0], values[0], err_msg=name)
+    assert np.isfinite(sound["critic_loss"]).all()
+    assert int(diverged["faults"][0]) == 0
+    assert int(diverged["faults"][1]) > CHUNK / 2
