@@ -1,14 +1,16 @@
-"""The pages of docs/: links, tables of numbers, and code."""
+"""The README and the pages of docs/: links, tables of numbers, and code."""
 
 import dataclasses
 import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import earl_jax
 from earl_jax import algos, envs
+from tests.conftest import CHUNK, advance, assert_all_finite, make_train_state, tiny_method
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -34,9 +36,7 @@ def table_rows(text, first):
     return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
 
 
-@pytest.mark.parametrize(
-    "name", ["sac", "r3l", "vaprl", "naive", "oracle", "fbrl", "bc", "risc", "medal", "rlpd", "cfbrl"]
-)
+@pytest.mark.parametrize("name", ["sac", *algos.list_algos()])
 def test_the_page_of_algorithms_has_every_hyper_parameter(name):
     page = (DOCS / "algorithms.md").read_text()
     cls = algos.SAC if name == "sac" else type(algos.make_algo(name))
@@ -90,7 +90,7 @@ def test_the_code_of_a_page_runs_and_writes_nothing(page, tmp_path, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 
-def test_the_gallery_lists_the_policies_that_ship_and_their_success():
+def test_the_gallery_lists_the_policies_that_ship_and_their_success_in_small_videos():
     page = (DOCS / "gallery.md").read_text()
     listed = {row[0].strip("`"): re.findall(r"`(\w+)`", row[1]) for row in table_rows(page, "task") if len(row) == 2}
     shipped = earl_jax.list_pretrained()
@@ -99,9 +99,6 @@ def test_the_gallery_lists_the_policies_that_ship_and_their_success():
         info = earl_jax.pretrained_info(task, method.lower())
         assert f"{info['deployed/success'][0]:.2f}" == success
         assert (DOCS / "pictures" / "gallery" / f"{task}_{method.lower()}.webp").stat().st_size < 300_000
-
-
-def test_the_videos_of_the_gallery_are_small_together():
     assert sum(path.stat().st_size for path in (DOCS / "pictures" / "gallery").iterdir()) < 3_000_000
 
 
@@ -116,3 +113,18 @@ def test_the_page_of_installation_has_every_extra():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     rows = [row[0] for row in table_rows((DOCS / "installation.md").read_text(), "extra")]
     assert {name for cell in rows for name in re.findall(r"`(\w+)`", cell)} == set(extras)
+
+
+def test_the_method_of_the_readme_trains_one_controller(problem, monkeypatch):
+    monkeypatch.setattr(algos._ALGOS, "_table", dict(algos._ALGOS._table))
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    exec(compile(next(block for block in blocks if "register_algo" in block), "README.md", "exec"), {})
+    method = tiny_method("there_and_back")
+    start = make_train_state(problem, method, [0, 1])
+    state = advance(problem, method, start, CHUNK)
+    assert_all_finite(state.lanes.agent)
+    assert (np.asarray(state.replay.counts) - np.asarray(start.replay.counts)).tolist() == [[CHUNK, 0]] * 2
+
+
+def test_the_first_lines_of_the_readme_name_both_commands():
+    assert {"make quickstart", "make test"} <= set(re.findall("make [a-z]+", (ROOT / "README.md").read_text()[:1200]))

@@ -1,11 +1,13 @@
-"""The notebooks: converted to ipynb and executed in a kernel, at tiny horizons."""
+"""The notebooks: converted to ipynb and pages of the site, and executed in a kernel, at tiny horizons."""
 
+import json
 import os
 import re
 from pathlib import Path
 
 import pytest
 
+from docs.site import notebooks
 from tests.conftest import CACHE
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
@@ -14,10 +16,6 @@ PICTURES = {
     "01_train_five_seeds": 3, "02_compare_two_methods": 3, "03_write_a_method": 1, "04_run_on_a_gpu": 3,
     "05_mjx_in_one_program": 2,
 }  # fmt: skip
-
-
-def test_there_are_five_notebooks():
-    assert [path.stem for path in NOTEBOOKS] == list(PICTURES)
 
 
 @EVERY_NOTEBOOK
@@ -33,6 +31,39 @@ def test_a_notebook_has_instructions_and_a_cell_of_parameters(path):
     (parameters,) = [cell for cell in cells if "parameters" in cell.metadata.get("tags", [])]
     assert "EARL_JAX_NOTEBOOK" in parameters.source
     assert "tempfile.mkdtemp" in parameters.source
+
+
+@EVERY_NOTEBOOK
+def test_a_notebook_is_its_script(path):
+    pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
+    stored = json.loads(path.with_suffix(".ipynb").read_text())
+    assert notebooks.same_source(notebooks.convert(path), stored), "run python -m docs.site.notebooks"
+
+
+def test_a_notebook_becomes_a_page_with_its_outputs():
+    outputs = [
+        {"output_type": "stream", "name": "stdout", "text": ["a\n", "b\n"]},
+        {"output_type": "stream", "name": "stderr", "text": ["noise\n"]},
+        {"output_type": "display_data", "data": {"image/png": "iVBORw==", "text/plain": "<Figure>"}},
+        {"output_type": "execute_result", "data": {"text/plain": "3"}},
+    ]
+    cells = [
+        {"cell_type": "markdown", "source": ["# Title\n", "text"]},
+        {"cell_type": "code", "source": "f()", "outputs": outputs},
+    ]
+    text, pictures = notebooks.page({"cells": cells}, "nine")
+    code = "```python\nf()\n```\n\n```text\na\nb\n```"
+    assert text == f"# Title\ntext\n\n{code}\n\n![output of the cell above](nine_1.png)\n\n```text\n3\n```\n"
+    assert pictures == {"nine_1.png": b"\x89PNG"}
+
+
+def test_the_repository_is_named_in_badges_and_install_cells():
+    text = NOTEBOOKS[0].read_text()
+    named = notebooks.REPOSITORY.sub(r"\g<1>me/mine", text)
+    assert named.count("/me/mine") == text.count("OWNER/earl_jax") == 2
+    assert "OWNER" not in named
+    assert "https://colab.research.google.com/github/me/mine/blob/main/notebooks/01" in named
+    assert '"earl-jax[notebook] @ git+https://github.com/me/mine"' in named
 
 
 @pytest.mark.slow
