@@ -1,6 +1,6 @@
 """SAC of brax on a lifetime of tabletop organization; prints its metrics as JSON.
 
-test_brax.py runs it with a Python that has a jax on which brax's trainers still work.
+test_peers.py runs it with a Python that has a jax on which brax's trainers still work.
 """
 
 import json

@@ -1,11 +1,4 @@
-"""The brax adapter: its interface, brax's wrappers, and brax's own SAC on a jax that supports it."""
-
-import json
-import math
-import os
-import subprocess
-import sys
-from pathlib import Path
+"""The brax adapter: its interface, and brax's wrappers."""
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +11,6 @@ from earl_jax.protocol import Deployment
 from tests.adapters.test_gymnasium import TABLETOP, Fragile
 from tests.conftest import assert_equal_trees
 
-ROOT = Path(__file__).parents[2]
-OLD = ROOT / ".cache" / "brax"
-NEEDS = ["jax==0.9.2", "brax==0.14.2", "flax==0.12.6", "optax", "scipy", "mujoco==4.0.0", "mujoco-mjx==3.17.0"]
 KEY = jax.random.PRNGKey(0)
 MOVE = jnp.array([1.0, 0.0, -1.0])
 
@@ -83,34 +73,3 @@ def test_braxs_trainers_do_not_truncate_a_lifetime():
         env = wrap_for_training(wrap(TABLETOP, mode), episode_length=3)
         final, _ = rollout(env, jax.random.split(KEY), 3, jnp.tile(MOVE, (2, 1)))
         np.testing.assert_array_equal(final.done, done)
-
-
-@pytest.fixture(scope="module")
-def python():
-    """A Python with a jax that brax's trainers support: $EARL_JAX_BRAX_PYTHON, or installed once from the index."""
-    if "EARL_JAX_BRAX_PYTHON" in os.environ:
-        return os.environ["EARL_JAX_BRAX_PYTHON"]
-    path, stamp = OLD / "bin" / "python", OLD / "installed"
-    if not stamp.is_file():
-        subprocess.run([sys.executable, "-m", "venv", "--clear", str(OLD)], check=True)
-        pip = [str(path), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        installation = subprocess.run([*pip, *NEEDS], capture_output=True, text=True)
-        if installation.returncode:
-            pytest.skip(f"no jax 0.9.2: set EARL_JAX_BRAX_PYTHON ({installation.stderr.strip().splitlines()[-1]})")
-        stamp.touch()
-    return str(path)
-
-
-@pytest.mark.slow
-def test_braxs_own_sac_learns_from_a_lifetime(python):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
-    environment = {name: value for name, value in environment.items() if name != "XLA_FLAGS"}
-    script = str(ROOT / "tests" / "adapters" / "brax_trains.py")
-    finished = subprocess.run([python, script], env=environment, capture_output=True, text=True, timeout=300)
-    assert finished.returncode == 0, finished.stderr
-    report = json.loads(finished.stdout.splitlines()[-1])
-    before, after = report["rows"][0], report["rows"][-1]
-    assert report["jax"].startswith("0.9.")
-    assert after["step"] >= 4000
-    assert all(math.isfinite(after[f"training/{name}_loss"]) for name in ("actor", "critic", "alpha"))
-    assert after["eval/episode_reward"] > before["eval/episode_reward"] + 200

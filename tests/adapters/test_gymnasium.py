@@ -75,7 +75,7 @@ def test_every_task_has_an_id(monkeypatch):
     )
 
 
-def test_a_lifetime_never_ends_and_has_interventions_on_schedule():
+def test_a_lifetime_never_ends_and_has_interventions_on_schedule_and_at_resets_without_a_seed():
     env = ResetFreeEnv(TABLETOP, **LIFETIME)
     obs, info = env.reset(seed=3)
     assert info["interventions"] == 0
@@ -87,14 +87,8 @@ def test_a_lifetime_never_ends_and_has_interventions_on_schedule():
         assert np.array_equal(obs[:6], home) == (step % 7 == 0)
         np.testing.assert_array_equal(info["goal"], obs[6:])
         assert set(info) == {"goal", "success", "interventions"}
-
-
-def test_a_reset_without_a_seed_is_an_intervention_and_one_with_a_seed_starts_a_lifetime():
-    env = ResetFreeEnv(TABLETOP, **LIFETIME)
-    env.reset(seed=3)
-    env.step(np.ones(3))
-    assert env.reset()[1]["interventions"] == 1
-    assert env.state.steps == 1
+    assert env.reset()[1]["interventions"] == 3
+    assert env.state.steps == 15
     assert env.reset(seed=3)[1]["interventions"] == 0
     assert env.state.steps == 0
 
@@ -208,10 +202,6 @@ def test_episodes_can_begin_at_wide_starts():
     assert info["is_success"]
     assert info["is_success_wide"]
     assert "is_success_wide" not in ResetFreeEnv(TABLETOP, **EPISODE).reset(seed=0)[1]
-    with pytest.raises(ValueError, match="starts='wide' is for episodes"):
-        ResetFreeEnv(TABLETOP, starts="wide")
-    with pytest.raises(ValueError, match="unknown starts 'far'; choose from initial, uniform, wide"):
-        ResetFreeEnv(TABLETOP, starts="far", **EPISODE)
 
 
 def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
@@ -230,37 +220,41 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
     assert steps[2][1] == 0.0
 
 
-def test_invalid_arguments_are_refused():
-    with pytest.raises(ValueError, match=r"no option 'mood'; choose from mode, .*reward_type"):
-        gymnasium.make(env_id(TABLETOP), mood="eval")
-    with pytest.raises(ValueError, match="mode 'test' is not one of train, eval"):
-        ResetFreeEnv(TABLETOP, mode="test")
-    with pytest.raises(ValueError, match="unknown setting 'lifelong'"):
-        ResetFreeEnv(TABLETOP, setting="lifelong")
-    with pytest.raises(ValueError, match="attempt_steps must be at least 1"):
-        ResetFreeEnv(TABLETOP, attempt_steps=0)
-    with pytest.raises(ValueError, match="go with a task's name"):
-        ResetFreeEnv(make(TABLETOP), reward_type="dense")
-    with pytest.raises(ValueError, match="render_mode 'human'"):
-        ResetFreeEnv(TABLETOP, render_mode="human")
-    with pytest.raises(ValueError, match="num_envs must be at least 1"):
-        ResetFreeVectorEnv(TABLETOP, 0)
-    env, lanes = ResetFreeEnv(TABLETOP), ResetFreeVectorEnv(TABLETOP, 3)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mood": "eval"}, r"no option 'mood'; choose from mode, .*reward_type"),
+        ({"mode": "test"}, "mode 'test' is not one of train, eval"),
+        ({"setting": "lifelong"}, "unknown setting 'lifelong'"),
+        ({"attempt_steps": 0}, "attempt_steps must be at least 1"),
+        ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
+        ({"render_mode": "human"}, "render_mode 'human'"),
+        ({"starts": "wide"}, "starts='wide' is for episodes"),
+        ({"starts": "far", **EPISODE}, "unknown starts 'far'; choose from initial, uniform, wide"),
+        ({"num_envs": 0}, "num_envs must be at least 1"),
+        ({"num_envs": 2, "autoreset_mode": "NextStep"}, "NextStep.*Disabled.*train"),
+    ],
+)
+def test_invalid_options_are_refused(options, message):
+    make_env = ResetFreeVectorEnv if "num_envs" in options else ResetFreeEnv
+    with pytest.raises(ValueError, match=message):
+        make_env(**{"task": TABLETOP, **options})
+
+
+def test_invalid_calls_are_refused():
+    env, lanes = ResetFreeEnv(TABLETOP, **LIFETIME), ResetFreeVectorEnv(TABLETOP, 3, **LIFETIME)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(STAY)
-    with pytest.raises(ValueError, match="reset takes no options"):
-        env.reset(options={"goal": 1})
     env.reset(seed=0)
     lanes.reset(seed=0)
-    with pytest.raises(ValueError, match=r"action must be finite and of shape \(3,\)"):
-        env.step(np.zeros(4))
-    with pytest.raises(ValueError, match=r"action must be finite"):
-        env.step(np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(ValueError, match=r"goal must be finite and of shape \(6,\)"):
-        env.set_goal(np.zeros(2))
-    with pytest.raises(ValueError, match=r"actions must be finite and of shape \(3, 3\)"):
-        lanes.step(STAY)
-    with pytest.raises(ValueError, match=r"bool \[3\]"):
-        lanes.reset(options={"reset_mask": np.array([1, 0, 1])})
-    with pytest.raises(ValueError, match="no option goal"):
-        lanes.reset(options={"goal": 1})
+    for call, message in [
+        (lambda: env.reset(options={"goal": 1}), "reset takes no options"),
+        (lambda: env.step(np.zeros(4)), r"action must be finite and of shape \(3,\)"),
+        (lambda: env.step(np.array([0.0, np.nan, 0.0])), "action must be finite"),
+        (lambda: env.set_goal(np.zeros(2)), r"goal must be finite and of shape \(6,\)"),
+        (lambda: lanes.step(STAY), r"actions must be finite and of shape \(3, 3\)"),
+        (lambda: lanes.reset(options={"reset_mask": np.array([1, 0, 1])}), r"bool \[3\]"),
+        (lambda: lanes.reset(options={"goal": 1}), "no option goal"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            call()
