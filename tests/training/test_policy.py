@@ -85,32 +85,23 @@ def run(tmp_path):
     return resolved
 
 
-def assert_loads_the_plain_policies(folder):
-    env, policy = load_policies(folder)
+@pytest.mark.parametrize("averaged", [False, True])
+def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_actor_if_there_is_one(run, averaged):
+    agent = agents(HELPED)
+    if averaged:
+        agent = agent.replace(averaged=agent.actor, actor=jax.tree.map(jnp.zeros_like, agent.actor))
+    runner.save_policies_of([run], types.SimpleNamespace(lanes=types.SimpleNamespace(agent=agent, visits=None)), 40)
+    with np.load(run.folder.policies) as saved:
+        assert (int(saved["obs_size"]), int(saved["action_size"])) == (12, 3)
+        assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 12, 16)
+        assert saved["actor['params']['hidden_1']['bias']"].shape == (2, 6)
+    env, policy = load_policies(run.folder)
     assert env == TABLETOP
     assert (policy.obs_size, policy.action_size) == (12, 3)
     obs = env.reset(jax.random.key(3)).obs
     for lane in (0, 1):
         np.testing.assert_allclose(select_seed(policy, lane)(obs), expected_action(obs, lane), atol=1e-6)
-
-
-def test_policies_npz_holds_policies_of_the_task_without_help(run):
-    state = types.SimpleNamespace(lanes=types.SimpleNamespace(agent=agents(HELPED), visits=None))
-    runner.save_policies_of([run], state, 40)
-    with np.load(run.folder.policies) as saved:
-        assert (int(saved["obs_size"]), int(saved["action_size"])) == (12, 3)
-        assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 12, 16)
-        assert saved["actor['params']['hidden_1']['bias']"].shape == (2, 6)
-    assert_loads_the_plain_policies(run.folder)
-
-
-def test_policies_npz_and_the_policy_hold_the_averaged_actor_where_there_is_one(run):
-    agent = agents(HELPED)
-    agent = agent.replace(averaged=agent.actor, actor=jax.tree.map(jnp.zeros_like, agent.actor))
-    runner.save_policies_of([run], types.SimpleNamespace(lanes=types.SimpleNamespace(agent=agent, visits=None)), 40)
-    assert_loads_the_plain_policies(run.folder)
     lane = types.SimpleNamespace(agent=jax.tree.map(lambda leaf: leaf[0], agent))
-    obs = jnp.full(12, 0.3)
     np.testing.assert_allclose(Policy.of(HELPED, select_seed(METHOD, 0), lane)(obs), expected_action(obs), atol=1e-6)
 
 
@@ -130,9 +121,7 @@ def test_policies_of_the_tabletop_reach_the_success_that_they_claim(env):
 
     *reached, nothing = np.asarray(jax.jit(jax.vmap(success))(actors))
     claimed = [earl_jax.pretrained_info(NAME, method)["deployed/success"][0] for method in methods]
-    assert [share >= packing.lowest(claim, EPISODES) for share, claim in zip(reached, claimed, strict=True)] == [
-        True
-    ] * len(methods)
+    assert all(share >= packing.lowest(claim, EPISODES) for share, claim in zip(reached, claimed, strict=True)), reached
     assert nothing < 0.2
 
 
@@ -156,24 +145,18 @@ def test_a_policy_that_ships_is_small_and_described(task, method):
     assert info["config"]["provenance"]["commit"]
     assert info["deployed/success"][0] >= packing.LEAST
     assert (assets.root() / "pretrained" / task / f"{method}.npz").stat().st_size <= packing.MOST_BYTES
-
-
-def test_all_policies_together_are_small():
     files = (assets.root() / "pretrained").rglob("*.npz")
-    assert 0 < sum(path.stat().st_size for path in files) <= packing.MOST_BYTES_IN_ALL
+    assert sum(path.stat().st_size for path in files) <= packing.MOST_BYTES_IN_ALL
 
 
-def test_another_seed_is_another_policy():
+def test_another_seed_is_another_policy_and_the_description_is_the_callers_own():
     info = earl_jax.pretrained_info(NAME, "fbrl")
     obs = np.full((3, 12), 0.1, np.float32)
     first, second = (earl_jax.pretrained(NAME, "fbrl", seed=seed)(obs) for seed in info["seeds"][:2])
     assert first.shape == (3, 3)
     np.testing.assert_array_equal(first, earl_jax.pretrained(NAME, "fbrl")(obs))
     assert np.abs(first - second).max() > 0.01
-
-
-def test_the_description_is_the_callers_own():
-    earl_jax.pretrained_info(NAME, "fbrl")["seeds"].clear()
+    info["seeds"].clear()
     assert earl_jax.pretrained_info(NAME, "fbrl")["seeds"]
 
 
@@ -181,10 +164,7 @@ def test_the_description_is_the_callers_own():
     ("arguments", "message"),
     [
         (("nowhere", "fbrl"), f"no trained policies ship for 'nowhere'; choose from .*{NAME}"),
-        (
-            (NAME, "nothing"),
-            "no policies of 'nothing' ship for tabletop_organization; choose from cfbrl, fbrl, naive",
-        ),
+        ((NAME, "nothing"), f"no policies of 'nothing' ship for {NAME}; choose from cfbrl, fbrl, naive"),
         ((NAME, "fbrl", 99), r"no seed 99 of fbrl on tabletop_organization ships; choose from \d"),
     ],
 )
