@@ -25,21 +25,21 @@ EVALUATION_KEY = 2
 
 def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the state with a new window, and the metrics [N] of both of the paper's evaluations and of the life."""
-    window, step = jnp.asarray(problem.protocol.eval_every, jnp.float32), state.step.astype(jnp.float32)
-    deployed_metrics = jax.vmap(lambda m, lane: deployed_lane(problem, m, lane, state.step))(method, state.lanes)
-    counters, continuing_metrics = jax.vmap(lambda lane: continuing(lane.counters, lane.env_state, step, window))(
-        state.lanes
-    )
-    alive_steps, sparse = problem.protocol.alive_steps, problem.env.sparse
-    life, phase_metrics = jax.vmap(lambda life: life_metrics(life, state.step, alive_steps, method.phases, sparse))(
-        counters.life
-    )
-    diverged = jax.vmap(has_diverged)(state.lanes)
-    own = jax.vmap(lambda m, lane: m.own_metrics(lane.method_state))(method, state.lanes)
-    metrics = {**deployed_metrics, **continuing_metrics, **phase_metrics, **counters.diagnostics}
-    metrics |= {f"{method.name}/{name}": values for name, values in own.items()}
-    metrics[DIVERGED] = diverged.astype(jnp.int32)
-    return state.replace(lanes=state.lanes.replace(counters=counters.replace(life=life))), metrics
+    lanes, metrics = jax.vmap(lambda m, lane: _evaluate_lane(problem, m, lane, state.step))(method, state.lanes)
+    return state.replace(lanes=lanes), metrics
+
+
+def _evaluate_lane(
+    problem: Problem, method: Method, lane: LaneState, step: jax.Array
+) -> tuple[LaneState, dict[str, jax.Array]]:
+    protocol, metrics = problem.protocol, deployed_lane(problem, method, lane, step)
+    window, steps = jnp.asarray(protocol.eval_every, jnp.float32), step.astype(jnp.float32)
+    counters, continuing_metrics = continuing(lane.counters, lane.env_state, steps, window)
+    life, phase_metrics = life_metrics(counters.life, step, protocol.alive_steps, method.phases, problem.env.sparse)
+    metrics |= {**continuing_metrics, **phase_metrics, **counters.diagnostics}
+    metrics |= {f"{method.name}/{name}": value for name, value in method.own_metrics(lane.method_state).items()}
+    metrics[DIVERGED] = has_diverged(lane).astype(jnp.int32)
+    return lane.replace(counters=counters.replace(life=life)), metrics
 
 
 def has_diverged(lane: LaneState) -> jax.Array:

@@ -40,6 +40,7 @@ def train_states(problem, method, steps):
 
 def return_rewards(problem, states):
     """Return the stored rewards of return phases, and the rewards that their goals, initial states all, would give."""
+    goal_reward = jax.jit(jax.vmap(problem.env.goal_reward))
     stored, expected = [], []
     for before, after in itertools.pairwise(states):
         goal = before.lanes.env_state.info["goal"]
@@ -47,7 +48,7 @@ def return_rewards(problem, states):
         for lane in np.flatnonzero(returning):
             assert (np.abs(problem.env.initial_states - goal[lane]).max(axis=1) < 1e-6).any()
         stored += np.asarray(after.replay.reward[int(before.replay.row)])[returning].tolist()
-        expected += np.asarray(jax.vmap(problem.env.goal_reward)(after.lanes.env_state, goal))[returning].tolist()
+        expected += np.asarray(goal_reward(after.lanes.env_state, goal))[returning].tolist()
     return stored, expected
 
 
