@@ -1,0 +1,49 @@
+"""Scores of methods over several tasks: probability of improvement, performance profiles, optimality gap.
+
+Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", sections 4.2 and 4.3.
+Scores are normalised, so that 1 is the score to reach. Intervals are percentiles of a bootstrap that resamples the seeds of
+each task by themselves.
+"""
+
+import numpy as np
+
+from earl_jax.metrics.statistics import RESAMPLES, Estimate, percentile_interval
+
+
+def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estimate:
+    """Return the probability that a seed of `scores [N, tasks]` is better than one of `others [M, tasks]`, over tasks.
+
+    It is the mean over tasks of the share of pairs of seeds in which the first is better; a tie counts a half.
+    """
+    scores, others = np.asarray(scores, float), np.asarray(others, float)
+
+    def probability(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        pairs = first[:, :, None] - second[:, None, :]
+        return (np.sign(pairs) + 1).mean(axis=(1, 2, 3)) / 2
+
+    rng = np.random.default_rng(0)
+    resampled = probability(_resampled(scores, rng), _resampled(others, rng))
+    return Estimate(float(probability(scores[None], others[None])[0]), *percentile_interval(resampled))
+
+
+def optimality_gap(scores: np.ndarray, best: float = 1.0) -> Estimate:
+    """Return the mean amount by which `scores [N, tasks]` fall short of `best`; scores above it count as `best`."""
+    missing = best - np.minimum(np.asarray(scores, float), best)
+    resampled = _resampled(missing, np.random.default_rng(0)).mean(axis=(1, 2))
+    return Estimate(float(missing.mean()), *percentile_interval(resampled))
+
+
+def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Return [3, K]: the share of runs above each of `thresholds [K]`, averaged over tasks, and its interval's ends.
+
+    `scores [N, tasks]`.
+    """
+    above = np.asarray(scores, float)[:, :, None] > np.asarray(thresholds)
+    shares = _resampled(above, np.random.default_rng(0)).mean(axis=(1, 2))
+    return np.stack([above.mean(axis=(0, 1)), *np.quantile(shares, [0.025, 0.975], axis=0)])
+
+
+def _resampled(scores: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...]."""
+    picks = rng.integers(len(scores), size=(RESAMPLES, *scores.shape[:2]))
+    return scores[picks, np.arange(scores.shape[1])]
