@@ -6,7 +6,7 @@ those of the seconds in which all of a measurement run. `gain` is the throughput
 the other: the sum of each one's rate over its rate alone. `wall_gain` is the time of equally many steps of each, one after the
 other, over the time until the last of them is ready at the rates measured: the smaller of the two.
 
-Prints a line for each measurement, and rows for earl_jax/sweeps/packing_rates.py; writes FILE.json and FILE.csv. Without a GPU,
+Prints a line for each measurement, and rows for earl_jax/sweeps/slots.py; writes FILE.json and FILE.csv. Without a GPU,
 programs share the cores.
 """
 
@@ -163,7 +163,7 @@ def _rows(case: Case, groups: list[tuple[list[Program], Slot]], seconds: float, 
 
 
 def table_rows(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the rows of several programs as lines of the table in earl_jax/sweeps/packing_rates.py."""
+    """Return the rows of several programs as lines of the table in earl_jax/sweeps/slots.py."""
     tasks: dict[str, dict[tuple[int, int], float]] = {}
     for row in rows:
         if row["programs"] > 1:
@@ -205,7 +205,7 @@ def main() -> None:
             print(f"{time.monotonic() - began:.0f} s since the start", flush=True)
             save(options.out.with_suffix(".json"), command, {"rows": rows})
             write(rows, options.out.with_suffix(".csv"))
-    print("rows for earl_jax/sweeps/packing_rates.py:", *table_rows(rows), sep="\n")
+    print("rows for earl_jax/sweeps/slots.py:", *table_rows(rows), sep="\n")
 
 
 if __name__ == "__main__":

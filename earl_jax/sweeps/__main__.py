@@ -1,34 +1,28 @@
-"""The process of a worker of sweeps.
+"""The process of a worker, `python -m earl_jax.sweeps`: it reads a task of the launcher from stdin and prints what happens.
 
-`python -m earl_jax.sweeps plan GRID --out DIR` prints a plan as JSON. `python -m earl_jax.sweeps work` reads the configs of
-runs as one line of JSON from stdin, and prints events as lines of JSON. With `--end-with-stdin`, it ends when stdin, a pipe
-from the launcher, closes.
+The task is one line of JSON, and so is each message. Stdin is a pipe that the launcher holds open: the worker ends with it.
 """
 
-import argparse
+import json
 import os
 import sys
 import threading
-from pathlib import Path
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run one of the worker's two commands and return the exit code: 2 with a one-line error for invalid input."""
-    options = _parser().parse_args(arguments)
-    task = sys.stdin.readline() if options.command == "work" else ""
-    if options.end_with_stdin:
-        end_with_pipe(sys.stdin.fileno())
-    if options.command == "work" and options.cores and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, options.cores)  # before jax and the physics count the cores
+def main() -> int:
+    """Do the task on stdin and return the exit code."""
+    task = json.loads(sys.stdin.readline())
+    end_with_pipe(sys.stdin.fileno())
+    if task["cores"] and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, task["cores"])  # before jax and the physics count the cores
     from earl_jax.sweeps import worker  # it imports jax, which takes seconds
 
     try:
-        if options.command == "work":
-            return worker.serve(task)
+        worker.serve(task)
     except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or Ctrl-C before training
         print(str(interrupt) or "interrupted", file=sys.stderr)
         return getattr(interrupt, "exit_code", 130)
-    return worker.print_plan(options.grid, options.out, options.max_lanes)
+    return 0
 
 
 def end_with_pipe(descriptor: int) -> None:
@@ -49,20 +43,6 @@ def _exit_when_closed(descriptor: int) -> None:
     while os.read(descriptor, 1):
         pass
     os._exit(1)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m earl_jax.sweeps", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    planning = commands.add_parser("plan")
-    planning.add_argument("grid", type=Path)
-    planning.add_argument("--out", type=Path, required=True)
-    planning.add_argument("--max-lanes", type=int)
-    working = commands.add_parser("work")
-    working.add_argument("--cores", type=int, nargs="+", help="the only cores that the worker may use")
-    for command in (planning, working):
-        command.add_argument("--end-with-stdin", action="store_true")
-    return parser
 
 
 if __name__ == "__main__":

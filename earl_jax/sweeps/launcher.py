@@ -1,8 +1,5 @@
 """The launcher of sweeps: it plans a grid, starts workers and reports every run, without importing jax."""
 
-import json
-import os
-import subprocess
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,10 +7,9 @@ from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
 from earl_jax.options import TimeLimit
-from earl_jax.sweeps import processes
 from earl_jax.sweeps import slurm as slurm_arrays
-from earl_jax.sweeps.processes import Task, Workers, concurrent_events, worker_events
-from earl_jax.sweeps.slots import PerDevice, require_valid, worker_slots
+from earl_jax.sweeps.processes import Event, Task, Workers, concurrent_events, events, start
+from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots
 
 LAUNCHERS = ("local", "slurm")
 EmitLine = Callable[[str], None]
@@ -59,31 +55,52 @@ def sweep(
         ValueError: the grid, the folder or an option is invalid; nothing has started.
     """
     limit = TimeLimit.of(minutes)
+    _check_options(launcher, slurm, devices, per_device, limit)
+    executor = slurm_arrays.make_executor(out, slurm) if launcher == "slurm" else None
+    plan = plan_sweep(grid, out, max_lanes)
+    common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
+    tasks = [
+        {**common, "runs": {name: plan["runs"][name]["config"] for name in group["runs"]}} for group in plan["groups"]
+    ]
+    waiting = {name for task in tasks for name in task["runs"]}
+    states = {name: "waiting" if name in waiting else "before" for name in plan["runs"]}
+    for name, state in states.items():
+        if state == "before":
+            emit(f"done       {name}  (before)")
+    if executor is not None:
+        slurm_arrays.submit(tasks, executor, emit)
+        return Outcome(failed=0)
+    states |= _run_locally(tasks, per_device, emit)
+    return _summarise(states, limit, emit)
+
+
+def _check_options(
+    launcher: str, slurm: tuple[str, ...], devices: int | None, per_device: PerDevice, limit: TimeLimit | None
+) -> None:
+    """Check the options of `sweep` against each other. Errors as `sweep`."""
     if launcher not in LAUNCHERS:
         raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
     if slurm and launcher != "slurm":
         raise InputError("--slurm options go with --launcher slurm")
     if limit and launcher == "slurm":
         raise InputError("--minutes goes with --launcher local; with slurm, --slurm time=MINUTES limits each job")
-    require_valid(per_device, launcher, devices)
-    executor = slurm_arrays.make_executor(out, slurm) if launcher == "slurm" else None
-    plan = plan_sweep(grid, out, max_lanes)
-    unfinished = {name for group in plan["groups"] for name in group["runs"]}
-    for name in plan["runs"]:
-        if name not in unfinished:
-            emit(f"done       {name}  (before)")
-    common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
-    tasks = [
-        {**common, "runs": {name: plan["runs"][name]["config"] for name in group["runs"]}} for group in plan["groups"]
-    ]
-    if executor is not None:
-        slurm_arrays.submit(plan, tasks, executor, emit)
-        return Outcome(failed=0)
-    return _run_locally({**plan, "per_device": per_device, "limit": limit}, tasks, emit)
+    if per_device is None:
+        return
+    if per_device != "auto" and not 1 <= per_device <= MOST:
+        raise InputError(f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}")
+    if launcher == "slurm":
+        raise InputError(
+            "--per-device goes with --launcher local, not slurm: a task of the array has one program group. "
+            "To share the GPUs of a job, submit a job that calls earl-jax sweep --per-device"
+        )
+    if devices is not None:
+        raise InputError(
+            "--per-device puts several programs on a GPU, and --devices spreads a program over several; choose one of them"
+        )
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
-    """Return the runs of a grid with their steps so far, and the program groups of unfinished runs, from a worker.
+    """Return the runs of a grid with their steps so far, and the program groups of unfinished runs, from a worker on the CPU.
 
     Keys: `out`, the folder; `runs`, the `step` and `config` of each run by name; `groups`, each with the names of its `runs`,
     its `lanes`, `step`, `steps` and `replay_bytes`.
@@ -91,18 +108,12 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
     Raises:
         ValueError: as `sweep`.
     """
-    if max_lanes is not None and max_lanes < 1:
-        raise InputError(f"max_lanes must be at least 1, not {max_lanes}")
-    lanes = [] if max_lanes is None else ["--max-lanes", str(max_lanes)]
-    command = [*processes.WORKER, "plan", str(grid), "--out", str(out.resolve()), *lanes, processes.TIED]
-    reading, writing = os.pipe()
-    with os.fdopen(reading), os.fdopen(writing, "w"):
-        environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-        planner = subprocess.run(command, stdin=reading, capture_output=True, text=True, env=environment)
-    if planner.returncode:
-        message = planner.stderr.strip() or f"the planner ended with code {planner.returncode}"
-        raise InputError(message.splitlines()[-1])
-    return json.loads(planner.stdout.splitlines()[-1])
+    task = {"grid": str(grid), "out": str(out.resolve()), "max_lanes": max_lanes}
+    with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
+        reply: Event = next(events(planner), {"why": "the planner ended without a plan; its error is above"})
+    if "plan" not in reply:
+        raise InputError(reply["why"])
+    return reply["plan"]
 
 
 def describe(plan: dict[str, Any]) -> str:
@@ -117,35 +128,35 @@ def describe(plan: dict[str, Any]) -> str:
     return "\n".join([*lines, summary])
 
 
-def _run_locally(plan: dict[str, Any], tasks: list[Task], emit: EmitLine) -> Outcome:
-    """Train the program groups of `plan`, as many at a time as there are slots, and return the outcome."""
-    last_states: dict[str, str] = {}
-    with worker_slots(plan, emit) as slots, Workers() as workers:
+def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> dict[str, str]:
+    """Train the runs of `tasks`, as many tasks at a time as there are slots, and return the last state of each run by name."""
+    states: dict[str, str] = {}
+    envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
+    with open_slots(per_device, envs, emit) as slots, Workers() as workers:
         tasks = [{**task, "progress": len(slots) == 1} for task in tasks]
-        for event in concurrent_events(tasks, slots, workers, worker_events):
+        for event in concurrent_events(tasks, slots, workers):
             state = "stopped" if workers.signal and event["state"] == "failed" else event["state"]
-            last_states[event["run"]] = state
+            states[event["run"]] = state
             emit(f"{state:<10} {event['run']}{_details(event)}")
     if workers.signal:
         emit("stopped; repeat the command to continue")
         raise SystemExit(128 + workers.signal)
-    return _summarise(plan, last_states, emit)
+    return states
 
 
-def _details(event: dict[str, Any]) -> str:
+def _details(event: Event) -> str:
     """Return what a line says about `event` after the name of its run: the step, or the cause of a failure."""
     if event.get("step"):
         return f"  {'at' if event['state'] == 'stopped' else 'from'} step {event['step']}"
     return f"  {event.get('why', '')}".rstrip()
 
 
-def _summarise(plan: dict[str, Any], last_states: dict[str, str], emit: EmitLine) -> Outcome:
-    """Return the outcome of the runs of `plan` with their `last_states`, and emit it as one line."""
-    count, names = Counter(last_states.values()), [name for group in plan["groups"] for name in group["runs"]]
-    unfinished = tuple(name for name in names if last_states.get(name) not in ("done", "failed"))
-    before = len(plan["runs"]) - len(names)
-    line = f"{len(plan['runs'])} runs: {before} done before, {count['done']} done now, {count['failed']} failed"
+def _summarise(states: dict[str, str], limit: TimeLimit | None, emit: EmitLine) -> Outcome:
+    """Return the outcome of the runs with their last `states` by name, and emit it as one line."""
+    count = Counter(states.values())
+    line = f"{len(states)} runs: {count['before']} done before, {count['done']} done now, {count['failed']} failed"
+    unfinished = tuple(name for name, state in states.items() if state not in ("before", "done", "failed"))
     if unfinished:
-        line += f", {len(unfinished)} unfinished after {plan['limit']}; repeat the command to continue"
+        line += f", {len(unfinished)} unfinished after {limit}; repeat the command to continue"
     emit(line)
     return Outcome(count["failed"], unfinished)

@@ -14,8 +14,6 @@ SECONDS = 30
 """The longest time that a command to the daemon may take."""
 PATIENCE = 5
 """Seconds that a daemon has to answer after its start, and to end after it was asked to."""
-LONGEST_SOCKET = 60
-"""Characters of a temporary folder in which the daemon's sockets have names of a valid length."""
 GUARD = f"""
 cat >/dev/null
 pid=$(cat "$1/pipe/{CONTROL}.pid")
@@ -47,8 +45,7 @@ def mps() -> Iterator[dict[str, str]]:
     if _answers(os.environ):
         yield {}
         return
-    parent = tempfile.gettempdir() if len(tempfile.gettempdir()) <= LONGEST_SOCKET else "/tmp"
-    folder = tempfile.mkdtemp(prefix="earl-mps-", dir=parent)
+    folder = tempfile.mkdtemp(prefix="earl-mps-", dir="/tmp")  # names of sockets have to be short
     variables = {"CUDA_MPS_PIPE_DIRECTORY": f"{folder}/pipe", "CUDA_MPS_LOG_DIRECTORY": f"{folder}/log"}
     environment = {name: value for name, value in os.environ.items() if name != "CUDA_VISIBLE_DEVICES"} | variables
     with _guard(folder, environment):

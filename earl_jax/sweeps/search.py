@@ -6,11 +6,16 @@ proposes what it would have proposed.
 
 import dataclasses
 import importlib
+import itertools
 import json
+import math
+import operator
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import recent_scores
@@ -19,14 +24,15 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import locked
 from earl_jax.runs.folder import RunFolder
-from earl_jax.sweeps.grid import RunSpec, read_space
-from earl_jax.sweeps.planner import planned_run
-from earl_jax.sweeps.worker import work
+from earl_jax.sweeps import grid
+from earl_jax.sweeps.worker import planned_run, work
 from earl_jax.training.stopping import Stopped
 
 TRIALS = "search.journal"
 """Optuna's file of the trials in the folder of a search."""
 STATES = {"RUNNING": "running", "COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed"}
+SAMPLERS = ("tpe", "random", "qmc")
+EXAMPLE = "as in learning_rate = { log_uniform = [1e-5, 1e-2] }"
 
 
 class Trial(NamedTuple):
@@ -66,18 +72,17 @@ def search(
     for name, number, least in (("trials", trials, 1), ("batch", batch, 1), ("rungs", rungs, 1), ("seed", seed, 0)):
         if number < least:
             raise InputError(f"{name} must be at least {least}, not {number}")
-    base, distributions, sampler = read_space(space)
-    spaces = {name: _space(distribution) for name, distribution in sorted(distributions.items())}
+    module = optuna()
+    base, spaces, sampler = read_space(space)
     lengths = _lengths(base, rungs)
-    identity = json.loads(json.dumps([dataclasses.asdict(base), distributions, sampler, lengths, seed]))
+    texts = {name: module.distributions.distribution_to_json(space) for name, space in spaces.items()}
+    identity = json.loads(json.dumps([dataclasses.asdict(base), texts, sampler, lengths, seed]))
     limit = TimeLimit.of(minutes)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         state = Search(base, spaces, out, lengths, _open_study(out / TRIALS, identity), emit, devices, limit)
-        ended = state.train_batch()  # which an earlier call began
-        while ended and len(state.history()) < trials:
+        while (ended := state.train_batch()) and len(state.history()) < trials:  # first what an earlier call began
             state.ask(min(batch, trials - len(state.history())), sampler, seed)
-            ended = state.train_batch()
         if not ended:
             emit(f"{len(state.history())} of {trials} trials were begun; repeat the command to continue")
         return state.history()
@@ -87,7 +92,7 @@ def search(
 class Search:
     """A search in the folder `out`: its common run `base`, Optuna's `spaces` of the options, its `lengths` and its study."""
 
-    base: RunSpec
+    base: grid.RunSpec
     spaces: dict[str, Any]
     out: Path
     lengths: tuple[int, ...]
@@ -98,55 +103,53 @@ class Search:
 
     def history(self) -> list[Trial]:
         """Return all trials so far."""
-        trials = []
-        for trial in self.study.get_trials(deepcopy=False):
-            options = {name: _plain(self.spaces[name], value) for name, value in trial.params.items()}
-            trials.append(Trial(options, dict(trial.intermediate_values), STATES[trial.state.name]))
-        return trials
+        return [
+            Trial(self._options(trial), dict(trial.intermediate_values), STATES[trial.state.name])
+            for trial in self.study.get_trials(deepcopy=False)
+        ]
+
+    def _options(self, trial: Any) -> dict[str, Any]:
+        return {name: _plain(self.spaces[name], value) for name, value in trial.params.items()}
+
+    def _running(self) -> list[Any]:
+        return self.study.get_trials(deepcopy=False, states=(optuna().trial.TrialState.RUNNING,))
 
     def ask(self, count: int, sampler: str, seed: int) -> None:
         """Add `count` trials. They depend on the trials so far and the seed alone."""
-        samplers, begun = optuna().samplers, len(self.history())
+        begun = len(self.study.get_trials(deepcopy=False))
         for number in range(begun, begun + count):
-            if sampler == "qmc":
-                self.study.sampler = samplers.QMCSampler(seed=seed, scramble=True)
-            elif sampler == "random":
-                self.study.sampler = samplers.RandomSampler(seed=seed + number)
-            else:  # the liar keeps the trials of a batch apart
-                self.study.sampler = samplers.TPESampler(seed=seed + number, constant_liar=True)
+            self.study.sampler = _sampler(sampler, seed, number)
             self.study.ask(self.spaces)
 
     def train_batch(self) -> bool:
         """Train the running trials through all lengths, and return whether that came to its end."""
         for steps in self.lengths:
-            specs = {
-                i: dataclasses.replace(self.base, options={**self.base.options, **trial.options}, steps=steps)
-                for i, trial in enumerate(self.history())
-                if trial.state == "running" and max(trial.scores, default=0) < steps
-            }
-            causes = self._train(list(specs.values()), steps) if specs else {}
-            for i, spec in specs.items():
+            trials = [trial for trial in self._running() if trial.last_step is None or trial.last_step < steps]
+            options = [{**self.base.options, **self._options(trial)} for trial in trials]
+            specs = [dataclasses.replace(self.base, options=own, steps=steps) for own in options]
+            causes = self._train(specs) if specs else {}
+            for trial, spec in zip(trials, specs, strict=True):
                 score = _score(self.out / spec.name, steps)
                 if score is not None:
-                    frozen = self.study.get_trials(deepcopy=False)[i]
-                    self.study._storage.set_trial_intermediate_value(frozen._trial_id, steps, score)
+                    self.study._storage.set_trial_intermediate_value(trial._trial_id, steps, score)
                 elif spec.name in causes:
-                    self.study.tell(i, state=optuna().trial.TrialState.FAIL)
+                    self.study.tell(trial.number, state=optuna().trial.TrialState.FAIL)
                     self.emit(f"failed     {spec.name}  {causes[spec.name]}")
                 else:
                     return False
             self._conclude(steps)
         return True
 
-    def _train(self, specs: Sequence[RunSpec], steps: int) -> dict[str, str]:
-        """Train the runs `specs` to `steps`, and return the causes of those that failed, by name."""
+    def _train(self, specs: Sequence[grid.RunSpec]) -> dict[str, str]:
+        """Train the runs `specs` to their steps, and return the causes of those that failed, by name."""
         configs: dict[str, RunConfig] = {}
         for spec in specs:
-            path, length = self.out / spec.name, steps
+            path = self.out / spec.name
             if (path / CONFIG).is_file():
-                length = max(steps, RunFolder.open(path).config.steps)  # an equal trial may be longer
-                RunFolder.open(path).extended(length)
-            configs[spec.name] = planned_run(dataclasses.replace(spec, steps=length), self.out).run.config
+                folder = RunFolder.open(path)
+                steps = max(spec.steps, folder.config.steps)  # an equal trial may be longer
+                spec = dataclasses.replace(spec, steps=folder.extended(steps).config.steps)
+            configs[spec.name] = planned_run(spec, self.out).run.config
         causes: dict[str, str] = {}
 
         def note(name: str, state: str, **details: Any) -> None:
@@ -161,33 +164,92 @@ class Search:
         return causes
 
     def _conclude(self, steps: int) -> None:
-        """End the trials that have reached the last length; at another one, prune those that score below the median."""
-        history = self.history()
-        scores = [trial.scores[steps] for trial in history if steps in trial.scores]
-        for i, trial in enumerate(history):
-            if trial.state != "running" or max(trial.scores) != steps:
+        """End the trials that have reached the last length; at another one, prune those that score below the median.
+
+        It is the median of all trials at this length. That of Optuna's pruner is of finished trials, so a first batch
+        would not be pruned.
+        """
+        scores = [trial.scores[steps] for trial in self.history() if steps in trial.scores]
+        for trial in self._running():
+            if trial.last_step != steps:
                 continue
-            score, state = trial.scores[steps], "continues"
+            score, state = trial.intermediate_values[steps], "continues"
             if steps == self.lengths[-1]:
                 state = "done"
-                self.study.tell(i, score)
-            elif below_median(score, scores):
+                self.study.tell(trial.number, score)
+            elif not score >= np.nanmedian(scores):
                 state = "pruned"
-                self.study.tell(i, state=optuna().trial.TrialState.PRUNED)
-            options = ", ".join(f"{name}={value}" for name, value in trial.options.items())
+                self.study.tell(trial.number, state=optuna().trial.TrialState.PRUNED)
+            options = ", ".join(f"{name}={value}" for name, value in self._options(trial).items())
             self.emit(f"{state:<10} {options}  {score:.4g} at step {steps}")
 
 
-def below_median(score: float, scores: Sequence[float]) -> bool:
-    """Return whether Optuna's median pruner ends a run with this score among the `scores` of all runs of this length."""
-    module = optuna()
-    study, make = module.create_study(direction="maximize"), module.trial.create_trial
-    study.add_trials([make(value=other, intermediate_values={1: other}) for other in scores])
-    trial = make(state=module.trial.TrialState.RUNNING, intermediate_values={1: score})
-    return module.pruners.MedianPruner(n_startup_trials=2).prune(study, trial)
+def read_space(path: Path) -> tuple[grid.RunSpec, dict[str, Any], str]:
+    """Return the run of a file with one task and one method, Optuna's distributions of its other options, and its sampler.
+
+    Raises:
+        ValueError: as `grid.read`, or there are several tasks, methods or values of an option, or no distribution.
+    """
+    table = grid.read_table(path)
+    try:
+        if "runs" in table:
+            raise InputError("a search has no [[runs]]; it draws the options of its runs itself")
+        options = grid.options_of(table)
+        spaces = {name: _space(name, value) for name, value in sorted(options.items()) if isinstance(value, dict)}
+        if not spaces:
+            raise InputError(f"a search needs options with a distribution, {EXAMPLE}")
+        sampler = table.pop("sampler", SAMPLERS[0])
+        if sampler not in SAMPLERS:
+            raise InputError(f"unknown sampler {sampler!r}; choose from {', '.join(SAMPLERS)}")
+        fixed = {name: value for name, value in options.items() if name not in spaces}
+        base, *others = itertools.islice(grid.block_specs({**table, "options": fixed}), 2)
+        if others:
+            raise InputError(
+                "a search has one task, one method and one value of each option; a list can be a choice = [...]"
+            )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return base, spaces, sampler
 
 
-def _lengths(base: RunSpec, rungs: int) -> tuple[int, ...]:
+def _space(option: str, distribution: dict[str, Any]) -> Any:
+    """Return Optuna's distribution of an option; choices are JSON texts, because Optuna has no lists."""
+    spaces = optuna().distributions
+    try:
+        [(kind, values)] = distribution.items()
+        if kind == "choice":
+            return spaces.CategoricalDistribution([json.dumps(value) for value in values])
+        low, high = values
+        if kind == "integers":
+            return spaces.IntDistribution(operator.index(low), operator.index(high))
+        if kind not in ("uniform", "log_uniform") or not math.isfinite(high - low):
+            raise ValueError(f"unknown distribution {kind!r}, or an end that is not finite")
+        return spaces.FloatDistribution(float(low), float(high), log=kind == "log_uniform")
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"option {option} = {distribution} must be a choice of values, or the two ends of uniform, log_uniform or "
+            f"integers, {EXAMPLE} ({error})"
+        ) from error
+
+
+def _plain(space: Any, value: Any) -> Any:
+    """Return an option as Optuna proposed it, a float with four significant digits: the run's name has the exact value."""
+    if isinstance(value, float):
+        return min(max(float(f"{value:.4g}"), space.low), space.high)
+    return json.loads(value) if isinstance(value, str) else value
+
+
+def _sampler(name: str, seed: int, number: int) -> Any:
+    """Return Optuna's sampler for the trial `number`."""
+    samplers = optuna().samplers
+    if name == "qmc":
+        return samplers.QMCSampler(seed=seed, scramble=True)
+    if name == "random":
+        return samplers.RandomSampler(seed=seed + number)
+    return samplers.TPESampler(seed=seed + number, constant_liar=True)  # the liar keeps the trials of a batch apart
+
+
+def _lengths(base: grid.RunSpec, rungs: int) -> tuple[int, ...]:
     """Return the steps of each rung, multiples of `eval_every` that end with the whole length."""
     every = base.eval_every
     lengths = {max(every, round(base.steps * rung / rungs / every) * every) for rung in range(1, rungs)}
@@ -203,23 +265,6 @@ def _score(path: Path, steps: int) -> float | None:
     if not len(reached) or reached[-1] < steps:
         return None
     return float(recent_scores(reached, metrics[folder.config.deployed_metric]).mean())
-
-
-def _space(distribution: dict[str, Any]) -> Any:
-    """Return Optuna's distribution of an option; choices are JSON texts, because Optuna has no lists."""
-    spaces, [(kind, ends)] = optuna().distributions, distribution.items()
-    if kind == "choice":
-        return spaces.CategoricalDistribution([json.dumps(value) for value in ends])
-    if kind == "integers":
-        return spaces.IntDistribution(*ends)
-    return spaces.FloatDistribution(*map(float, ends), log=kind == "log_uniform")
-
-
-def _plain(space: Any, value: Any) -> Any:
-    """Return an option as Optuna proposed it, a float with four significant digits: the run's name has the exact value."""
-    if isinstance(value, float):
-        return min(max(float(f"{value:.4g}"), space.low), space.high)
-    return json.loads(value) if isinstance(value, str) else value
 
 
 def _open_study(path: Path, identity: dict[str, Any]) -> Any:

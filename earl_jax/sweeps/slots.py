@@ -1,18 +1,17 @@
-"""The slots of this machine where programs run at the same time: a GPU, cores and a share of memory for each. Imports no jax."""
+"""The slots of this machine where programs run at the same time: a GPU, cores and a share of memory for each."""
 
 import contextlib
 import importlib.util
+import itertools
 import math
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from earl_jax.errors import InputError
 from earl_jax.machine import FRACTION, PER_DEVICE, own_cores
 from earl_jax.sweeps.mps import MpsError, mps
-from earl_jax.sweeps.packing_rates import measured_programs
 
 PerDevice = int | Literal["auto"] | None
 MOST = 48
@@ -22,23 +21,29 @@ SHARED_FRACTION = 0.92
 CUDA_PLUGIN = "xla_cuda*"
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/gpus")
 SMI_SECONDS = 30
+GAINS: dict[str, dict[tuple[int, int], float]] = {
+    "tabletop_organization": {(2, 8): 1.302, (4, 4): 1.573},
+    "sawyer_door": {(2, 8): 1.4, (4, 4): 1.71},
+    "sawyer_peg": {(2, 8): 1.475, (4, 4): 1.717},
+    "minitaur_pen": {(2, 8): 1.69, (4, 4): 2.485},
+    "franka_kitchen": {(2, 8): 1.373, (4, 4): 2.072},
+    "dhand_lightbulb": {(2, 8): 1.681, (4, 4): 2.523},
+}
+"""What `auto` decides by. By task and (programs on the GPU, cores of each): the time of equally many steps of each program
+one after the other, over the time of all at once. The programs are different methods with 5 lanes in bf16 on one H200 with 16
+cores, measured by `python -m benchmarks.per_device`, which prints rows for this table."""
 
 
 class Slot(NamedTuple):
-    """What one of several workers may use: a `gpu` (None on a CPU), `cores`, and 1 / `per_device` of the memory.
+    """What one worker may use: a `gpu` (None for jax's choice), `cores` (none for all), and 1 / `per_device` of the memory.
 
-    `variables` are those of MPS.
+    `variables` are added to the environment: those of MPS.
     """
 
-    gpu: str | None
-    cores: tuple[int, ...]
-    per_device: int
+    gpu: str | None = None
+    cores: tuple[int, ...] = ()
+    per_device: int = 1
     variables: Mapping[str, str] = {}
-
-    @property
-    def arguments(self) -> list[str]:
-        """The options of the worker's command."""
-        return ["--cores", *map(str, self.cores)]
 
     def environment(self, inherited: Mapping[str, str]) -> dict[str, str]:
         """Return the environment of a worker here, `inherited` with its GPU and its share of memory.
@@ -55,8 +60,9 @@ class Slot(NamedTuple):
             variables[FRACTION] = f"{_memory_fraction(inherited) / self.per_device:.4f}"
         return variables
 
-    def __str__(self) -> str:
-        return f"GPU {self.gpu}" if self.gpu is not None else f"cores {','.join(map(str, self.cores))}"
+
+ANYWHERE = Slot()
+"""The slot of a worker that runs alone, as this process would."""
 
 
 def _memory_fraction(environment: Mapping[str, str]) -> float:
@@ -86,21 +92,19 @@ def make_slots(
 
 
 @contextlib.contextmanager
-def worker_slots(plan: dict[str, Any], emit: Callable[[str], None]) -> Iterator[list[Slot | None]]:
-    """Yield the slots where the groups of `plan` train at the same time; [None], this process's place, if one at a time.
+def open_slots(per_device: PerDevice, tasks: Sequence[str], emit: Callable[[str], None]) -> Iterator[list[Slot]]:
+    """Yield the slots where programs of `tasks`, the name of each one's task, train at the same time.
 
-    `plan` is that of the launcher with `per_device`. `emit` receives a line with the number of programs. MPS is on
-    while several programs share a GPU; if it cannot be used, `emit` receives the cause and each GPU has one program.
+    `emit` receives a line with the number of programs. MPS is on while several programs share a GPU; if it cannot be used,
+    `emit` receives the cause and each GPU has one program.
     """
-    per_device, groups = plan.get("per_device"), plan["groups"]
-    if per_device is None or not groups:
-        yield [None]
+    if per_device is None or not tasks:
+        yield [ANYWHERE]
         return
-    gpus, cores = visible_gpus(os.environ)[: len(groups)], own_cores()
+    gpus, cores = visible_gpus(os.environ)[: len(tasks)], own_cores()
     if per_device == "auto":
-        tasks = {plan["runs"][name]["config"].get("env") for group in groups for name in group["runs"]}
         per_device = measured_programs(tasks, len(cores) / len(gpus)) if gpus else 1
-    count = min(per_device, math.ceil(len(groups) / max(len(gpus), 1)))
+    count = min(per_device, math.ceil(len(tasks) / max(len(gpus), 1)))
     with contextlib.ExitStack() as stack:
         variables, how = {}, ""
         if gpus and count > 1:
@@ -110,34 +114,27 @@ def worker_slots(plan: dict[str, Any], emit: Callable[[str], None]) -> Iterator[
             except MpsError as error:
                 count, how = 1, f"; MPS cannot be used: {error}"
         slots = make_slots(count, gpus, cores, variables)
-        host = f" on each of {len(gpus)} GPUs" if len(gpus) > 1 else " on the GPU" if gpus else ""
-        emit(f"{_counted(count, 'program')} at a time{host}, {_counted(len(slots[0].cores), 'core')} each{how}")
-        yield [*slots]
+        where = f" on each of {len(gpus)} GPUs" if len(gpus) > 1 else " on the GPU" if gpus else ""
+        emit(f"{_counted(count, 'program')} at a time{where}, {_counted(len(slots[0].cores), 'core')} each{how}")
+        yield slots
 
 
 def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
-def require_valid(per_device: PerDevice, launcher: str, devices: int | None) -> None:
-    """Check the option --per-device against the other options.
+def measured_programs(tasks: Sequence[str], cores: float) -> int:
+    """Return how many programs a GPU runs for the largest gain, for the one of `tasks` that allows the fewest.
 
-    Raises:
-        ValueError: it is out of its interval, or goes with neither the launcher nor the number of devices.
+    `cores` is the number of cores for each GPU. Several programs count only if each gets as many cores as in the
+    measurement. A task that was not measured runs alone.
     """
-    if per_device is None:
-        return
-    if per_device != "auto" and not 1 <= per_device <= MOST:
-        raise InputError(f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}")
-    if launcher != "local":
-        raise InputError(
-            f"--per-device goes with --launcher local, not {launcher}: a task of the array has one program group. "
-            "To share the GPUs of a job, submit a job that calls earl-jax sweep --per-device"
-        )
-    if devices is not None:
-        raise InputError(
-            "--per-device puts several programs on a GPU, and --devices spreads a program over several; choose one of them"
-        )
+
+    def best(task: str) -> int:
+        gains = {1: 1.0} | {count: gain for (count, own), gain in GAINS.get(task, {}).items() if cores / count >= own}
+        return max(gains, key=lambda count: (gains[count], -count))
+
+    return min(map(best, tasks))
 
 
 def cuda_plugin() -> Path | None:
@@ -149,20 +146,18 @@ def cuda_plugin() -> Path | None:
 
 def visible_gpus(environment: Mapping[str, str]) -> list[str]:
     """Return the NVIDIA GPUs that jax can use here, as CUDA_VISIBLE_DEVICES names them, without importing jax."""
-    platforms = environment.get("JAX_PLATFORMS", "")
-    if platforms and not {"cuda", "gpu"} & {name.strip() for name in platforms.split(",")}:
-        return []
-    if cuda_plugin() is None:
+    platforms = {name.strip() for name in environment.get("JAX_PLATFORMS", "cuda").split(",")}
+    if not platforms & {"cuda", "gpu", ""} or cuda_plugin() is None:
         return []
     count = _count_gpus()
-    names: list[str] = []
-    for name in environment.get("CUDA_VISIBLE_DEVICES", ",".join(map(str, range(count)))).split(","):
-        name = name.strip()
-        valid = int(name) < count if name.isdigit() else count and name.startswith(("GPU-", "MIG-"))
-        if not valid:  # CUDA reads no further
-            break
-        names.append(name)
-    return names
+    names = environment.get("CUDA_VISIBLE_DEVICES", ",".join(map(str, range(count)))).split(",")
+
+    def exists(name: str) -> bool:
+        return int(name) < count if name.isdigit() else count > 0 and name.startswith(("GPU-", "MIG-"))
+
+    return list(
+        itertools.takewhile(exists, map(str.strip, names))
+    )  # CUDA reads no further than the first that does not
 
 
 def _count_gpus() -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.sweeps.processes import Task, worker_events
+from earl_jax.sweeps.processes import Task, run_events
 
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
@@ -20,7 +20,7 @@ class GroupJob:
     def __call__(self, task: Task) -> None:
         """Train all runs of `task`; failed runs are a RuntimeError that gives their causes."""
         failures = []
-        for event in worker_events(task):
+        for event in run_events(task):
             print(json.dumps(event), flush=True)
             if event["state"] == "failed":
                 failures.append(f"{event['run']}: {event['why']}")
@@ -34,13 +34,13 @@ class GroupJob:
         return DelayedSubmission(self, task)
 
 
-def submit(plan: dict[str, Any], tasks: list[Task], executor: Any, emit: Callable[[str], None]) -> None:
-    """Submit `tasks`, one for each program group of `plan`, as an array job of `executor`."""
+def submit(tasks: list[Task], executor: Any, emit: Callable[[str], None]) -> None:
+    """Submit `tasks`, one for each program group, as an array job of `executor`."""
     jobs = executor.map_array(GroupJob(), tasks) if tasks else []
-    for job, group in zip(jobs, plan["groups"], strict=True):
-        for name in group["runs"]:
+    for job, task in zip(jobs, tasks, strict=True):
+        for name in task["runs"]:
             emit(f"submitted  {name}  job {job.job_id}")
-    emit(f"{len(jobs)} jobs; logs in {Path(plan['out']) / LOGS}; repeat the command later to submit unfinished runs")
+    emit(f"{len(jobs)} jobs; logs in {executor.folder}; repeat the command later to submit unfinished runs")
 
 
 def make_executor(out: Path, pairs: tuple[str, ...]) -> Any:

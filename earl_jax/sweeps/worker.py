@@ -1,40 +1,161 @@
-"""The worker of a sweep: it trains program groups and reports the state of each run. `sweeps/__main__.py` is its process."""
+"""The work of a sweep that needs jax: to plan grids, and to train groups of runs that share a program."""
 
 import contextlib
+import dataclasses
 import gc
 import json
 import os
 import signal
-import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.algos import method_for
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.options import TimeLimit
+from earl_jax.presets import LENGTHS
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
 from earl_jax.runs.files import inside
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
-from earl_jax.sweeps.planner import PlannedRun, open_folder, plan, program_groups
+from earl_jax.runs.policies import policies_step
+from earl_jax.sweeps import grid
+from earl_jax.training import memory, split_options
+from earl_jax.training.init import demo_rows
+from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run, plan_runs, run_program
+from earl_jax.training.state import Problem
 
 SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
 Emit = Callable[..., None]
 """Receives an event as `emit(name, state, **details)`; the states are started, resumed, done, stopped and failed."""
 
 
-@contextlib.contextmanager
-def claimed(path: Path, run: Run, logs: Sequence[str] = ()) -> Iterator[RunFolder]:
-    """Lock the folder of `run` at `path` for this process, after creating it if necessary.
+@dataclasses.dataclass(frozen=True)
+class PlannedRun:
+    """A run of a sweep: its `name` in the sweep, its objects, and the step from which it would continue."""
+
+    name: str
+    run: Run
+    step: int
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes, one for each seed."""
+        return len(self.run.config.seeds)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has reached its last step."""
+        return self.step == self.run.config.steps
+
+    def group_key(self) -> Hashable:
+        """Return the properties that all runs of one program have in common."""
+        config, env = self.run.config, self.run.env
+        lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
+        lengths += (self.run.protocol.alive_steps,)
+        task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
+        return task, lengths, program_structure(self.run.method)
+
+    def replay_bytes(self) -> int:
+        """Return the bytes of the replay buffers of all lanes."""
+        problem = Problem(self.run.env, self.run.protocol)
+        return self.lanes * memory.replay_bytes(problem, self.run.method, self.run.config.steps)
+
+
+def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:
+    """Return the unfinished runs of `planned` in groups of one program each, with at most `max_lanes` lanes if given.
 
     Raises:
-        ValueError: the folder holds anything else, or another process uses it.
-        OSError: the folder cannot be written to.
+        ValueError: a single run has more than `max_lanes` lanes.
     """
+    by_key: dict[Hashable, list[list[PlannedRun]]] = {}
+    for entry in planned:
+        if entry.finished:
+            continue
+        if max_lanes is not None and entry.lanes > max_lanes:
+            raise InputError(
+                f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
+                "so raise max_lanes or give it fewer seeds"
+            )
+        groups = by_key.setdefault(entry.group_key(), [[]])
+        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+            groups.append([])
+        groups[-1].append(entry)
+    return [group for groups in by_key.values() for group in groups]
+
+
+def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
+    """Return the plan of a grid as JSON values (`launcher.plan_sweep` describes them); nothing is written.
+
+    Raises:
+        ValueError: a run is invalid, or its folder holds another run; the message names it.
+    """
+    planned = [planned_run(spec, out) for spec in grid.read(path)]
+    runs = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
+    groups = [
+        {
+            "runs": [entry.name for entry in group],
+            "lanes": sum(entry.lanes for entry in group),
+            "step": group[0].step,
+            "steps": group[0].run.config.steps,
+            "replay_bytes": sum(entry.replay_bytes() for entry in group),
+        }
+        for group in program_groups(planned, max_lanes)
+    ]
+    return {"out": str(out), "runs": runs, "groups": groups}
+
+
+def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
+    """Return a run of a grid, after all checks that are possible before training. Errors as `plan`."""
+    try:
+        env, setting, options = split_options(spec.env, spec.options)
+        method = method_for(env, spec.algo, **options)
+        lengths = {name: getattr(spec, name) for name in LENGTHS}
+        config = RunConfig.from_objects(env, method, setting, **lengths)
+        run = Run.resolve(config, env, method)
+        demo_rows(Problem(env, run.protocol), run.method)
+        path = out / spec.name
+        step = _reached(open_folder(path, config)) if has_results(path) else 0
+    except InputError as error:
+        raise InputError(f"{spec.name}: {error}") from error
+    return PlannedRun(name=spec.name, run=run, step=step)
+
+
+def _reached(folder: RunFolder) -> int:
+    """Return the step of the newest checkpoint, or the last step of a finished run whose checkpoints were removed."""
+    step, steps = newest(folder.checkpoints), folder.config.steps
+    if step == 0 and policies_step(folder.policies) == steps:
+        rows = folder.rows()
+        return steps if rows and rows[-1]["step"] == steps else 0
+    return step
+
+
+def open_folder(path: Path, config: RunConfig) -> RunFolder:
+    """Return the folder at `path` with the run `config`.
+
+    Raises:
+        ValueError: the folder is damaged, rows of its metrics are missing, or it holds another run; the message gives
+            the differences.
+    """
+    folder = RunFolder.open(path)
+    existing, wanted = folder.config.values, config.values
+    differing = [name for name in wanted if existing[name] != wanted[name]]
+    if differing:
+        differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
+        raise InputError(
+            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
+        )
+    folder.require_rows()
+    return dataclasses.replace(folder, config=config)
+
+
+@contextlib.contextmanager
+def _claimed(path: Path, run: Run, logs: Sequence[str]) -> Iterator[RunFolder]:
+    """Lock the folder of `run` at `path` for this process, after creating it if necessary."""
     if not has_results(path):
         RunFolder.create(path, run.config, run.env.resolved_engine, logs)
     folder = open_folder(path, run.config)
@@ -43,68 +164,56 @@ def claimed(path: Path, run: Run, logs: Sequence[str] = ()) -> Iterator[RunFolde
         yield folder
 
 
-def parse_config(fields: dict[str, Any]) -> RunConfig:
-    """Return the config with the JSON values `fields`."""
-    return RunConfig(**{**fields, "seeds": tuple(fields["seeds"])})
-
-
 def work(
     out: Path,
     configs: dict[str, RunConfig],
     emit: Emit,
+    *,
     progress: bool = True,
     devices: int | None = None,
     logs: Sequence[str] = (),
     limit: TimeLimit | None = None,
-) -> bool:
-    """Train the runs `configs`, by name in the sweep at `out`, and return whether none of them has failed.
+) -> None:
+    """Train the runs `configs`, by name in the sweep at `out`; `emit` receives every event.
 
-    The runs are grouped again by the steps of their newest checkpoints. `emit` receives every event. Runs end early, as
-    `stopped`, when the `limit` passes; groups that have not started by then are left.
+    The runs are grouped again by the steps of their newest checkpoints. A run that fails does not stop the others. Runs end
+    early, as `stopped`, when the `limit` passes, also those of groups that have not started by then.
     """
     planned: list[PlannedRun] = []
-    succeeded = True
     with contextlib.ExitStack() as stack:
         for name, config in configs.items():
             try:
                 run = Run.resolve(config)
-                run.folder = stack.enter_context(claimed(inside(out, name), run, logs))
+                run.folder = stack.enter_context(_claimed(inside(out, name), run, logs))
                 planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
-            except Exception as error:  # the other runs may still succeed
-                succeeded = False
+            except Exception as error:
                 emit(name, "failed", why=_cause(error))
         for entry in planned:
             if entry.finished:
                 emit(entry.name, "done")
         for group in program_groups(planned):
             if not (limit and limit.passed):
-                succeeded &= _train_group(group, emit, progress, devices, limit)
+                _train_group(group, emit, progress, devices, limit)
                 continue
             for entry in group:
                 emit(entry.name, "stopped", step=entry.step)
-    return succeeded
 
 
 def _train_group(
     group: list[PlannedRun], emit: Emit, progress: bool, devices: int | None, limit: TimeLimit | None
-) -> bool:
-    """Train all runs of `group` in one program and return whether it succeeded."""
+) -> None:
+    """Train all runs of `group` in one program."""
     for entry in group:
         emit(entry.name, "resumed" if entry.step else "started", step=entry.step)
     try:
         runs = [entry.run for entry in group]
         step = int(run_program(plan_runs(runs, devices), runs, progress, limit).step)
-    except Exception as error:  # the next group may still succeed
-        cause = _cause(error)
-        for entry in group:
-            emit(entry.name, "failed", why=cause)
-        return False
+    except Exception as error:
+        outcome = {"state": "failed", "why": _cause(error)}
+    else:
+        outcome = {"state": "done"} if step == runs[0].config.steps else {"state": "stopped", "step": step}
     for entry in group:
-        if step < entry.run.config.steps:
-            emit(entry.name, "stopped", step=step)
-        else:
-            emit(entry.name, "done")
-    return True
+        emit(entry.name, **outcome)
 
 
 def _cause(error: Exception) -> str:
@@ -116,11 +225,19 @@ def _cause(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
-def serve(task: str) -> int:
-    """Train the runs of `task`, a JSON object, and return the exit code: 1 if one of them is not finished."""
+def serve(task: dict[str, Any]) -> None:
+    """Plan the `grid` of `task`, or train its `runs`, and print the plan or every event as a line of JSON.
+
+    Both need the folder `out`. A grid can have `max_lanes`; runs have the other arguments of `work` by name.
+    """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
-    fields = json.loads(task)
-    configs = {name: parse_config(config) for name, config in fields["runs"].items()}
+    if "grid" in task:
+        try:
+            reply = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
+        except Exception as error:
+            reply = {"state": "refused", "why": _cause(error)}
+        print(json.dumps(reply), flush=True)
+        return
     if "SLURM_JOB_ID" in os.environ:  # submitit handles these signals and resubmits the job before this process ends
         for number in SCHEDULER_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -128,25 +245,17 @@ def serve(task: str) -> int:
     def emit(name: str, state: str, **details: Any) -> None:
         print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
-    succeeded = work(
-        Path(fields["out"]),
-        configs,
+    work(
+        Path(task["out"]),
+        {name: parse_config(config) for name, config in task["runs"].items()},
         emit,
-        progress=fields.get("progress", True),
-        devices=fields.get("devices"),
-        logs=fields.get("logs", ()),
-        limit=TimeLimit(*fields["limit"]) if fields.get("limit") else None,
+        progress=task.get("progress", True),
+        devices=task.get("devices"),
+        logs=task.get("logs", ()),
+        limit=TimeLimit(*task["limit"]) if task.get("limit") else None,
     )
-    return 0 if succeeded else 1
 
 
-def print_plan(grid: Path, out: Path, max_lanes: int | None) -> int:
-    """Print the plan of a grid as JSON and return the exit code: 2 with a one-line error for invalid input."""
-    try:
-        print(json.dumps(plan(grid, out, max_lanes)))
-    except Exception as error:
-        if not is_input_error(error):
-            raise
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+def parse_config(fields: dict[str, Any]) -> RunConfig:
+    """Return the config with the JSON values `fields`."""
+    return RunConfig(**{**fields, "seeds": tuple(fields["seeds"])})

@@ -9,9 +9,9 @@ from earl_jax.cli.main import main
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import reproduce, tasks
 from earl_jax.runs.config import RunConfig
-from earl_jax.sweeps import grid, launcher, worker
+from earl_jax.sweeps import grid, launcher, processes, worker
 from earl_jax.sweeps.launcher import Outcome
-from earl_jax.sweeps.planner import plan
+from earl_jax.sweeps.worker import plan
 from tests.cli.process import ADDED
 from tests.report.run_files import read_csv
 
@@ -64,7 +64,7 @@ def in_process(planner_in_process, monkeypatch):
         )
         return events
 
-    monkeypatch.setattr(launcher, "worker_events", train)
+    monkeypatch.setattr(processes, "run_events", train)
 
 
 def planned_runs(name, scale, tmp_path, envs=None, **options):

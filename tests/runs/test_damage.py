@@ -18,7 +18,7 @@ from earl_jax.runs.files import DamagedWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.table import COLUMNS
-from earl_jax.sweeps.planner import open_folder
+from earl_jax.sweeps.worker import open_folder
 from earl_jax.training import api
 from tests.cli.process import run, snapshot
 from tests.conftest import TINY_RUN, make_train_state, tiny_method

@@ -28,13 +28,12 @@ LENGTHS = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2, "chec
 WORKER = """
 import json, os, signal, sys, time
 from pathlib import Path
-folder, groups = Path(FOLDER), GROUPS
-if sys.argv[1] == "plan":
+folder, groups, task = Path(FOLDER), GROUPS, json.loads(sys.stdin.readline())
+if "grid" in task:
     runs = {name: {"step": 0, "config": {"env": "sawyer_door"}} for names in [*groups, ["z"]] for name in names}
     groups = [{"runs": list(names), "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for names in groups]
-    print(json.dumps({"out": sys.argv[4], "runs": runs, "groups": groups}))
+    print(json.dumps({"state": "planned", "plan": {"out": task["out"], "runs": runs, "groups": groups}}))
     sys.exit()
-task = json.loads(sys.stdin.readline())
 name = list(task["runs"])[0]
 emit = lambda state, **details: print(json.dumps({"run": name, "state": state, **details}), flush=True)
 (folder / name).write_text(str(os.getpid()))

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from earl_jax import cli
-from earl_jax.sweeps import launcher, packing_rates, processes
+from earl_jax.sweeps import launcher, processes, slots
 from tests.cli.process import ENVIRONMENT, run_process, start
 from tests.sweeps.conftest import GRID
 
@@ -116,8 +116,7 @@ if name == "b":
 """
 RECORD = """
 variables = {key: value for key, value in os.environ.items() if key.startswith(("CUDA", "JAX_PL", "XLA", "EARL"))}
-cores = [int(core) for core in sys.argv[sys.argv.index("--cores") + 1:]]
-(folder / (name + ".json")).write_text(json.dumps({"cores": cores, "progress": task["progress"], **variables}))
+(folder / (name + ".json")).write_text(json.dumps({"cores": task["cores"], "progress": task["progress"], **variables}))
 emit("done")
 """
 
@@ -178,7 +177,7 @@ def test_slots_depend_on_mps_and_on_the_number_of_programs(
     gpus, grid, workers, tmp_path, monkeypatch, mps, per_device, groups, line, log
 ):
     {"broken": gpus.break_mps, "running": gpus.run_daemon}.get(mps, lambda: None)()
-    monkeypatch.setattr(packing_rates, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if mps == "measured" else {})
+    monkeypatch.setattr(slots, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if mps == "measured" else {})
     if mps == "on a CPU":
         monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     folder, lines = workers(RECORD, groups), []
@@ -259,7 +258,6 @@ def test_a_second_signal_or_an_error_ends_all_workers_and_the_daemon(
         ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "--slurm time=MINUTES limits each job"),
         ({"launcher": "cloud"}, "choose from local, slurm"),
         ({"slurm": ("time=5",)}, "--slurm options go with --launcher slurm"),
-        ({"max_lanes": 0}, "max_lanes must be at least 1"),
     ],
 )
 def test_options_that_exclude_each_other_are_refused_before_anything_starts(grid, workers, tmp_path, options, message):

@@ -1,4 +1,4 @@
-"""Searches: Optuna proposes and prunes, and a kill changes nothing. The training of runs is replaced by a formula."""
+"""Searches: Optuna proposes, runs below the median end, and a kill changes nothing. A formula replaces the training of runs."""
 
 import json
 import sys
@@ -8,7 +8,7 @@ import pytest
 from earl_jax.runs.config import deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module
-from earl_jax.sweeps.search import below_median, search
+from earl_jax.sweeps.search import read_space, search
 from tests.cli.process import run
 
 SPACE = """
@@ -21,7 +21,7 @@ eval_every = 40
 batch_size = 16
 learning_rate = { log_uniform = [1e-5, 1e-1] }
 discount = { uniform = [0.9, 0.99] }
-random_steps = { integers = [1, 16] }
+random_steps = { integers = [1, 4] }
 hidden_sizes = { choice = [[16], [32, 32]] }
 """
 
@@ -48,7 +48,6 @@ def batches(monkeypatch):
             folder = RunFolder.open(out / name) if exists else RunFolder.create(out / name, config, "kinematic")
             for step in range(40 * (1 + len(folder.rows()) // 2), config.steps + 1, 40):
                 folder.append([{"step": step, "seed": seed, **metrics} for seed in range(2)])
-        return True
 
     monkeypatch.setattr(module, "work", work)
     return done
@@ -58,9 +57,7 @@ def test_batches_are_trained_through_the_rungs_and_halved(space, tmp_path, batch
     code, out, err = run("search", space, "--out", tmp_path / "out", "--trials", "8", "--batch", "4", "--json")
     assert (code, err) == (0, "")
     values = json.loads(out)
-    assert [steps for steps, _ in batches[:3]] == [40, 80, 120]
-    assert len(batches[0][1]) == 4
-    assert len(batches[1][1]) <= 3
+    assert [(steps, len(names)) for steps, names in batches[:3]] == [(40, 4), (80, 2), (120, 1)]
     assert set(batches[2][1]) <= set(batches[1][1]) <= set(batches[0][1])
     trials = values["trials"]
     assert {trial["state"] for trial in trials} == {"done", "pruned"}
@@ -99,17 +96,14 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
 
 
 @pytest.mark.parametrize("sampler", ["random", "qmc"])
-def test_samples_follow_their_distributions(sampler):
-    optuna = pytest.importorskip("optuna", reason="search needs the extra 'search'")
-    kinds = {"log": {"log_uniform": [1e-5, 1e-1]}, "whole": {"integers": [1, 4]}, "one": {"choice": [[16], [32, 32]]}}
-    spaces = {name: module._space(distribution) for name, distribution in kinds.items()}
-    study = module.Search(None, spaces, None, (), optuna.create_study(), None, None, None)
-    study.ask(128, sampler, seed=1)
-    drawn = [trial.options for trial in study.history()]
-    assert sum(options["log"] < 1e-3 for options in drawn) == pytest.approx(64, abs=16)
-    assert all(float(f"{options['log']:.4g}") == options["log"] for options in drawn)
-    assert all([options["whole"] for options in drawn].count(size) > 16 for size in range(1, 5))
-    assert 40 < [options["one"] for options in drawn].count([16]) < 88
+def test_samples_follow_their_distributions(space, tmp_path, batches, monkeypatch, sampler):
+    monkeypatch.setattr(module, "work", lambda *arguments, **options: None)
+    space.write_text(f"sampler = '{sampler}'\n" + SPACE)
+    drawn = [trial.options for trial in search(space, tmp_path / "out", 64, 64, 1, 1, emit=lambda line: None)]
+    assert sum(options["learning_rate"] < 1e-3 for options in drawn) == pytest.approx(32, abs=8)
+    assert all(float(f"{options['learning_rate']:.4g}") == options["learning_rate"] for options in drawn)
+    assert all([options["random_steps"] for options in drawn].count(size) > 8 for size in range(1, 5))
+    assert 20 < [options["hidden_sizes"] for options in drawn].count([16]) < 44
 
 
 def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, batches, monkeypatch):
@@ -118,7 +112,7 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
     def failing(out, configs, emit, **options):
         first, *others = configs
         emit(first, "failed", why="OSError: no space left")
-        return train(out, {name: configs[name] for name in others}, emit, **options) and False
+        train(out, {name: configs[name] for name in others}, emit, **options)
 
     monkeypatch.setattr(module, "work", failing)
     lines = []
@@ -128,20 +122,13 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
 
 
 def test_minutes_leave_the_trials_running(space, tmp_path, batches, monkeypatch):
-    monkeypatch.setattr(module, "work", lambda *arguments, **options: True)
+    monkeypatch.setattr(module, "work", lambda *arguments, **options: None)
     code, out, _ = run("search", space, "--out", tmp_path / "out", "--trials", "2", "--minutes", "1")
     assert code == 0
     assert "repeat the command to continue" in out
     assert "2 running" in out
     values = json.loads(run("search", space, "--out", tmp_path / "out", "--trials", "2", "--json")[1])
     assert (values["stopped"], values["running"], values["best"]) == (True, 2, None)
-
-
-def test_runs_below_the_median_are_pruned():
-    pytest.importorskip("optuna", reason="search needs the extra 'search'")
-    scores = [0.0, 1.0, 2.0, 3.0]
-    assert [below_median(score, scores) for score in scores] == [True, True, False, False]
-    assert not below_median(0.0, [0.0])
 
 
 @pytest.mark.parametrize(
@@ -156,8 +143,60 @@ def test_a_damaged_journal_or_a_link_is_one_line(space, tmp_path, batches, conte
     assert message in err
 
 
-def test_without_optuna_the_error_names_the_extra(space, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "optuna", None)
-    code, _, err = run("search", space, "--out", tmp_path / "out")
-    assert (code, err) == (2, "earl-jax: search needs optuna: pip install 'earl-jax[search]'\n")
+@pytest.mark.parametrize("missing", [True, False])
+def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_path, monkeypatch, missing):
+    message = "search needs optuna: pip install 'earl-jax[search]'" if missing else "trials must be at least 1, not 0"
+    if missing:
+        monkeypatch.setitem(sys.modules, "optuna", None)
+    code, _, err = run("search", space, "--out", tmp_path / "out", "--trials", str(int(missing)))
+    assert (code, err) == (2, f"earl-jax: {message}\n")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_space_is_a_run_distributions_and_a_sampler(space):
+    pytest.importorskip("optuna", reason="search needs the extra 'search'")
+    base, spaces, sampler = read_space(space)
+    assert (base.options, base.steps, sampler) == ({"batch_size": 16}, 120, "tpe")
+    assert {name: type(distribution).__name__ for name, distribution in spaces.items()} == {
+        "discount": "FloatDistribution",
+        "hidden_sizes": "CategoricalDistribution",
+        "learning_rate": "FloatDistribution",
+        "random_steps": "IntDistribution",
+    }
+    space.write_text(f"preset = 'quick'\nsampler = 'qmc'\n{SPACE}")
+    base, _, sampler = read_space(space)
+    assert (base.options["demo_share"], base.options["batch_size"], sampler) == (0.5, 16, "qmc")
+
+
+UNIFORM = "uniform = [0.9, 0.99]"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('"naive"', '"naive", "fbrl"'), "one task, one method"),
+        (("= 16", "= [16, 32]"), "one value of each option"),
+        (("[options]", "[[runs]]\n[options]"), r"a search has no \[\[runs\]\]"),
+        (("[options]", "samples = 3\n[options]"), "unknown key 'samples'"),
+        (("[options]", "sampler = 'sobol'\n[options]"), "unknown sampler 'sobol'; choose from tpe, random, qmc"),
+        (("uniform", "normal"), "must be a choice of values, or the two ends of uniform, log_uniform or integers"),
+        ((UNIFORM, "uniform = [0, 1], choice = [1]"), "option discount = .* must be"),
+        ((UNIFORM, "uniform = [1, 0]"), "low <= high"),
+        ((UNIFORM, "uniform = [0, inf]"), "not finite"),
+        ((UNIFORM, "uniform = [0, 'x']"), "must be"),
+        ((UNIFORM, "log_uniform = [0, 1]"), "low > 0"),
+        ((UNIFORM, "integers = [1, 2.5]"), "integer"),
+        ((UNIFORM, "choice = []"), "one or more"),
+    ],
+)
+def test_invalid_spaces_are_refused(space, change, message):
+    pytest.importorskip("optuna", reason="search needs the extra 'search'")
+    space.write_text(SPACE.replace(*change))
+    with pytest.raises(ValueError, match=message):
+        read_space(space)
+
+
+def test_a_space_without_distributions_is_refused(space):
+    space.write_text(SPACE[: SPACE.index("learning_rate")])
+    with pytest.raises(ValueError, match="needs options with a distribution"):
+        read_space(space)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax.sweeps import packing_rates, slots
+from earl_jax.sweeps import slots
 from tests.report.run_files import read_csv
 
 RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
@@ -21,7 +21,7 @@ RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
         ({"CUDA_VISIBLE_DEVICES": "-1"}, []),
         ({"CUDA_VISIBLE_DEVICES": ""}, []),
         ({"JAX_PLATFORMS": "cpu"}, []),
-        ({"JAX_PLATFORMS": "cuda,cpu"}, ["0", "1"]),
+        ({"JAX_PLATFORMS": "cuda, cpu"}, ["0", "1"]),
     ],
 )
 @pytest.mark.usefixtures("gpus")
@@ -31,7 +31,7 @@ def test_visible_gpus_are_those_that_cuda_and_jax_would_use(environment, expecte
 
 def test_gpus_need_the_plugin_and_a_driver(gpus, monkeypatch, tmp_path):
     (gpus.bin / "nvidia-smi").write_text("#!/bin/sh\necho 'NVIDIA-SMI has failed'; exit 9\n")
-    assert slots.visible_gpus({}) == []
+    assert slots.visible_gpus({"CUDA_VISIBLE_DEVICES": "GPU-7"}) == []
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.setattr(slots, "NVIDIA_DRIVER", tmp_path / "gpus")
     assert slots.visible_gpus({}) == []
@@ -53,48 +53,51 @@ def test_the_plugin_is_located_without_importing_it(tmp_path, monkeypatch):
     assert slots.cuda_plugin() == folder
 
 
-def test_slots_share_cores_evenly_and_fill_every_gpu_first():
-    result = slots.make_slots(2, ["0", "1"], range(9))
-    assert [slot.gpu for slot in result] == ["0", "1", "0", "1"]
-    assert [slot.cores for slot in result] == [(0, 1), (4, 5), (2, 3), (6, 7)]
-    assert {slot.per_device for slot in result} == {2}
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((2, ["0", "1"], range(9)), [("0", (0, 1)), ("1", (4, 5)), ("0", (2, 3)), ("1", (6, 7))]),
+        ((3, [], [4, 6]), [(None, (4,)), (None, (6,)), (None, (4,))]),
+    ],
+)
+def test_slots_share_cores_evenly_and_fill_every_gpu_first(arguments, expected):
+    result = slots.make_slots(*arguments)
+    assert [(slot.gpu, slot.cores) for slot in result] == expected
+    assert {slot.per_device for slot in result} == {arguments[0]}
 
 
-def test_more_slots_than_cores_have_one_core_each():
-    result = slots.make_slots(3, [], [4, 6])
-    assert [(slot.gpu, slot.cores) for slot in result] == [(None, (4,)), (None, (6,)), (None, (4,))]
+@pytest.mark.parametrize(
+    ("slot", "inherited", "expected"),
+    [
+        (slots.Slot("1", (0,), 4), {}, {"JAX_PLATFORMS": "cuda,cpu", slots.FRACTION: "0.2300"}),
+        (slots.Slot("1", (0,), 4), {"A": "b", slots.FRACTION: "0.5"}, {"A": "b", slots.FRACTION: "0.1250"}),
+        (slots.Slot("1", (0,), 4), {slots.FRACTION: "0.95"}, {slots.FRACTION: "0.2300"}),
+        (slots.Slot("1", (0,), 4), {slots.FRACTION: "x"}, {slots.FRACTION: "0.2300"}),
+        (slots.Slot("1", (0,), 1), {slots.FRACTION: "0.95"}, {slots.FRACTION: "0.95"}),
+        (slots.Slot("1", (0,), 1), {"JAX_PLATFORMS": "cuda"}, {"JAX_PLATFORMS": "cuda"}),
+    ],
+)
+def test_programs_on_a_gpu_share_its_memory_and_keep_the_users_variables(slot, inherited, expected):
+    environment = slot.environment(inherited)
+    assert environment.items() >= {**expected, "CUDA_VISIBLE_DEVICES": "1"}.items()
+    assert environment[slots.PER_DEVICE] == str(slot.per_device)
 
 
-@pytest.mark.parametrize(("given", "total"), [(None, 0.92), ("0.5", 0.5), ("0.95", 0.92), ("x", 0.92)])
-def test_programs_on_a_gpu_share_its_memory(given, total):
-    inherited = {"A": "b"} if given is None else {"A": "b", slots.FRACTION: given}
-    environment = slots.Slot("1", (0,), 4).environment(inherited)
-    assert float(environment[slots.FRACTION]) == pytest.approx(total / 4)
-    assert environment["CUDA_VISIBLE_DEVICES"] == "1"
-    assert environment["JAX_PLATFORMS"] == "cuda,cpu"
-    assert environment["A"] == "b"
-
-
-def test_a_program_alone_keeps_its_memory_and_one_on_a_cpu_its_platform():
-    alone = slots.Slot("0", (0,), 1).environment({slots.FRACTION: "0.95", "JAX_PLATFORMS": "cuda"})
-    assert (alone[slots.FRACTION], alone["JAX_PLATFORMS"]) == ("0.95", "cuda")
+def test_a_program_on_a_cpu_keeps_its_platform():
     assert slots.Slot(None, (0,), 2).environment({}) == {slots.PER_DEVICE: "2"}
 
 
 def test_auto_takes_the_largest_gain_for_the_cores(monkeypatch):
-    gains = {"quick": {(2, 8): 1.8, (4, 4): 2.4}, "full": {(2, 8): 1.0}}
-    monkeypatch.setattr(packing_rates, "GAINS", gains)
-    programs = packing_rates.measured_programs
+    monkeypatch.setattr(slots, "GAINS", {"quick": {(2, 8): 1.8, (4, 4): 2.4}, "full": {(2, 8): 1.0}})
+    programs = slots.measured_programs
     assert [programs(["quick"], cores) for cores in (32, 16, 15, 8)] == [4, 4, 1, 1]
     assert programs(["full"], 16) == 1, "two programs gain nothing"
-    assert programs(["quick", "full"], 16) == programs(["quick", "unmeasured"], 16) == programs([], 16) == 1
+    assert programs(["quick", "full"], 16) == programs(["quick", "unmeasured"], 16) == 1
 
 
 def test_the_table_of_auto_is_the_committed_measurement():
     measured = {}
-    for path in RESULTS.glob("*.csv"):
-        for row in read_csv(path):
-            if row["programs"] != "1":
-                key = int(row["programs"]), int(row["cores_each"])
-                measured.setdefault(row["env"], {})[key] = float(row["wall_gain"])
-    assert measured == packing_rates.GAINS
+    for row in (row for path in RESULTS.glob("*.csv") for row in read_csv(path) if row["programs"] != "1"):
+        key = int(row["programs"]), int(row["cores_each"])
+        measured.setdefault(row["env"], {})[key] = float(row["wall_gain"])
+    assert measured == slots.GAINS

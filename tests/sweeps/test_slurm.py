@@ -1,4 +1,4 @@
-"""Tests of the SLURM launcher, on a fake cluster that runs the tasks of an array on this machine."""
+"""The SLURM launcher, on a fake cluster that runs the tasks of an array on this machine."""
 
 import os
 import sys
@@ -7,39 +7,31 @@ import time
 import pytest
 
 from earl_jax.sweeps import launcher, slurm
-from tests.cli.process import ENVIRONMENT
+from tests.cli.process import ADDED
 from tests.sweeps.conftest import GRID, write_executable
+
+SRUN = '#!/bin/bash\nwhile [[ "$1" == --* ]]; do [[ $1 == --unbuffered ]] || shift; shift; done\nexec "$@"\n'
+SBATCH = """#!/bin/bash
+cp "$1" FOLDER/submitted.sh
+last=$(sed -n 's/^#SBATCH --array=0-\\([0-9]*\\).*/\\1/p' "$1")
+cp "$1" "$1.kept"
+set -- "$1.kept"
+export SLURM_ARRAY_JOB_ID=7 SLURM_NTASKS=1 SLURM_JOB_NUM_NODES=1 SLURM_NODEID=0 SLURM_PROCID=0 SLURM_LOCALID=0
+(for i in $(seq 0 $last); do SLURM_JOB_ID=7$i SLURM_ARRAY_TASK_ID=$i bash "$1"; done
+ touch FOLDER/ended) >FOLDER/cluster.log 2>&1 </dev/null &
+echo "Submitted batch job 7"
+"""
 
 
 @pytest.fixture
 def cluster(tmp_path, monkeypatch):
-    """An `sbatch` that returns at once and then runs the tasks of an array here, one after another."""
+    """A folder with an `sbatch` that returns at once and then runs the tasks of an array here, one after another."""
     pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    bin_ = tmp_path / "bin"
-    bin_.mkdir()
-    write_executable(
-        bin_ / "srun",
-        '#!/bin/bash\nwhile [[ "$1" == --* ]]; do [[ $1 == --unbuffered ]] || shift; shift; done\nexec "$@"\n',
-    )
-    tasks = (
-        "for i in $(seq 0 $last); do SLURM_JOB_ID=7$i SLURM_ARRAY_JOB_ID=7 SLURM_ARRAY_TASK_ID=$i SLURM_NTASKS=1"
-        ' SLURM_JOB_NUM_NODES=1 SLURM_NODEID=0 SLURM_PROCID=0 SLURM_LOCALID=0 bash "$1"; done'
-    )
-    write_executable(
-        bin_ / "sbatch",
-        f"""#!/bin/bash
-cp "$1" {tmp_path}/submitted.sh
-last=$(sed -n 's/^#SBATCH --array=0-\\([0-9]*\\).*/\\1/p' "$1")
-cp "$1" "$1.kept"
-set -- "$1.kept"
-({tasks}; touch {tmp_path}/ended) >{tmp_path}/cluster.log 2>&1 </dev/null &
-echo "Submitted batch job 7"
-""",
-    )
-    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
-    for name, value in ENVIRONMENT.items():
-        if name.startswith("JAX"):
-            monkeypatch.setenv(name, value)
+    (tmp_path / "bin").mkdir()
+    write_executable(tmp_path / "bin/srun", SRUN)
+    write_executable(tmp_path / "bin/sbatch", SBATCH.replace("FOLDER", str(tmp_path)))
+    for name, value in {**ADDED, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}.items():
+        monkeypatch.setenv(name, value)
     return tmp_path
 
 
@@ -61,7 +53,7 @@ def test_an_array_has_one_task_per_program_group(grid, cluster):
     lines.clear()
     assert launcher.sweep(grid, out, **arguments) == (0, ())
     assert [line[:4] for line in lines[:2]] == ["done", "done"]
-    assert lines[2].startswith("0 jobs")
+    assert lines[2].startswith(f"0 jobs; logs in {out / 'slurm'}")
 
 
 def test_a_job_fails_if_a_run_fails_and_is_submitted_again_after_a_time_out(workers):

@@ -1,25 +1,112 @@
-"""Tests of the worker: runs that share a program give the results that each gives alone, in separate folders."""
+"""The worker: the programs of a grid, and runs that share one but give the results that each gives alone, in separate folders."""
 
 import contextlib
-import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
 
+import jax
+import numpy as np
 import pytest
 
 from earl_jax.algos import method_for
 from earl_jax.envs import make
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process
-from earl_jax.sweeps import planner, worker
+from earl_jax.sweeps import processes, worker
 from earl_jax.training import load_lanes, runner, train
-from tests.conftest import TINY, assert_equal_trees
-from tests.sweeps.conftest import LENGTHS, NAMES
+from earl_jax.training.plan import per_lane
+from tests.conftest import TINY, assert_equal_trees, make_train_state
+from tests.sweeps.conftest import GRID, LENGTHS, NAMES
+
+LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true, false]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "max_lanes", "programs"),
+    [
+        (GRID, None, {(4, 120)}),
+        (LAYER_NORM, None, {(4, 120)}),
+        (LAYER_NORM, 3, {(2, 120)}),
+        (GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n", None, {(16, 120)}),
+        (
+            f"{GRID}[[runs]]\noptions = {{ wide = true }}\n[[runs]]\nsteps = 240\noptions.reward_scale = 1\n",
+            None,
+            {(4, 120), (2, 120), (2, 240)},
+        ),
+    ],
+)
+def test_a_program_has_the_runs_of_one_task_method_and_length(tmp_path, grid, text, max_lanes, programs):
+    """Lanes carry horizons and floats as data; a layer norm is compiled. `programs` are pairs of lanes and steps."""
+    grid.write_text(text)
+    plan = worker.plan(grid, tmp_path, max_lanes)
+    assert {(group["lanes"], group["steps"]) for group in plan["groups"]} == programs
+    assert sorted(name for group in plan["groups"] for name in group["runs"]) == sorted(plan["runs"])
+    for group in plan["groups"]:
+        assert len({("naive" in name, "layer_norm=true" in name) for name in group["runs"]}) == 1
+
+
+def test_replay_bytes_of_a_plan_match_the_allocated_replay(tmp_path, grid, problem):
+    grid.write_text(GRID.replace('"oracle"', '"vaprl"').replace("[1, 10]", "1"))
+    plan = worker.plan(grid, tmp_path)
+    [run] = plan["runs"].values()
+    method = per_lane(worker.parse_config(run["config"]).build_method(), 2)
+    replay = make_train_state(problem, method, [0, 1], steps=120).replay
+    allocated = sum(leaf.nbytes for leaf in jax.tree.leaves(replay))
+    assert plan["groups"][0]["replay_bytes"] == pytest.approx(allocated, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "max_lanes", "message"),
+    [
+        (("oracle", "ppo"), None, "unknown algo 'ppo'; choose from .*vaprl"),
+        (("tabletop_organization", "cheetah"), None, "unknown env 'cheetah'; choose from .*sawyer_door"),
+        (
+            ("batch_size", "bath_size"),
+            None,
+            "tabletop_organization/oracle/bath_size=16,.* no option 'bath_size'.*discount",
+        ),
+        (("steps = 120", "steps = 100"), None, "steps 100 is not a multiple of eval_every 40"),
+        (("eval_every = 40", "eval_every = 0"), None, "eval_every must lie in"),
+        (("seeds = 2", "seeds = [1, 1]"), None, "seeds must be at least one and distinct"),
+        (("seeds = 2", "seeds = 0"), None, "seeds must be at least one and distinct"),
+        (("seeds = 2", "seeds = '0:99999999999'"), None, "at most 65536 seeds"),
+        (
+            ('tabletop_organization"]\nalgos = ["oracle', 'fish_swim"]\nalgos = ["vaprl'),
+            None,
+            "vaprl needs demonstrations",
+        ),
+        (("", ""), 0, "has 2 seeds, more than 0 lanes"),
+        (("", ""), 1, "has 2 seeds, more than 1 lanes"),
+    ],
+)
+def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid, change, max_lanes, message, capsys):
+    grid.write_text(GRID.replace(*change))
+    worker.serve({"grid": str(grid), "out": str(tmp_path / "out"), "max_lanes": max_lanes})
+    printed = capsys.readouterr()
+    event = json.loads(printed.out)
+    assert event["state"] == "refused"
+    assert re.search(message, event["why"])
+    assert (printed.err, len(event["why"].splitlines())) == ("", 1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
+    config = worker.parse_config(worker.plan(grid, tmp_path)["runs"][NAMES[0]]["config"])
+    folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
+    folder.append(config.rows(40, {"deployed/success": np.zeros(2)}))
+    assert worker.plan(grid, tmp_path)["groups"][0]["runs"] == NAMES
+    before = (folder.path / "config.json").read_bytes()
+    grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))
+    differences = r"seeds \[0, 1\] there, \[0, 1, 2\] in the grid; steps 120 there, 240 in the grid.*another --out"
+    with pytest.raises(ValueError, match=differences):
+        worker.plan(grid, tmp_path)
+    assert (folder.path / "config.json").read_bytes() == before
 
 
 @pytest.fixture(scope="module")
@@ -32,14 +119,12 @@ def separate_folders(tmp_path_factory):
     return [parent / str(scale) for scale in (1, 10)]
 
 
-def work(plan, out):
-    """Return whether the runs of `plan` succeeded, and the events of the worker."""
+def work(plan, out, **options):
+    """Return the events of a worker that trains the runs of `plan`."""
     events = []
     configs = {name: worker.parse_config(run["config"]) for name, run in plan["runs"].items()}
-    succeeded = worker.work(
-        out, configs, lambda name, state, **details: events.append((name, state, details)), progress=False
-    )
-    return succeeded, events
+    worker.work(out, configs, lambda name, state, **more: events.append((name, state, more)), progress=False, **options)
+    return events
 
 
 def assert_equal_runs(out, separate_folders):
@@ -53,22 +138,18 @@ def test_two_runs_in_one_program_equal_separate_runs(tmp_path, grid, separate_fo
     one, other = ((folder / "metrics.csv").read_text() for folder in separate_folders)
     assert one != other
     out = tmp_path / "out"
-    plan = planner.plan(grid, out)
-    assert [group["runs"] for group in plan["groups"]] == [NAMES]
-    assert not out.exists()
-    succeeded, events = work(plan, out)
-    assert succeeded
+    events = work(worker.plan(grid, out), out)
     assert [state for _, state, _ in events] == ["started", "started", "done", "done"]
     assert_equal_runs(out, separate_folders)
-    finished = planner.plan(grid, out)
+    finished = worker.plan(grid, out)
     assert not finished["groups"]
     assert {run["step"] for run in finished["runs"].values()} == {120}
-    assert work(finished, out) == (True, [(name, "done", {}) for name in NAMES])
+    assert work(finished, out) == [(name, "done", {}) for name in NAMES]
     for name in NAMES:
         shutil.rmtree(out / name / "checkpoints")
-    assert planner.plan(grid, out) == finished
+    assert worker.plan(grid, out) == finished
     (out / NAMES[0] / "policies.npz").unlink()
-    assert [group["runs"] for group in planner.plan(grid, out)["groups"]] == [NAMES[:1]]
+    assert [group["runs"] for group in worker.plan(grid, out)["groups"]] == [NAMES[:1]]
 
 
 def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
@@ -84,38 +165,29 @@ def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
 
     monkeypatch.setattr(runner, "save", fail_at_fourth_save)
     out = tmp_path / "out"
-    succeeded, events = work(planner.plan(grid, out), out)
-    assert not succeeded
+    events = work(worker.plan(grid, out), out)
     assert saved_steps == [40, 40, 80, 80]
     assert events[-1] == (NAMES[1], "failed", {"why": "OSError: no space left"})
     monkeypatch.setattr(runner, "save", save)
-    plan = planner.plan(grid, out)
+    plan = worker.plan(grid, out)
     assert [(group["runs"], group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
-    succeeded, events = work(plan, out)
-    assert succeeded
-    assert ("resumed", {"step": 80}) in [event[1:] for event in events]
+    assert (NAMES[0], "resumed", {"step": 80}) in work(plan, out)
     assert_equal_runs(out, separate_folders)
 
 
 def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, grid, separate_folders):
-    out, configs = tmp_path / "out", {}
-    for name, run in planner.plan(grid, out)["runs"].items():
-        configs[name] = worker.parse_config(run["config"])
-
     class Limit:
         """Passes before the second group, or within the first one."""
 
         answers = iter([False, True])
         passed = property(lambda self: next(self.answers, True))
 
-    events = []
-    arguments = {"progress": False, "limit": Limit()}
-    assert worker.work(out, configs, lambda name, state, **details: events.append((state, details)), **arguments)
-    assert events == [("started", {"step": 0})] * 2 + [("stopped", {"step": 20})] * 2
-    events.clear()
-    assert worker.work(out, configs, lambda name, state, **details: events.append((state, details)), **arguments)
-    assert events == [("stopped", {"step": 20})] * 2
-    assert work(planner.plan(grid, out), out)[0]
+    out = tmp_path / "out"
+    plan = worker.plan(grid, out)
+    stopped = [(name, "stopped", {"step": 20}) for name in NAMES]
+    assert work(plan, out, limit=Limit()) == [(name, "started", {"step": 0}) for name in NAMES] + stopped
+    assert work(plan, out, limit=Limit()) == stopped
+    work(plan, out)
     assert_equal_runs(out, separate_folders)
 
 
@@ -128,7 +200,7 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
     ],
 )
 def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, capsys, content, message):
-    fields = planner.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]
+    fields = worker.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]
     path = tmp_path / NAMES[0]
     with contextlib.ExitStack() as stack:
         if content is None:
@@ -137,7 +209,7 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
             path.mkdir(parents=True)
             for name, text in content.items():
                 (path / name).write_text(text)
-        assert worker.serve(json.dumps({"out": str(tmp_path), "runs": {NAMES[0]: fields}})) == 1
+        worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}})
     event = json.loads(capsys.readouterr().out)
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
     assert message in event["why"]
@@ -145,12 +217,15 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
 
 
 def test_a_worker_keeps_to_its_cores_and_its_progress(monkeypatch):
-    calls = []
+    calls, (reading, writing) = [], os.pipe()
+    os.write(writing, b'{"out": "", "runs": {}, "progress": false, "cores": [2, 3]}\n')
+    monkeypatch.setattr(sys, "stdin", os.fdopen(reading))
+    monkeypatch.setattr(process, "end_with_pipe", lambda descriptor: calls.append(descriptor == reading))
     monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cores: calls.append((pid, cores)), raising=False)
-    monkeypatch.setattr(sys, "stdin", io.StringIO('{"out": "", "runs": {}, "progress": false}'))
-    monkeypatch.setattr(worker, "work", lambda *_, progress, **options: calls.append(progress) or True)
-    assert process.main(["work", "--cores", "2", "3"]) == 0
-    assert calls == [(0, [2, 3]), False]
+    monkeypatch.setattr(worker, "work", lambda *_, progress, **options: calls.append(progress))
+    assert process.main() == 0
+    assert calls == [True, (0, [2, 3]), False]
+    os.close(writing)
 
 
 BUSY = """
@@ -172,13 +247,11 @@ def test_a_worker_ends_with_its_launcher_in_code_that_holds_the_lock():
         assert busy.wait(timeout=10) == -signal.SIGIO
 
 
-@pytest.mark.parametrize("command", [["work"], ["plan", "nowhere.toml", "--out", "out"]])
-def test_a_worker_ends_with_its_launcher_while_it_imports(command):
-    command = [sys.executable, "-m", "earl_jax.sweeps", *command, "--end-with-stdin"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as importing:
-        os.write(importing.stdin.fileno(), b'{"out": "", "runs": {}}\n' if "work" in command else b"")
-        time.sleep(0.5)
-        began = time.monotonic()
-        importing.stdin.close()
-        assert importing.wait(timeout=10) != 0
+def test_a_worker_ends_with_its_launcher_while_it_imports():
+    importing = processes.start({"out": "", "runs": {}})
+    time.sleep(0.5)
+    began = time.monotonic()
+    importing.stdin.close()
+    assert importing.wait(timeout=10) != 0
     assert time.monotonic() - began < 2, "importing takes longer"
+    importing.stdout.close()
