@@ -1,6 +1,6 @@
 """The process of a worker, `python -m earl_jax.sweeps`: it reads a task of the launcher from stdin and prints what happens.
 
-The task is one line of JSON, and so is each message. Stdin is a pipe that the launcher holds open: the worker ends with it.
+The task is one line of JSON, and so is each event. Stdin is a pipe that the launcher holds open: the worker ends with it.
 """
 
 import json
@@ -19,7 +19,7 @@ def main() -> int:
 
     try:
         worker.serve(task)
-    except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or Ctrl-C before training
+    except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or a signal before training
         print(str(interrupt) or "interrupted", file=sys.stderr)
         return getattr(interrupt, "exit_code", 130)
     return 0
@@ -36,13 +36,12 @@ def end_with_pipe(descriptor: int) -> None:
 
         fcntl.fcntl(descriptor, fcntl.F_SETOWN, os.getpid())
         fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) | os.O_ASYNC)
-    threading.Thread(target=_exit_when_closed, args=(descriptor,), daemon=True).start()  # also if it is closed already
 
+    def wait() -> None:
+        os.read(descriptor, 1)
+        os._exit(1)
 
-def _exit_when_closed(descriptor: int) -> None:
-    while os.read(descriptor, 1):
-        pass
-    os._exit(1)
+    threading.Thread(target=wait, daemon=True).start()  # also if it is closed already
 
 
 if __name__ == "__main__":

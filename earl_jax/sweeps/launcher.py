@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from earl_jax.errors import InputError
 from earl_jax.options import TimeLimit
 from earl_jax.sweeps import slurm as slurm_arrays
-from earl_jax.sweeps.processes import Event, Task, Workers, concurrent_events, events, start
+from earl_jax.sweeps.processes import Event, Task, Workers, events, start
 from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots
 
 LAUNCHERS = ("local", "slurm")
@@ -58,20 +58,15 @@ def sweep(
     _check_options(launcher, slurm, devices, per_device, limit)
     executor = slurm_arrays.make_executor(out, slurm) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
+    for name in plan["finished"]:
+        emit(f"done       {name}  (before)")
     common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
-    tasks = [
-        {**common, "runs": {name: plan["runs"][name]["config"] for name in group["runs"]}} for group in plan["groups"]
-    ]
-    waiting = {name for task in tasks for name in task["runs"]}
-    states = {name: "waiting" if name in waiting else "before" for name in plan["runs"]}
-    for name, state in states.items():
-        if state == "before":
-            emit(f"done       {name}  (before)")
+    tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
     if executor is not None:
         slurm_arrays.submit(tasks, executor, emit)
         return Outcome(failed=0)
-    states |= _run_locally(tasks, per_device, emit)
-    return _summarise(states, limit, emit)
+    states = {name: "waiting" for task in tasks for name in task["runs"]} | _run_locally(tasks, per_device, emit)
+    return _summarise(states, len(plan["finished"]), limit, emit)
 
 
 def _check_options(
@@ -100,10 +95,10 @@ def _check_options(
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
-    """Return the runs of a grid with their steps so far, and the program groups of unfinished runs, from a worker on the CPU.
+    """Return the names of finished runs of a grid and the program groups of the others, from a worker on the CPU.
 
-    Keys: `out`, the folder; `runs`, the `step` and `config` of each run by name; `groups`, each with the names of its `runs`,
-    its `lanes`, `step`, `steps` and `replay_bytes`.
+    Keys: `out`, the folder; `finished`; `groups`, each with the configs of its `runs` by name, its `lanes`, the `step` from
+    which they continue, their `steps` and `replay_bytes`.
 
     Raises:
         ValueError: as `sweep`.
@@ -123,9 +118,9 @@ def describe(plan: dict[str, Any]) -> str:
         replay = f"replay {group['replay_bytes'] / 1e6:,.1f} MB"
         lines.append(f"program {number}: {group['lanes']} lanes, steps {group['step']} to {group['steps']}, {replay}")
         lines += [f"  {plan['out']}/{name}" for name in group["runs"]]
-    finished = len(plan["runs"]) - sum(len(group["runs"]) for group in plan["groups"])
-    summary = f"{len(plan['runs'])} runs, {finished} of them done; programs to run: {len(plan['groups'])}"
-    return "\n".join([*lines, summary])
+    finished = len(plan["finished"])
+    count = finished + sum(len(group["runs"]) for group in plan["groups"])
+    return "\n".join([*lines, f"{count} runs, {finished} of them done; programs to run: {len(plan['groups'])}"])
 
 
 def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> dict[str, str]:
@@ -134,7 +129,7 @@ def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> di
     envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
     with open_slots(per_device, envs, emit) as slots, Workers() as workers:
         tasks = [{**task, "progress": len(slots) == 1} for task in tasks]
-        for event in concurrent_events(tasks, slots, workers):
+        for event in workers.run_all(tasks, slots):
             state = "stopped" if workers.signal and event["state"] == "failed" else event["state"]
             states[event["run"]] = state
             emit(f"{state:<10} {event['run']}{_details(event)}")
@@ -151,11 +146,11 @@ def _details(event: Event) -> str:
     return f"  {event.get('why', '')}".rstrip()
 
 
-def _summarise(states: dict[str, str], limit: TimeLimit | None, emit: EmitLine) -> Outcome:
+def _summarise(states: dict[str, str], finished: int, limit: TimeLimit | None, emit: EmitLine) -> Outcome:
     """Return the outcome of the runs with their last `states` by name, and emit it as one line."""
     count = Counter(states.values())
-    line = f"{len(states)} runs: {count['before']} done before, {count['done']} done now, {count['failed']} failed"
-    unfinished = tuple(name for name, state in states.items() if state not in ("before", "done", "failed"))
+    line = f"{finished + len(states)} runs: {finished} done before, {count['done']} done now, {count['failed']} failed"
+    unfinished = tuple(name for name, state in states.items() if state not in ("done", "failed"))
     if unfinished:
         line += f", {len(unfinished)} unfinished after {limit}; repeat the command to continue"
     emit(line)

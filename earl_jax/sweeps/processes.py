@@ -25,59 +25,10 @@ Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with its `step` or `why` it failed, or the `plan` of a grid."""
 
 
-class Workers:
-    """The workers of a sweep, a context in which SIGINT and SIGTERM reach all of them: they save and end.
-
-    A second signal ends the launcher. Workers that still run when the context ends are ended too.
-    """
-
-    def __init__(self):
-        self.signal: int | None = None
-        self._lock = threading.RLock()
-        self._all: list[subprocess.Popen[str]] = []
-        self._handlers: dict[int, Any] = {}
-
-    def __enter__(self) -> "Workers":
-        if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        with self._lock:
-            self.signal = self.signal or (signal.SIGTERM if kind else None)
-            running = [worker for worker in self._all if worker.poll() is None]
-        for worker in running:
-            worker.terminate()
-        deadline = time.monotonic() + PATIENCE
-        for worker in running:
-            try:
-                worker.wait(max(0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                worker.kill()
-                worker.wait()
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-
-    def _stop(self, number: int, frame: object) -> None:
-        with self._lock:
-            if self.signal is not None:
-                raise SystemExit(128 + number)
-            self.signal = number
-            for worker in self._all:
-                worker.send_signal(number)
-
-    def add(self, worker: subprocess.Popen[str]) -> None:
-        """Let `worker` receive the signal, once, also if it has arrived already."""
-        with self._lock:
-            self._all.append(worker)
-            if self.signal is not None:
-                worker.send_signal(self.signal)
-
-
-def start(task: Task, slot: Slot = ANYWHERE, own_session: bool = True) -> subprocess.Popen[str]:
+def start(task: Task, slot: Slot = ANYWHERE) -> subprocess.Popen[str]:
     """Return a worker at `slot` that has received `task`. It ends when this process ends, for whatever reason.
 
-    In a session of its own, it does not receive a terminal's Ctrl-C, which the launcher passes on.
+    A terminal's Ctrl-C does not reach it, because it has a session of its own.
     """
     worker = subprocess.Popen(
         WORKER,
@@ -86,7 +37,7 @@ def start(task: Task, slot: Slot = ANYWHERE, own_session: bool = True) -> subpro
         stdout=subprocess.PIPE,
         text=True,
         errors="replace",
-        start_new_session=own_session,
+        start_new_session=True,
     )
     assert worker.stdin is not None
     with contextlib.suppress(BrokenPipeError):  # a worker that has ended already sends no events
@@ -108,52 +59,94 @@ def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
             sys.stderr.write(line)  # as a whole, because other workers write too
 
 
-def run_events(task: Task, workers: Workers | None = None, slot: Slot = ANYWHERE) -> Iterator[Event]:
-    """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
+class Workers:
+    """The workers of a sweep. As a context it passes SIGINT and SIGTERM on to all of them, which save and end.
 
-    If the time limit of the task has passed, there is no worker and no event.
+    A second signal ends the launcher. Workers that still run when the context ends are ended too.
     """
-    if task.get("limit") and task["limit"].passed:
-        return
-    unfinished = set(task["runs"])
-    with start(task, slot, own_session=workers is not None) as worker:
-        if workers is not None:
-            workers.add(worker)
-        for event in events(worker):
-            if event["state"] in ENDS:
-                unfinished.discard(event["run"])
-            yield event
-    code = worker.returncode
-    why = f"the worker was ended by signal {-code}" if code < 0 else f"the worker ended with code {code}"
-    for name in sorted(unfinished):
-        yield {"run": name, "state": "failed", "why": why}
 
+    def __init__(self):
+        self.signal: int | None = None
+        self._lock = threading.RLock()
+        self._started: list[subprocess.Popen[str]] = []
+        self._handlers: dict[int, Any] = {}
 
-def concurrent_events(tasks: Sequence[Task], slots: Sequence[Slot], workers: Workers) -> Iterator[Event]:
-    """Yield the events of `tasks` in the caller's thread as they arrive, with one worker at a time at each of `slots`.
+    def __enter__(self) -> "Workers":
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
 
-    A task starts when a slot becomes free, and none starts after a signal.
-    """
-    waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
-    for task in tasks:
-        waiting.put(task)
-    arrived: queue.SimpleQueue[Event | Exception | None] = queue.SimpleQueue()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        with self._lock:
+            self.signal = self.signal or (signal.SIGTERM if kind else None)
+            running = [worker for worker in self._started if worker.poll() is None]
+        for worker in running:
+            worker.terminate()
+        deadline = time.monotonic() + PATIENCE
+        for worker in running:
+            try:
+                worker.wait(max(0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                worker.kill()
+                worker.wait()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
 
-    def serve(slot: Slot) -> None:
-        try:
-            while workers.signal is None:
-                for event in run_events(waiting.get_nowait(), workers, slot):
-                    arrived.put(event)
-        except queue.Empty:
-            pass
-        except Exception as error:
-            arrived.put(error)
-        arrived.put(None)
+    def _stop(self, number: int, frame: object) -> None:
+        with self._lock:
+            if self.signal is not None:
+                raise SystemExit(128 + number)
+            self.signal = number
+            for worker in self._started:
+                worker.send_signal(number)
 
-    for slot in slots:
-        threading.Thread(target=serve, args=(slot,), daemon=True).start()
-    for _ in slots:
-        for event in iter(arrived.get, None):
-            if isinstance(event, Exception):
-                raise event
-            yield event
+    def run(self, task: Task, slot: Slot = ANYWHERE) -> Iterator[Event]:
+        """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
+
+        If the time limit of the task has passed, there is no worker and no event.
+        """
+        if task.get("limit") and task["limit"].passed:
+            return
+        unfinished = set(task["runs"])
+        with start(task, slot) as worker:
+            with self._lock:
+                self._started.append(worker)
+                if self.signal is not None:
+                    worker.send_signal(self.signal)
+            for event in events(worker):
+                if event["state"] in ENDS:
+                    unfinished.discard(event["run"])
+                yield event
+        code = worker.returncode
+        why = f"the worker was ended by signal {-code}" if code < 0 else f"the worker ended with code {code}"
+        for name in sorted(unfinished):
+            yield {"run": name, "state": "failed", "why": why}
+
+    def run_all(self, tasks: Sequence[Task], slots: Sequence[Slot]) -> Iterator[Event]:
+        """Yield the events of `tasks` in the caller's thread as they arrive, with one worker at a time at each of `slots`.
+
+        A task starts when a slot becomes free, and none starts after a signal.
+        """
+        waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
+        for task in tasks:
+            waiting.put(task)
+        arrived: queue.SimpleQueue[Event | Exception | None] = queue.SimpleQueue()
+
+        def serve(slot: Slot) -> None:
+            try:
+                while self.signal is None:
+                    for event in self.run(waiting.get_nowait(), slot):
+                        arrived.put(event)
+            except queue.Empty:
+                pass
+            except Exception as error:
+                arrived.put(error)
+            arrived.put(None)
+
+        for slot in slots:
+            threading.Thread(target=serve, args=(slot,), daemon=True).start()
+        for _ in slots:
+            for event in iter(arrived.get, None):
+                if isinstance(event, Exception):
+                    raise event
+                yield event

@@ -72,19 +72,20 @@ def search(
     for name, number, least in (("trials", trials, 1), ("batch", batch, 1), ("rungs", rungs, 1), ("seed", seed, 0)):
         if number < least:
             raise InputError(f"{name} must be at least {least}, not {number}")
-    module = optuna()
+    optuna()
     base, spaces, sampler = read_space(space)
     lengths = _lengths(base, rungs)
-    texts = {name: module.distributions.distribution_to_json(space) for name, space in spaces.items()}
-    identity = json.loads(json.dumps([dataclasses.asdict(base), texts, sampler, lengths, seed]))
     limit = TimeLimit.of(minutes)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
-        state = Search(base, spaces, out, lengths, _open_study(out / TRIALS, identity), emit, devices, limit)
-        while (ended := state.train_batch()) and len(state.history()) < trials:  # first what an earlier call began
-            state.ask(min(batch, trials - len(state.history())), sampler, seed)
+        study = _open_study(out / TRIALS, repr((base, spaces, sampler, lengths, seed)))
+        state = Search(base, spaces, out, lengths, study, emit, devices, limit)
+        while (ended := state.train_batch()) and len(study.trials) < trials:  # first what an earlier call began
+            for number in range(len(study.trials), min(len(study.trials) + batch, trials)):
+                study.sampler = _sampler(sampler, seed, number)
+                study.ask(spaces)
         if not ended:
-            emit(f"{len(state.history())} of {trials} trials were begun; repeat the command to continue")
+            emit(f"{len(study.trials)} of {trials} trials were begun; repeat the command to continue")
         return state.history()
 
 
@@ -104,27 +105,20 @@ class Search:
     def history(self) -> list[Trial]:
         """Return all trials so far."""
         return [
-            Trial(self._options(trial), dict(trial.intermediate_values), STATES[trial.state.name])
-            for trial in self.study.get_trials(deepcopy=False)
+            Trial(self._options(trial), trial.intermediate_values, STATES[trial.state.name])
+            for trial in self.study.trials
         ]
 
     def _options(self, trial: Any) -> dict[str, Any]:
         return {name: _plain(self.spaces[name], value) for name, value in trial.params.items()}
 
     def _running(self) -> list[Any]:
-        return self.study.get_trials(deepcopy=False, states=(optuna().trial.TrialState.RUNNING,))
-
-    def ask(self, count: int, sampler: str, seed: int) -> None:
-        """Add `count` trials. They depend on the trials so far and the seed alone."""
-        begun = len(self.study.get_trials(deepcopy=False))
-        for number in range(begun, begun + count):
-            self.study.sampler = _sampler(sampler, seed, number)
-            self.study.ask(self.spaces)
+        return [trial for trial in self.study.trials if not trial.state.is_finished()]
 
     def train_batch(self) -> bool:
         """Train the running trials through all lengths, and return whether that came to its end."""
         for steps in self.lengths:
-            trials = [trial for trial in self._running() if trial.last_step is None or trial.last_step < steps]
+            trials = [trial for trial in self._running() if steps not in trial.intermediate_values]
             options = [{**self.base.options, **self._options(trial)} for trial in trials]
             specs = [dataclasses.replace(self.base, options=own, steps=steps) for own in options]
             causes = self._train(specs) if specs else {}
@@ -152,9 +146,9 @@ class Search:
             configs[spec.name] = planned_run(spec, self.out).run.config
         causes: dict[str, str] = {}
 
-        def note(name: str, state: str, **details: Any) -> None:
+        def note(name: str, state: str, why: str = "", **_: Any) -> None:
             if state == "failed":
-                causes[name] = details["why"]
+                causes[name] = why
 
         try:
             work(self.out, configs, note, devices=self.devices, limit=self.limit)
@@ -169,7 +163,7 @@ class Search:
         It is the median of all trials at this length. That of Optuna's pruner is of finished trials, so a first batch
         would not be pruned.
         """
-        scores = [trial.scores[steps] for trial in self.history() if steps in trial.scores]
+        scores = [trial.intermediate_values.get(steps, math.nan) for trial in self.study.trials]
         for trial in self._running():
             if trial.last_step != steps:
                 continue
@@ -267,7 +261,7 @@ def _score(path: Path, steps: int) -> float | None:
     return float(recent_scores(reached, metrics[folder.config.deployed_metric]).mean())
 
 
-def _open_study(path: Path, identity: dict[str, Any]) -> Any:
+def _open_study(path: Path, identity: str) -> Any:
     """Return the study in the journal at `path`, which is created if necessary; `identity` is what it must have begun with."""
     module = optuna()
     if path.is_symlink():

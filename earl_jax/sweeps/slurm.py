@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.sweeps.processes import Task, run_events
+from earl_jax.sweeps.processes import Task, Workers
 
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for submitit's scripts and logs."""
@@ -20,7 +20,7 @@ class GroupJob:
     def __call__(self, task: Task) -> None:
         """Train all runs of `task`; failed runs are a RuntimeError that gives their causes."""
         failures = []
-        for event in run_events(task):
+        for event in Workers().run({**task, "ignore_signals": True}):
             print(json.dumps(event), flush=True)
             if event["state"] == "failed":
                 failures.append(f"{event['run']}: {event['why']}")

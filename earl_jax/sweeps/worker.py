@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import gc
 import json
-import os
 import signal
 import traceback
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -95,10 +94,9 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
         ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
     planned = [planned_run(spec, out) for spec in grid.read(path)]
-    runs = {entry.name: {"step": entry.step, "config": dataclasses.asdict(entry.run.config)} for entry in planned}
     groups = [
         {
-            "runs": [entry.name for entry in group],
+            "runs": {entry.name: dataclasses.asdict(entry.run.config) for entry in group},
             "lanes": sum(entry.lanes for entry in group),
             "step": group[0].step,
             "steps": group[0].run.config.steps,
@@ -106,7 +104,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
         }
         for group in program_groups(planned, max_lanes)
     ]
-    return {"out": str(out), "runs": runs, "groups": groups}
+    return {"out": str(out), "finished": [entry.name for entry in planned if entry.finished], "groups": groups}
 
 
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
@@ -228,7 +226,8 @@ def _cause(error: Exception) -> str:
 def serve(task: dict[str, Any]) -> None:
     """Plan the `grid` of `task`, or train its `runs`, and print the plan or every event as a line of JSON.
 
-    Both need the folder `out`. A grid can have `max_lanes`; runs have the other arguments of `work` by name.
+    Both have the folder `out`. A grid has `max_lanes`; runs can have the other arguments of `work` by name, and
+    `ignore_signals` for jobs of submitit, which handles the signals of SLURM and resubmits the job before this process ends.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
     if "grid" in task:
@@ -238,22 +237,16 @@ def serve(task: dict[str, Any]) -> None:
             reply = {"state": "refused", "why": _cause(error)}
         print(json.dumps(reply), flush=True)
         return
-    if "SLURM_JOB_ID" in os.environ:  # submitit handles these signals and resubmits the job before this process ends
-        for number in SCHEDULER_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+    for number in SCHEDULER_SIGNALS if task.get("ignore_signals") else ():
+        signal.signal(number, signal.SIG_IGN)
 
     def emit(name: str, state: str, **details: Any) -> None:
         print(json.dumps({"run": name, "state": state, **details}), flush=True)
 
-    work(
-        Path(task["out"]),
-        {name: parse_config(config) for name, config in task["runs"].items()},
-        emit,
-        progress=task.get("progress", True),
-        devices=task.get("devices"),
-        logs=task.get("logs", ()),
-        limit=TimeLimit(*task["limit"]) if task.get("limit") else None,
-    )
+    configs = {name: parse_config(config) for name, config in task["runs"].items()}
+    options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
+    limit = TimeLimit(*task["limit"]) if task.get("limit") else None
+    work(Path(task["out"]), configs, emit, limit=limit, **options)
 
 
 def parse_config(fields: dict[str, Any]) -> RunConfig:

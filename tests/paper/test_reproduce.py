@@ -53,7 +53,7 @@ def planner_in_process(monkeypatch):
 def in_process(planner_in_process, monkeypatch):
     """Plan and train in this process; the test of figure 2 starts the worker's own."""
 
-    def train(task, *_):
+    def train(workers, task, slot):
         events = []
         configs = {name: worker.parse_config(config) for name, config in task["runs"].items()}
         worker.work(
@@ -64,7 +64,7 @@ def in_process(planner_in_process, monkeypatch):
         )
         return events
 
-    monkeypatch.setattr(processes, "run_events", train)
+    monkeypatch.setattr(processes.Workers, "run", train)
 
 
 def planned_runs(name, scale, tmp_path, envs=None, **options):
@@ -137,7 +137,8 @@ def test_all_horizons_of_a_task_of_figure_2_fit_one_program(tmp_path):
 
 def test_the_fish_of_figure_2_keeps_its_target_between_resets(tmp_path):
     path, runs = planned_runs("figure2", "full", tmp_path, ["fish_swim"])
-    configs = [RunConfig(**run["config"]) for run in plan(path, tmp_path / "out")["runs"].values()]
+    groups = plan(path, tmp_path / "out")["groups"]
+    configs = [RunConfig(**config) for group in groups for config in group["runs"].values()]
     protocols = [config.protocol(config.build_env()) for config in configs]
     assert len(protocols) == len(runs) == 2 * len(tasks.FIGURE2_HORIZONS)
     assert all(protocol.goal_change == protocol.train_horizon for protocol in protocols)

@@ -30,9 +30,9 @@ import json, os, signal, sys, time
 from pathlib import Path
 folder, groups, task = Path(FOLDER), GROUPS, json.loads(sys.stdin.readline())
 if "grid" in task:
-    runs = {name: {"step": 0, "config": {"env": "sawyer_door"}} for names in [*groups, ["z"]] for name in names}
-    groups = [{"runs": list(names), "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for names in groups]
-    print(json.dumps({"state": "planned", "plan": {"out": task["out"], "runs": runs, "groups": groups}}))
+    runs = [{name: {"env": "sawyer_door"} for name in names} for names in groups]
+    groups = [{"runs": named, "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for named in runs]
+    print(json.dumps({"state": "planned", "plan": {"out": task["out"], "finished": ["z"], "groups": groups}}))
     sys.exit()
 name = list(task["runs"])[0]
 emit = lambda state, **details: print(json.dumps({"run": name, "state": state, **details}), flush=True)

@@ -30,14 +30,14 @@ LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true
 @pytest.mark.parametrize(
     ("text", "max_lanes", "programs"),
     [
-        (GRID, None, {(4, 120)}),
-        (LAYER_NORM, None, {(4, 120)}),
-        (LAYER_NORM, 3, {(2, 120)}),
-        (GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n", None, {(16, 120)}),
+        (GRID, None, [(4, 120)]),
+        (LAYER_NORM, None, [(4, 120)] * 4),
+        (LAYER_NORM, 3, [(2, 120)] * 8),
+        (GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n", None, [(16, 120)]),
         (
             f"{GRID}[[runs]]\noptions = {{ wide = true }}\n[[runs]]\nsteps = 240\noptions.reward_scale = 1\n",
             None,
-            {(4, 120), (2, 120), (2, 240)},
+            [(2, 240), (2, 120), (4, 120)],
         ),
     ],
 )
@@ -45,20 +45,19 @@ def test_a_program_has_the_runs_of_one_task_method_and_length(tmp_path, grid, te
     """Lanes carry horizons and floats as data; a layer norm is compiled. `programs` are pairs of lanes and steps."""
     grid.write_text(text)
     plan = worker.plan(grid, tmp_path, max_lanes)
-    assert {(group["lanes"], group["steps"]) for group in plan["groups"]} == programs
-    assert sorted(name for group in plan["groups"] for name in group["runs"]) == sorted(plan["runs"])
+    assert [(group["lanes"], group["steps"]) for group in plan["groups"]] == programs
     for group in plan["groups"]:
         assert len({("naive" in name, "layer_norm=true" in name) for name in group["runs"]}) == 1
 
 
 def test_replay_bytes_of_a_plan_match_the_allocated_replay(tmp_path, grid, problem):
     grid.write_text(GRID.replace('"oracle"', '"vaprl"').replace("[1, 10]", "1"))
-    plan = worker.plan(grid, tmp_path)
-    [run] = plan["runs"].values()
-    method = per_lane(worker.parse_config(run["config"]).build_method(), 2)
+    [group] = worker.plan(grid, tmp_path)["groups"]
+    [config] = group["runs"].values()
+    method = per_lane(worker.parse_config(config).build_method(), 2)
     replay = make_train_state(problem, method, [0, 1], steps=120).replay
     allocated = sum(leaf.nbytes for leaf in jax.tree.leaves(replay))
-    assert plan["groups"][0]["replay_bytes"] == pytest.approx(allocated, rel=0.01)
+    assert group["replay_bytes"] == pytest.approx(allocated, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -97,10 +96,10 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
 
 
 def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
-    config = worker.parse_config(worker.plan(grid, tmp_path)["runs"][NAMES[0]]["config"])
+    config = worker.parse_config(worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
     folder.append(config.rows(40, {"deployed/success": np.zeros(2)}))
-    assert worker.plan(grid, tmp_path)["groups"][0]["runs"] == NAMES
+    assert list(worker.plan(grid, tmp_path)["groups"][0]["runs"]) == NAMES
     before = (folder.path / "config.json").read_bytes()
     grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))
     differences = r"seeds \[0, 1\] there, \[0, 1, 2\] in the grid; steps 120 there, 240 in the grid.*another --out"
@@ -122,7 +121,8 @@ def separate_folders(tmp_path_factory):
 def work(plan, out, **options):
     """Return the events of a worker that trains the runs of `plan`."""
     events = []
-    configs = {name: worker.parse_config(run["config"]) for name, run in plan["runs"].items()}
+    runs = (run for group in plan["groups"] for run in group["runs"].items())
+    configs = {name: worker.parse_config(config) for name, config in runs}
     worker.work(out, configs, lambda name, state, **more: events.append((name, state, more)), progress=False, **options)
     return events
 
@@ -138,18 +138,17 @@ def test_two_runs_in_one_program_equal_separate_runs(tmp_path, grid, separate_fo
     one, other = ((folder / "metrics.csv").read_text() for folder in separate_folders)
     assert one != other
     out = tmp_path / "out"
-    events = work(worker.plan(grid, out), out)
-    assert [state for _, state, _ in events] == ["started", "started", "done", "done"]
+    plan = worker.plan(grid, out)
+    assert [state for _, state, _ in work(plan, out)] == ["started", "started", "done", "done"]
     assert_equal_runs(out, separate_folders)
-    finished = worker.plan(grid, out)
-    assert not finished["groups"]
-    assert {run["step"] for run in finished["runs"].values()} == {120}
-    assert work(finished, out) == [(name, "done", {}) for name in NAMES]
+    assert work(plan, out) == [(name, "done", {}) for name in NAMES]
+    finished = {"out": str(out), "finished": NAMES, "groups": []}
+    assert worker.plan(grid, out) == finished
     for name in NAMES:
         shutil.rmtree(out / name / "checkpoints")
     assert worker.plan(grid, out) == finished
     (out / NAMES[0] / "policies.npz").unlink()
-    assert [group["runs"] for group in worker.plan(grid, out)["groups"]] == [NAMES[:1]]
+    assert [list(group["runs"]) for group in worker.plan(grid, out)["groups"]] == [NAMES[:1]]
 
 
 def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
@@ -170,7 +169,7 @@ def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
     assert events[-1] == (NAMES[1], "failed", {"why": "OSError: no space left"})
     monkeypatch.setattr(runner, "save", save)
     plan = worker.plan(grid, out)
-    assert [(group["runs"], group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
+    assert [(list(group["runs"]), group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
     assert (NAMES[0], "resumed", {"step": 80}) in work(plan, out)
     assert_equal_runs(out, separate_folders)
 
@@ -200,7 +199,7 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
     ],
 )
 def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, capsys, content, message):
-    fields = worker.plan(grid, tmp_path)["runs"][NAMES[0]]["config"]
+    fields = worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]]
     path = tmp_path / NAMES[0]
     with contextlib.ExitStack() as stack:
         if content is None:
