@@ -107,18 +107,21 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b"])
 
 
-TOGETHER = """
-deadline = time.monotonic() + 30
-while len(list(folder.glob("[a-z]"))) < COUNT and time.monotonic() < deadline:
-    time.sleep(0.005)
-if name == "b":
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
 RECORD = """
 variables = {key: value for key, value in os.environ.items() if key.startswith(("CUDA", "JAX_PL", "XLA", "EARL"))}
 (folder / (name + ".json")).write_text(json.dumps({"cores": task["cores"], "progress": task["progress"], **variables}))
 emit("done")
 """
+TOGETHER = """
+deadline = time.monotonic() + 30
+while len(list(folder.glob("[a-z]"))) < 4 and time.monotonic() < deadline:
+    time.sleep(0.005)
+if name == "b":
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+ONE = "1 program at a time on each of 2 GPUs, 4 cores each"
+TWO = "2 programs at a time on each of 2 GPUs, 2 cores each through the"
+STARTED = ["start devices=", "quit"]
 
 
 def read_records(folder):
@@ -127,68 +130,50 @@ def read_records(folder):
 
 
 def test_programs_share_gpus_through_mps_and_one_that_fails_costs_its_runs_only(gpus, grid, workers, tmp_path):
-    folder, lines = workers(TOGETHER.replace("COUNT", "4") + RECORD, "abcde"), []
+    folder, lines = workers(TOGETHER + RECORD, "abcde"), []
     assert launcher.sweep(grid, tmp_path / "out", per_device=2, emit=lines.append).failed == 1
-    how = "through the MPS daemon started for them"
-    assert lines[1] == f"2 programs at a time on each of 2 GPUs, 2 cores each {how}"
+    assert lines[1] == f"{TWO} MPS daemon started for them"
     assert lines[-1] == "6 runs: 1 done before, 4 done now, 1 failed"
     assert "failed     b  the worker was ended by signal 9" in lines
+    assert gpus.log == STARTED
     records = read_records(folder)
     assert list(records) == ["a", "c", "d", "e"]
-    assert gpus.log == ["start devices=", "quit"]
-    first = records["a"], records["c"], records["d"]
-    assert {record["CUDA_VISIBLE_DEVICES"] for record in first} == {"0", "1"}
-    assert len({tuple(record["cores"]) for record in first}) == 3
+    assert {records[name]["CUDA_VISIBLE_DEVICES"] for name in "acd"} == {"0", "1"}
+    assert len({tuple(records[name]["cores"]) for name in "acd"}) == 3
+    expected = {"XLA_PYTHON_CLIENT_MEM_FRACTION": "0.4600", "EARL_JAX_PER_DEVICE": "2", "progress": False}
     for record in records.values():
-        assert record["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.4600"
-        assert record["EARL_JAX_PER_DEVICE"] == "2"
+        assert record.items() >= expected.items()
         assert record["CUDA_MPS_PIPE_DIRECTORY"].endswith("/pipe")
-        assert record["progress"] is False
-
-
-ONE = "1 program at a time on each of 2 GPUs, 4 cores each"
 
 
 @pytest.mark.parametrize(
-    ("mps", "per_device", "groups", "line", "log"),
+    ("host", "per_device", "groups", "line", "log"),
     [
-        ("broken", 4, "abcd", f"{ONE}; MPS cannot be used: MPS is not supported here", ["start devices="]),
-        (
-            "running",
-            2,
-            "abcd",
-            "2 programs at a time on each of 2 GPUs, 2 cores each through the running MPS daemon",
-            [],
-        ),
-        ("unused", 3, "ab", ONE, []),
-        ("unused", "auto", "abcd", ONE, []),
-        (
-            "measured",
-            "auto",
-            "abcd",
-            "2 programs at a time on each of 2 GPUs, 2 cores each through the MPS daemon started for them",
-            ["start devices=", "quit"],
-        ),
-        ("on a CPU", 2, "ac", "2 programs at a time, 4 cores each", []),
-        ("on a CPU", "auto", "ac", "1 program at a time, 8 cores each", []),
+        ("broken MPS", 4, "abcd", f"{ONE}; MPS cannot be used: MPS is not supported here", STARTED[:1]),
+        ("running MPS", 2, "abcd", f"{TWO} running MPS daemon", []),
+        ("GPUs", 3, "ab", ONE, []),
+        ("GPUs", "auto", "abcd", ONE, []),
+        ("measured GPUs", "auto", "abcd", f"{TWO} MPS daemon started for them", STARTED),
+        ("CPU", 2, "ac", "2 programs at a time, 4 cores each", []),
+        ("CPU", "auto", "ac", "1 program at a time, 8 cores each", []),
     ],
 )
 def test_slots_depend_on_mps_and_on_the_number_of_programs(
-    gpus, grid, workers, tmp_path, monkeypatch, mps, per_device, groups, line, log
+    gpus, grid, workers, tmp_path, monkeypatch, host, per_device, groups, line, log
 ):
-    {"broken": gpus.break_mps, "running": gpus.run_daemon}.get(mps, lambda: None)()
-    monkeypatch.setattr(slots, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if mps == "measured" else {})
-    if mps == "on a CPU":
+    {"broken MPS": gpus.break_mps, "running MPS": gpus.run_daemon}.get(host, lambda: None)()
+    monkeypatch.setattr(slots, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if host == "measured GPUs" else {})
+    if host == "CPU":
         monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     folder, lines = workers(RECORD, groups), []
     launcher.sweep(grid, tmp_path / "out", per_device=per_device, emit=lines.append)
     assert lines[1] == line
     assert lines[-1].endswith(f"{len(groups)} done now, 0 failed")
-    records = read_records(folder)
-    assert {len(record["cores"]) for record in records.values()} == {int(line.partition(" core")[0].split()[-1])}
-    assert {"CUDA_MPS_PIPE_DIRECTORY" in record for record in records.values()} == {mps == "measured"}
-    assert all(record["progress"] is (per_device == "auto" and mps == "on a CPU") for record in records.values())
     assert gpus.log == log
+    for record in read_records(folder).values():
+        assert len(record["cores"]) == int(line.partition(" core")[0].split()[-1])
+        assert ("CUDA_MPS_PIPE_DIRECTORY" in record) == (log == STARTED)
+        assert record["progress"] is (per_device == "auto" and host == "CPU")
 
 
 SAVE = """
@@ -201,52 +186,44 @@ time.sleep(60)
 """
 
 
-@pytest.mark.parametrize(("per_device", "started"), [(None, "a"), (2, "abcd")])
-def test_a_signal_reaches_all_workers_and_no_other_group_starts(
-    gpus, grid, workers, tmp_path, capfd, per_device, started
+@pytest.mark.parametrize(
+    ("end", "per_device", "handler"),
+    [
+        ("signal", None, "save_and_end"),
+        ("signal", 2, "save_and_end"),
+        ("error", 2, "save_and_end"),
+        ("second signal", 2, "signal.SIG_IGN"),
+    ],
+)
+def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
+    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, per_device, handler
 ):
-    workers(SAVE.replace("HANDLER", "save_and_end"), "abcde")
-    lines = []
-
-    def emit(line):
-        lines.append(line)
-        if line.startswith("started") and sum(line.startswith("started") for line in lines) == len(started):
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    with pytest.raises(SystemExit) as exit_info:
-        launcher.sweep(grid, tmp_path / "out", per_device=per_device, emit=emit)
-    assert exit_info.value.code == 128 + signal.SIGTERM
-    assert sorted(line for line in lines if line.startswith("stopped  ")) == [
-        f"stopped    {name}  the worker ended with code 143" for name in started
-    ]
-    assert lines[-1] == "stopped; repeat the command to continue"
-    assert sorted(capfd.readouterr().err.splitlines()) == [f"saved {name}" for name in started]
-    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    assert gpus.log == ([] if per_device is None else ["start devices=", "quit"])
-
-
-@pytest.mark.parametrize(("end", "handler"), [("error", "save_and_end"), ("second signal", "signal.SIG_IGN")])
-def test_a_second_signal_or_an_error_ends_all_workers_and_the_daemon(
-    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, handler
-):
-    folder, started = workers(SAVE.replace("HANDLER", handler)), []
+    folder, lines, names = workers(SAVE.replace("HANDLER", handler), "abcde"), [], "abcd" if per_device else "a"
     monkeypatch.setattr(processes, "PATIENCE", 30 if handler == "save_and_end" else 0.1)
 
     def emit(line):
-        started.extend([line] * line.startswith("started"))
-        if len(started) == 4:
+        lines.append(line)
+        if line.startswith("started") and sum(line.startswith("started") for line in lines) == len(names):
             if end == "error":
                 raise BrokenPipeError
-            for _ in range(2):
+            for _ in range(2 if end == "second signal" else 1):
                 os.kill(os.getpid(), signal.SIGTERM)
 
-    with pytest.raises((SystemExit, BrokenPipeError)):
-        launcher.sweep(grid, tmp_path / "out", per_device=2, emit=emit)
+    with pytest.raises(BrokenPipeError if end == "error" else SystemExit) as exit_info:
+        launcher.sweep(grid, tmp_path / "out", per_device=per_device, emit=emit)
+    assert end == "error" or exit_info.value.code == 128 + signal.SIGTERM
+    if end == "signal":
+        stopped = [f"stopped    {name}  the worker ended with code 143" for name in names]
+        assert sorted(line for line in lines if line.startswith("stopped  ")) == stopped
+        assert lines[-1] == "stopped; repeat the command to continue"
+    saved = [f"saved {name}" for name in names] if handler == "save_and_end" else []
+    assert sorted(capfd.readouterr().err.splitlines()) == saved
+    assert sorted(path.name for path in folder.iterdir()) == list(names)
     for path in folder.iterdir():
         with pytest.raises(ProcessLookupError):
             os.kill(int(path.read_text()), 0)
-    assert capfd.readouterr().err.count("saved") == (4 if handler == "save_and_end" else 0)
-    assert gpus.log == ["start devices=", "quit"]
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    assert gpus.log == (STARTED if per_device else [])
 
 
 @pytest.mark.parametrize(

@@ -18,29 +18,15 @@ def wait_until(condition):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_the_daemon_ends_with_the_context_and_its_error(gpus, monkeypatch, error):
+def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
-    folders = []
-
-    def use():
-        with mps() as variables:
-            folders.extend(Path(variables[name]) for name in ("CUDA_MPS_PIPE_DIRECTORY", "CUDA_MPS_LOG_DIRECTORY"))
-            assert all(folder.is_dir() for folder in folders)
-            assert gpus.log == ["start devices="], "the daemon would number the visible GPUs anew"
-            raise error
-
-    with pytest.raises(error):
-        use()
-    assert gpus.log == ["start devices=", "quit"]
-    assert not folders[0].parent.exists()
-
-
-def test_a_daemon_that_answers_is_used_and_left_running(gpus):
-    gpus.run_daemon()
     with mps() as variables:
-        assert variables == {}
-    assert gpus.log == []
+        pipe, log = (Path(variables[name]) for name in ("CUDA_MPS_PIPE_DIRECTORY", "CUDA_MPS_LOG_DIRECTORY"))
+        assert pipe.is_dir()
+        assert log.is_dir()
+        assert gpus.log == ["start devices="], "the daemon would number the visible GPUs anew"
+    assert gpus.log == ["start devices=", "quit"]
+    assert not pipe.parent.exists()
 
 
 @pytest.mark.parametrize(
