@@ -73,25 +73,24 @@ def _check_options(
     launcher: str, slurm: tuple[str, ...], devices: int | None, per_device: PerDevice, limit: TimeLimit | None
 ) -> None:
     """Check the options of `sweep` against each other. Errors as `sweep`."""
-    if launcher not in LAUNCHERS:
-        raise InputError(f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}")
-    if slurm and launcher != "slurm":
-        raise InputError("--slurm options go with --launcher slurm")
-    if limit and launcher == "slurm":
-        raise InputError("--minutes goes with --launcher local; with slurm, --slurm time=MINUTES limits each job")
-    if per_device is None:
-        return
-    if per_device != "auto" and not 1 <= per_device <= MOST:
-        raise InputError(f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}")
-    if launcher == "slurm":
-        raise InputError(
+    is_count = per_device in (None, "auto") or 1 <= per_device <= MOST
+    for is_wrong, message in (
+        (launcher not in LAUNCHERS, f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}"),
+        (not is_count, f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}"),
+        (slurm and launcher == "local", "--slurm options go with --launcher slurm"),
+        (limit and launcher == "slurm", "--minutes goes with --launcher local; --slurm time=MINUTES limits each job"),
+        (
+            per_device and launcher == "slurm",
             "--per-device goes with --launcher local, not slurm: a task of the array has one program group. "
-            "To share the GPUs of a job, submit a job that calls earl-jax sweep --per-device"
-        )
-    if devices is not None:
-        raise InputError(
-            "--per-device puts several programs on a GPU, and --devices spreads a program over several; choose one of them"
-        )
+            "To share the GPUs of a job, submit a job that calls earl-jax sweep --per-device",
+        ),
+        (
+            per_device and devices is not None,
+            "--per-device puts several programs on a GPU, and --devices spreads a program over several; choose one of them",
+        ),
+    ):
+        if is_wrong:
+            raise InputError(message)
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:

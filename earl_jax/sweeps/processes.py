@@ -84,11 +84,10 @@ class Workers:
             worker.terminate()
         deadline = time.monotonic() + PATIENCE
         for worker in running:
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 worker.wait(max(0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                worker.kill()
-                worker.wait()
+            worker.kill()
+            worker.wait()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
@@ -103,9 +102,9 @@ class Workers:
     def run(self, task: Task, slot: Slot = ANYWHERE) -> Iterator[Event]:
         """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
-        If the time limit of the task has passed, there is no worker and no event.
+        After a signal, or if the time limit of the task has passed, there is no worker and no event.
         """
-        if task.get("limit") and task["limit"].passed:
+        if self.signal or (task.get("limit") and task["limit"].passed):
             return
         unfinished = set(task["runs"])
         with start(task, slot) as worker:
@@ -123,22 +122,17 @@ class Workers:
             yield {"run": name, "state": "failed", "why": why}
 
     def run_all(self, tasks: Sequence[Task], slots: Sequence[Slot]) -> Iterator[Event]:
-        """Yield the events of `tasks` in the caller's thread as they arrive, with one worker at a time at each of `slots`.
-
-        A task starts when a slot becomes free, and none starts after a signal.
-        """
-        waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
-        for task in tasks:
+        """Yield the events of `tasks` in the caller's thread as they arrive, with one worker at a time at each of `slots`."""
+        waiting: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        for task in [*tasks, *[None] * len(slots)]:
             waiting.put(task)
         arrived: queue.SimpleQueue[Event | Exception | None] = queue.SimpleQueue()
 
         def serve(slot: Slot) -> None:
             try:
-                while self.signal is None:
-                    for event in self.run(waiting.get_nowait(), slot):
+                for task in iter(waiting.get, None):
+                    for event in self.run(task, slot):
                         arrived.put(event)
-            except queue.Empty:
-                pass
             except Exception as error:
                 arrived.put(error)
             arrived.put(None)

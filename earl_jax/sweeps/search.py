@@ -121,21 +121,21 @@ class Search:
             trials = [trial for trial in self._running() if steps not in trial.intermediate_values]
             options = [{**self.base.options, **self._options(trial)} for trial in trials]
             specs = [dataclasses.replace(self.base, options=own, steps=steps) for own in options]
-            causes = self._train(specs) if specs else {}
+            if specs:
+                self._train(specs)
             for trial, spec in zip(trials, specs, strict=True):
                 score = _score(self.out / spec.name, steps)
                 if score is not None:
                     self.study._storage.set_trial_intermediate_value(trial._trial_id, steps, score)
-                elif spec.name in causes:
-                    self.study.tell(trial.number, state=optuna().trial.TrialState.FAIL)
-                    self.emit(f"failed     {spec.name}  {causes[spec.name]}")
-                else:
+                elif self.limit and self.limit.passed:
                     return False
+                else:
+                    self.study.tell(trial.number, state=optuna().trial.TrialState.FAIL)
             self._conclude(steps)
         return True
 
-    def _train(self, specs: Sequence[grid.RunSpec]) -> dict[str, str]:
-        """Train the runs `specs` to their steps, and return the causes of those that failed, by name."""
+    def _train(self, specs: Sequence[grid.RunSpec]) -> None:
+        """Train the runs `specs` to their steps, and emit the causes of those that fail."""
         configs: dict[str, RunConfig] = {}
         for spec in specs:
             path = self.out / spec.name
@@ -144,18 +144,16 @@ class Search:
                 steps = max(spec.steps, folder.config.steps)  # an equal trial may be longer
                 spec = dataclasses.replace(spec, steps=folder.extended(steps).config.steps)
             configs[spec.name] = planned_run(spec, self.out).run.config
-        causes: dict[str, str] = {}
 
-        def note(name: str, state: str, why: str = "", **_: Any) -> None:
+        def report(name: str, state: str, why: str = "", **_: Any) -> None:
             if state == "failed":
-                causes[name] = why
+                self.emit(f"failed     {name}  {why}")
 
         try:
-            work(self.out, configs, note, devices=self.devices, limit=self.limit)
+            work(self.out, configs, report, devices=self.devices, limit=self.limit)
         except Stopped as stopped:
             stopped.args = (f"stopped at step {stopped.step}; repeat the command to continue",)
             raise
-        return causes
 
     def _conclude(self, steps: int) -> None:
         """End the trials that have reached the last length; at another one, prune those that score below the median.

@@ -8,7 +8,7 @@ RUN = "envs = 'e'\nalgos = 'a'\n"
 BASE = """
 envs = ["tabletop_organization", "sawyer_door"]
 algos = ["naive", "oracle"]
-seeds = 2
+seeds = "0:2"
 steps = 400
 """
 MANY = f"options.x = {list(range(9999))}\n"
@@ -68,11 +68,6 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
     assert options == [(0.1, 2), (0.3, 2)] * 2
     only = read(tmp_path, "steps = 40\n[[runs]]\nenvs = 'e'\nalgos = 'a'\n")
     assert [(spec.name, spec.steps) for spec in only] == [("e/a/default", 40)]
-
-
-@pytest.mark.parametrize(("seeds", "expected"), [("'5:8'", (5, 6, 7)), ("'2'", (0, 1)), ("'1:3,8'", (1, 2, 8))])
-def test_seeds_can_be_a_range_as_in_the_shell(tmp_path, seeds, expected):
-    assert read(tmp_path, f"{RUN}seeds = {seeds}")[0].seeds == expected
 
 
 def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):

@@ -232,7 +232,7 @@ def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
         ({"per_device": 0}, "must be auto, or a number from 1 to 48, not 0"),
         ({"per_device": 2, "devices": 2}, "choose one of them"),
         ({"per_device": 2, "launcher": "slurm"}, "--per-device goes with --launcher local"),
-        ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "--slurm time=MINUTES limits each job"),
+        ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "time=MINUTES limits each job"),
         ({"launcher": "cloud"}, "choose from local, slurm"),
         ({"slurm": ("time=5",)}, "--slurm options go with --launcher slurm"),
     ],
