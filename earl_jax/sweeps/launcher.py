@@ -104,9 +104,9 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
     """
     task = {"grid": str(grid), "out": str(out.resolve()), "max_lanes": max_lanes}
     with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
-        reply: Event = next(events(planner), {"why": "the planner ended without a plan; its error is above"})
+        reply: Event = next(events(planner), {"detail": "the planner ended without a plan; its error is above"})
     if "plan" not in reply:
-        raise InputError(reply["why"])
+        raise InputError(reply["detail"])
     return reply["plan"]
 
 
@@ -131,18 +131,11 @@ def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> di
         for event in workers.run_all(tasks, slots):
             state = "stopped" if workers.signal and event["state"] == "failed" else event["state"]
             states[event["run"]] = state
-            emit(f"{state:<10} {event['run']}{_details(event)}")
+            emit(f"{state:<10} {event['run']}  {event['detail']}".rstrip())
     if workers.signal:
         emit("stopped; repeat the command to continue")
         raise SystemExit(128 + workers.signal)
     return states
-
-
-def _details(event: Event) -> str:
-    """Return what a line says about `event` after the name of its run: the step, or the cause of a failure."""
-    if event.get("step"):
-        return f"  {'at' if event['state'] == 'stopped' else 'from'} step {event['step']}"
-    return f"  {event.get('why', '')}".rstrip()
 
 
 def _summarise(states: dict[str, str], finished: int, limit: TimeLimit | None, emit: EmitLine) -> Outcome:

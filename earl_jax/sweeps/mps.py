@@ -48,16 +48,6 @@ def mps() -> Iterator[dict[str, str]]:
     folder = tempfile.mkdtemp(prefix="earl-mps-", dir="/tmp")  # names of sockets have to be short
     variables = {"CUDA_MPS_PIPE_DIRECTORY": f"{folder}/pipe", "CUDA_MPS_LOG_DIRECTORY": f"{folder}/log"}
     environment = {name: value for name, value in os.environ.items() if name != "CUDA_VISIBLE_DEVICES"} | variables
-    with _guard(folder, environment):
-        for path in variables.values():
-            Path(path).mkdir()
-        _start(environment, Path(folder, "pipe", f"{CONTROL}.pid"))
-        yield variables
-
-
-@contextlib.contextmanager
-def _guard(folder: str, environment: Mapping[str, str]) -> Iterator[None]:
-    """Run the process that stops the daemon and removes its `folder` when the context or this process ends."""
     guard = subprocess.Popen(
         ["/bin/sh", "-c", GUARD, "guard", folder, str(int(10 * PATIENCE))],
         stdin=subprocess.PIPE,
@@ -68,7 +58,10 @@ def _guard(folder: str, environment: Mapping[str, str]) -> Iterator[None]:
     )
     assert guard.stdin is not None
     try:
-        yield
+        for path in variables.values():
+            Path(path).mkdir()
+        _start(environment, Path(folder, "pipe", f"{CONTROL}.pid"))
+        yield variables
     finally:
         guard.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):  # it goes on by itself

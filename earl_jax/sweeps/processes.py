@@ -22,7 +22,7 @@ PATIENCE = 10
 Task = dict[str, Any]
 """What a worker reads: a `grid` to plan, or the configs of `runs` to train, as `worker.serve` takes them."""
 Event = dict[str, Any]
-"""What a worker prints: the `state` of a `run` with its `step` or `why` it failed, or the `plan` of a grid."""
+"""What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
 
 
 def start(task: Task, slot: Slot = ANYWHERE) -> subprocess.Popen[str]:
@@ -117,9 +117,9 @@ class Workers:
                     unfinished.discard(event["run"])
                 yield event
         code = worker.returncode
-        why = f"the worker was ended by signal {-code}" if code < 0 else f"the worker ended with code {code}"
+        detail = f"the worker was ended by signal {-code}" if code < 0 else f"the worker ended with code {code}"
         for name in sorted(unfinished):
-            yield {"run": name, "state": "failed", "why": why}
+            yield {"run": name, "state": "failed", "detail": detail}
 
     def run_all(self, tasks: Sequence[Task], slots: Sequence[Slot]) -> Iterator[Event]:
         """Yield the events of `tasks` in the caller's thread as they arrive, with one worker at a time at each of `slots`."""

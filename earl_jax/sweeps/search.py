@@ -145,9 +145,9 @@ class Search:
                 spec = dataclasses.replace(spec, steps=folder.extended(steps).config.steps)
             configs[spec.name] = planned_run(spec, self.out).run.config
 
-        def report(name: str, state: str, why: str = "", **_: Any) -> None:
+        def report(name: str, state: str, detail: str) -> None:
             if state == "failed":
-                self.emit(f"failed     {name}  {why}")
+                self.emit(f"failed     {name}  {detail}")
 
         try:
             work(self.out, configs, report, devices=self.devices, limit=self.limit)

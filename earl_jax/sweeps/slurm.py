@@ -23,7 +23,7 @@ class GroupJob:
         for event in Workers().run({**task, "ignore_signals": True}):
             print(json.dumps(event), flush=True)
             if event["state"] == "failed":
-                failures.append(f"{event['run']}: {event['why']}")
+                failures.append(f"{event['run']}: {event['detail']}")
         if failures:
             raise RuntimeError("; ".join(failures))
 

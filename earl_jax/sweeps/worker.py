@@ -4,9 +4,10 @@ import contextlib
 import dataclasses
 import gc
 import json
+import math
 import signal
 import traceback
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,8 @@ from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import Problem
 
 SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
-Emit = Callable[..., None]
-"""Receives an event as `emit(name, state, **details)`; the states are started, resumed, done, stopped and failed."""
+Emit = Callable[[str, str, str], None]
+"""Receives the name of a run, its state (started, resumed, done, stopped or failed), and the step or the cause as text."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,17 +72,18 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     Raises:
         ValueError: a single run has more than `max_lanes` lanes.
     """
+    most = math.inf if max_lanes is None else max_lanes
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
     for entry in planned:
         if entry.finished:
             continue
-        if max_lanes is not None and entry.lanes > max_lanes:
+        if entry.lanes > most:
             raise InputError(
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
         groups = by_key.setdefault(entry.group_key(), [[]])
-        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+        if sum(other.lanes for other in groups[-1]) + entry.lanes > most:
             groups.append([])
         groups[-1].append(entry)
     return [group for groups in by_key.values() for group in groups]
@@ -151,17 +153,6 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     return dataclasses.replace(folder, config=config)
 
 
-@contextlib.contextmanager
-def _claimed(path: Path, run: Run, logs: Sequence[str]) -> Iterator[RunFolder]:
-    """Lock the folder of `run` at `path` for this process, after creating it if necessary."""
-    if not has_results(path):
-        RunFolder.create(path, run.config, run.env.resolved_engine, logs)
-    folder = open_folder(path, run.config)
-    check_logs(folder.logs)
-    with folder.claimed():
-        yield folder
-
-
 def work(
     out: Path,
     configs: dict[str, RunConfig],
@@ -181,20 +172,24 @@ def work(
     with contextlib.ExitStack() as stack:
         for name, config in configs.items():
             try:
-                run = Run.resolve(config)
-                run.folder = stack.enter_context(_claimed(inside(out, name), run, logs))
+                run, path = Run.resolve(config), inside(out, name)
+                if not has_results(path):
+                    RunFolder.create(path, config, run.env.resolved_engine, logs)
+                run.folder = open_folder(path, config)
+                check_logs(run.folder.logs)
+                stack.enter_context(run.folder.claimed())
                 planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
             except Exception as error:
-                emit(name, "failed", why=_cause(error))
+                emit(name, "failed", _cause(error))
         for entry in planned:
             if entry.finished:
-                emit(entry.name, "done")
+                emit(entry.name, "done", "")
         for group in program_groups(planned):
             if not (limit and limit.passed):
                 _train_group(group, emit, progress, devices, limit)
                 continue
             for entry in group:
-                emit(entry.name, "stopped", step=entry.step)
+                emit(entry.name, "stopped", f"at step {entry.step}")
 
 
 def _train_group(
@@ -202,16 +197,15 @@ def _train_group(
 ) -> None:
     """Train all runs of `group` in one program."""
     for entry in group:
-        emit(entry.name, "resumed" if entry.step else "started", step=entry.step)
+        emit(entry.name, *(("resumed", f"from step {entry.step}") if entry.step else ("started", "")))
     try:
         runs = [entry.run for entry in group]
         step = int(run_program(plan_runs(runs, devices), runs, progress, limit).step)
+        state, detail = ("done", "") if step == runs[0].config.steps else ("stopped", f"at step {step}")
     except Exception as error:
-        outcome = {"state": "failed", "why": _cause(error)}
-    else:
-        outcome = {"state": "done"} if step == runs[0].config.steps else {"state": "stopped", "step": step}
+        state, detail = "failed", _cause(error)
     for entry in group:
-        emit(entry.name, **outcome)
+        emit(entry.name, state, detail)
 
 
 def _cause(error: Exception) -> str:
@@ -234,14 +228,14 @@ def serve(task: dict[str, Any]) -> None:
         try:
             reply = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
         except Exception as error:
-            reply = {"state": "refused", "why": _cause(error)}
+            reply = {"state": "refused", "detail": _cause(error)}
         print(json.dumps(reply), flush=True)
         return
     for number in SCHEDULER_SIGNALS if task.get("ignore_signals") else ():
         signal.signal(number, signal.SIG_IGN)
 
-    def emit(name: str, state: str, **details: Any) -> None:
-        print(json.dumps({"run": name, "state": state, **details}), flush=True)
+    def emit(name: str, state: str, detail: str) -> None:
+        print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
     configs = {name: parse_config(config) for name, config in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}

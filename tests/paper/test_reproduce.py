@@ -59,7 +59,7 @@ def in_process(planner_in_process, monkeypatch):
         worker.work(
             Path(task["out"]),
             configs,
-            lambda name, state, **details: events.append({"run": name, "state": state, **details}),
+            lambda name, state, detail: events.append({"run": name, "state": state, "detail": detail}),
             progress=False,
         )
         return events

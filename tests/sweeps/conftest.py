@@ -35,7 +35,7 @@ if "grid" in task:
     print(json.dumps({"state": "planned", "plan": {"out": task["out"], "finished": ["z"], "groups": groups}}))
     sys.exit()
 name = list(task["runs"])[0]
-emit = lambda state, **details: print(json.dumps({"run": name, "state": state, **details}), flush=True)
+emit = lambda state, detail="": print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 (folder / name).write_text(str(os.getpid()))
 """
 MPS_CONTROL = """#!/bin/sh

@@ -62,10 +62,10 @@ def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
 FAILING = """
 print("a stray line", flush=True)
 if name == "c":
-    emit("resumed", step=40)
+    emit("resumed", "from step 40")
     os.kill(os.getpid(), signal.SIGKILL)
 if name == "d":
-    emit("failed", why="ValueError: broken")
+    emit("failed", "ValueError: broken")
     sys.exit(1)
 emit("done")
 """
@@ -91,7 +91,7 @@ def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, work
 
 
 def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch, capsys):
-    workers('emit("started")\nemit("stopped", step=task["limit"][1])\n', "ab")
+    workers('emit("started")\nemit("stopped", str(task["limit"][1]))\n', "ab")
     clock = itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
     lines = []
     with monkeypatch.context() as patch:
@@ -99,7 +99,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
         assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("a", "b"))
     assert lines[1:] == [
         "started    a",
-        "stopped    a  at step 1120.0",
+        "stopped    a  1120.0",
         "3 runs: 1 done before, 0 done now, 0 failed, 2 unfinished after 2 minutes; repeat the command to continue",
     ]
     cli.main(["sweep", str(grid), "--out", str(tmp_path), "--minutes", "1e-9", "--json"])

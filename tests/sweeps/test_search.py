@@ -111,7 +111,7 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
 
     def failing(out, configs, emit, **options):
         first, *others = configs
-        emit(first, "failed", why="OSError: no space left")
+        emit(first, "failed", "OSError: no space left")
         train(out, {name: configs[name] for name in others}, emit, **options)
 
     monkeypatch.setattr(module, "work", failing)

@@ -57,7 +57,7 @@ def test_an_array_has_one_task_per_program_group(grid, cluster):
 
 
 def test_a_job_fails_if_a_run_fails_and_is_submitted_again_after_a_time_out(workers):
-    workers('emit("done") if name == "a" else emit("failed", why="ValueError: broken")\n')
+    workers('emit("done") if name == "a" else emit("failed", "ValueError: broken")\n')
     slurm.GroupJob()({"out": "", "runs": {"a": {}}})
     task = {"out": "", "runs": {"b": {}}}
     with pytest.raises(RuntimeError, match="b: ValueError: broken"):

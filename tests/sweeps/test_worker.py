@@ -90,8 +90,8 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
     printed = capsys.readouterr()
     event = json.loads(printed.out)
     assert event["state"] == "refused"
-    assert re.search(message, event["why"])
-    assert (printed.err, len(event["why"].splitlines())) == ("", 1)
+    assert re.search(message, event["detail"])
+    assert (printed.err, len(event["detail"].splitlines())) == ("", 1)
     assert not (tmp_path / "out").exists()
 
 
@@ -123,7 +123,7 @@ def work(plan, out, **options):
     events = []
     runs = (run for group in plan["groups"] for run in group["runs"].items())
     configs = {name: worker.parse_config(config) for name, config in runs}
-    worker.work(out, configs, lambda name, state, **more: events.append((name, state, more)), progress=False, **options)
+    worker.work(out, configs, lambda *event: events.append(event), progress=False, **options)
     return events
 
 
@@ -141,7 +141,7 @@ def test_two_runs_in_one_program_equal_separate_runs(tmp_path, grid, separate_fo
     plan = worker.plan(grid, out)
     assert [state for _, state, _ in work(plan, out)] == ["started", "started", "done", "done"]
     assert_equal_runs(out, separate_folders)
-    assert work(plan, out) == [(name, "done", {}) for name in NAMES]
+    assert work(plan, out) == [(name, "done", "") for name in NAMES]
     finished = {"out": str(out), "finished": NAMES, "groups": []}
     assert worker.plan(grid, out) == finished
     for name in NAMES:
@@ -166,11 +166,11 @@ def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
     out = tmp_path / "out"
     events = work(worker.plan(grid, out), out)
     assert saved_steps == [40, 40, 80, 80]
-    assert events[-1] == (NAMES[1], "failed", {"why": "OSError: no space left"})
+    assert events[-1] == (NAMES[1], "failed", "OSError: no space left")
     monkeypatch.setattr(runner, "save", save)
     plan = worker.plan(grid, out)
     assert [(list(group["runs"]), group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
-    assert (NAMES[0], "resumed", {"step": 80}) in work(plan, out)
+    assert (NAMES[0], "resumed", "from step 80") in work(plan, out)
     assert_equal_runs(out, separate_folders)
 
 
@@ -183,8 +183,8 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
 
     out = tmp_path / "out"
     plan = worker.plan(grid, out)
-    stopped = [(name, "stopped", {"step": 20}) for name in NAMES]
-    assert work(plan, out, limit=Limit()) == [(name, "started", {"step": 0}) for name in NAMES] + stopped
+    stopped = [(name, "stopped", "at step 20") for name in NAMES]
+    assert work(plan, out, limit=Limit()) == [(name, "started", "") for name in NAMES] + stopped
     assert work(plan, out, limit=Limit()) == stopped
     work(plan, out)
     assert_equal_runs(out, separate_folders)
@@ -211,7 +211,7 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
         worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}})
     event = json.loads(capsys.readouterr().out)
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
-    assert message in event["why"]
+    assert message in event["detail"]
     assert content is None or (path / next(iter(content))).read_text() == next(iter(content.values()))
 
 
