@@ -154,19 +154,12 @@ def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_
     assert not (tmp_path / "out").exists()
 
 
-def test_a_space_is_a_run_distributions_and_a_sampler(space):
+def test_a_space_can_have_a_preset(space):
     pytest.importorskip("optuna", reason="search needs the extra 'search'")
-    base, spaces, sampler = read_space(space)
-    assert (base.options, base.steps, sampler) == ({"batch_size": 16}, 120, "tpe")
-    assert {name: type(distribution).__name__ for name, distribution in spaces.items()} == {
-        "discount": "FloatDistribution",
-        "hidden_sizes": "CategoricalDistribution",
-        "learning_rate": "FloatDistribution",
-        "random_steps": "IntDistribution",
-    }
     space.write_text(f"preset = 'quick'\nsampler = 'qmc'\n{SPACE}")
-    base, _, sampler = read_space(space)
-    assert (base.options["demo_share"], base.options["batch_size"], sampler) == (0.5, 16, "qmc")
+    base, spaces, sampler = read_space(space)
+    assert (base.options["demo_share"], base.options["batch_size"], base.steps, sampler) == (0.5, 16, 120, "qmc")
+    assert list(spaces) == ["discount", "hidden_sizes", "learning_rate", "random_steps"]
 
 
 UNIFORM = "uniform = [0.9, 0.99]"
@@ -188,16 +181,11 @@ UNIFORM = "uniform = [0.9, 0.99]"
         ((UNIFORM, "log_uniform = [0, 1]"), "low > 0"),
         ((UNIFORM, "integers = [1, 2.5]"), "integer"),
         ((UNIFORM, "choice = []"), "one or more"),
+        ((SPACE[SPACE.index("learning_rate") :], ""), "needs options with a distribution"),
     ],
 )
 def test_invalid_spaces_are_refused(space, change, message):
     pytest.importorskip("optuna", reason="search needs the extra 'search'")
     space.write_text(SPACE.replace(*change))
     with pytest.raises(ValueError, match=message):
-        read_space(space)
-
-
-def test_a_space_without_distributions_is_refused(space):
-    space.write_text(SPACE[: SPACE.index("learning_rate")])
-    with pytest.raises(ValueError, match="needs options with a distribution"):
         read_space(space)

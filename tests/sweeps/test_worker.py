@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 
-import jax
 import numpy as np
 import pytest
 
@@ -19,9 +18,8 @@ from earl_jax.envs import make
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process
 from earl_jax.sweeps import processes, worker
-from earl_jax.training import load_lanes, runner, train
-from earl_jax.training.plan import per_lane
-from tests.conftest import TINY, assert_equal_trees, make_train_state
+from earl_jax.training import load_lanes, memory, runner, train
+from tests.conftest import TINY, assert_equal_trees, tiny_method
 from tests.sweeps.conftest import GRID, LENGTHS, NAMES
 
 LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true, false]\n"
@@ -50,14 +48,9 @@ def test_a_program_has_the_runs_of_one_task_method_and_length(tmp_path, grid, te
         assert len({("naive" in name, "layer_norm=true" in name) for name in group["runs"]}) == 1
 
 
-def test_replay_bytes_of_a_plan_match_the_allocated_replay(tmp_path, grid, problem):
-    grid.write_text(GRID.replace('"oracle"', '"vaprl"').replace("[1, 10]", "1"))
+def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, problem):
     [group] = worker.plan(grid, tmp_path)["groups"]
-    [config] = group["runs"].values()
-    method = per_lane(worker.parse_config(config).build_method(), 2)
-    replay = make_train_state(problem, method, [0, 1], steps=120).replay
-    allocated = sum(leaf.nbytes for leaf in jax.tree.leaves(replay))
-    assert group["replay_bytes"] == pytest.approx(allocated, rel=0.01)
+    assert group["replay_bytes"] == 4 * memory.replay_bytes(problem, tiny_method("oracle"), 120)
 
 
 @pytest.mark.parametrize(
