@@ -11,7 +11,7 @@ from earl_jax.sweeps import grid
 from earl_jax.training import train
 
 
-def test_the_shell_sweep_files_and_python_have_the_same_defaults():
+def test_the_shell_sweep_files_and_python_have_the_same_defaults(tmp_path):
     shared = {name: value.default for name, value in inspect.signature(train).parameters.items()}
     assert {name: shared[name] for name in LENGTHS} == LENGTHS
     parameters = inspect.signature(command).parameters
@@ -20,7 +20,9 @@ def test_the_shell_sweep_files_and_python_have_the_same_defaults():
     help_text = " ".join(command.__doc__.split())
     for name, value in LENGTHS.items():
         assert f"By default {value:,}" in help_text, name
-    assert {"seeds": LENGTHS["seeds"], **grid.COUNTS} == LENGTHS
+    (tmp_path / "grid.toml").write_text("envs = 'e'\nalgos = 'a'")
+    [spec] = grid.read(tmp_path / "grid.toml")
+    assert {name: getattr(spec, name) for name in LENGTHS} == {**LENGTHS, "seeds": tuple(range(LENGTHS["seeds"]))}
 
 
 @pytest.mark.parametrize("name", PRESETS)
