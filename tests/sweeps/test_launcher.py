@@ -226,6 +226,12 @@ def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
     assert gpus.log == (STARTED if per_device else [])
 
 
+def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers, tmp_path, monkeypatch):
+    workers("", "ab")
+    with pytest.raises(FileNotFoundError, match="missing"):
+        launcher.sweep(grid, tmp_path / "out", emit=lambda line: monkeypatch.setattr(processes, "WORKER", ["missing"]))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
