@@ -208,15 +208,17 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
     assert content is None or (path / next(iter(content))).read_text() == next(iter(content.values()))
 
 
-def test_a_worker_keeps_to_its_cores_and_its_progress(monkeypatch):
+def test_a_worker_keeps_to_its_cores_and_leaves_signals_to_submitit(monkeypatch):
     calls, (reading, writing) = [], os.pipe()
-    os.write(writing, b'{"out": "", "runs": {}, "progress": false, "cores": [2, 3]}\n')
+    task = {"out": "", "runs": {}, "progress": False, "cores": [2, 3], "ignore_signals": True}
+    os.write(writing, f"{json.dumps(task)}\n".encode())
     monkeypatch.setattr(sys, "stdin", os.fdopen(reading))
     monkeypatch.setattr(process, "end_with_pipe", lambda descriptor: calls.append(descriptor == reading))
     monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cores: calls.append((pid, cores)), raising=False)
+    monkeypatch.setattr(signal, "signal", lambda number, action: calls.append(action))
     monkeypatch.setattr(worker, "work", lambda *_, progress, **options: calls.append(progress))
     assert process.main() == 0
-    assert calls == [True, (0, [2, 3]), False]
+    assert calls == [True, (0, [2, 3]), *[signal.SIG_IGN] * 3, False]
     os.close(writing)
 
 
