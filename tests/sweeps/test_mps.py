@@ -53,7 +53,7 @@ def test_a_daemon_that_ignores_quit_is_ended_by_its_process_id(gpus, monkeypatch
     with mps() as variables:
         pid = int(Path(variables["CUDA_MPS_PIPE_DIRECTORY"], "nvidia-cuda-mps-control.pid").read_text())
         command = Path(f"/proc/{pid}/cmdline")
-        assert command.read_bytes()
+        wait_until(command.read_bytes)  # it is empty for a moment, until the daemon is loaded
     wait_until(lambda: not command.exists() or not command.read_bytes())
 
 
