@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.output import emit
-from earl_jax.runs import checkpoint
+from earl_jax.runs import archive, checkpoint
 
 TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=40"]
 CLI = [sys.executable, "-m", "earl_jax.cli"]
@@ -147,7 +147,7 @@ def describe(folder: Path) -> dict[str, Any]:
     return {
         "rows": sum(max(0, len(table.splitlines()) - 1) for table in tables(folder).values()),
         "newest": max(map(checkpoint.newest, checkpoints), default=0),
-        "writing": any(folder.rglob("part-*")) or any(folder.rglob("*.part")),
+        "writing": any(folder.rglob(f"*{checkpoint.UNFINISHED}*")) or any(folder.rglob("*.part")),
     }
 
 
@@ -171,7 +171,7 @@ def measure(subject: Subject, count: int, seed: int, root: Path) -> tuple[list[d
             print(kills[-1], flush=True)
         equal += tables(folder) == tables(whole)
         for checkpoints in folder.rglob("checkpoints"):
-            checkpoint.verified(checkpoints / f"{checkpoint.newest(checkpoints):09d}")
+            archive.read(checkpoints, checkpoint.newest(checkpoints), ("lanes", "replay"))
     summary = {
         "subject": subject.name, "kills": len(kills), "in_a_write": sum(kill["writing"] for kill in kills), "runs": runs,
         "equal_tables": equal, "longest_outlived_s": max(kill["outlived"] for kill in kills),

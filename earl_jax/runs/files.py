@@ -1,4 +1,4 @@
-"""Files that stay valid after a kill, on a full disk and with other processes. Nothing is written through a link."""
+"""Files that stay valid after a kill, on a full disk and with other processes. No link and no pipe is opened."""
 
 import contextlib
 import errno
@@ -6,23 +6,19 @@ import os
 import shutil
 import stat
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import BinaryIO, Literal
 
-from earl_jax import arrays
 from earl_jax.errors import InputError
 
-T = TypeVar("T")
 LOCK, PART = ".lock", ".part"
 BUSY = ".nfs"
 """What the names start with that NFS gives to deleted files which another process still reads."""
 WITHOUT_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}
 """Errors of file systems that have no locks."""
-NOT_REGULAR = {errno.ELOOP, errno.EMLINK, errno.ENOTDIR, errno.EISDIR, errno.ENXIO}
-"""Errors of opening a link or a special file, which depend on the system."""
-
-
+NOT_PLAIN = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE}
+"""Errors of opening a link, a folder or a pipe, which depend on the system."""
 _UNLOCKED: set[Path] = set()
 """Folders without locks that a warning has named."""
 
@@ -39,39 +35,56 @@ class UnlockedWarning(RunWarning):
     """The file system has no locks, so that other processes are not kept from writing."""
 
 
-def require_plain(path: Path, kind: int = stat.S_IFREG) -> bool:
-    """Return whether `path` exists.
+def _not_plain(path: Path, wanted: str = "regular file") -> InputError:
+    return InputError(f"{path} is a link or not a {wanted}; remove it")
+
+
+def require_plain(path: Path, kind: int = stat.S_IFREG) -> None:
+    """Raise an InputError if there is something else at `path` than what `kind` says, a regular file or a folder."""
+    with contextlib.suppress(FileNotFoundError):
+        if stat.S_IFMT(path.lstat().st_mode) != kind:
+            raise _not_plain(path, "folder" if kind == stat.S_IFDIR else "regular file")
+
+
+@contextlib.contextmanager
+def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> Iterator[BinaryIO]:
+    """Open the regular file at `path`.
 
     Raises:
-        ValueError: it is a link, or not what `kind` says, a regular file or a folder.
+        ValueError: a link, a pipe or a folder is there.
     """
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return False
-    if stat.S_ISLNK(mode):
-        raise InputError(f"{path} is a link, and a run writes through none; remove it")
-    if stat.S_IFMT(mode) != kind:
-        raise InputError(f"{path} is not a {'folder' if kind == stat.S_IFDIR else 'regular file'}; remove it")
-    return True
+    with contextlib.ExitStack() as stack:
+        try:
+            handle = stack.enter_context(open(path, mode, opener=_open_plain))
+        except OSError as error:
+            if error.errno in NOT_PLAIN:
+                raise _not_plain(path) from error
+            raise
+        if not stat.S_ISREG(os.fstat(handle.fileno()).st_mode):
+            raise _not_plain(path)
+        yield handle
 
 
-def _open_to_write(path: Path, flags: int) -> int:
-    """Return the descriptor of the regular file at `path`. Errors as `require_plain`."""
+def _open_plain(path: str, flags: int) -> int:
+    flags |= os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe would block
     try:
-        number = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)  # a FIFO would block
+        return os.open(path, flags, 0o666)
     except OSError as error:
-        if error.errno in NOT_REGULAR:
-            require_plain(path)
-        raise
-    if not stat.S_ISREG(os.fstat(number).st_mode):
-        os.close(number)
-        raise InputError(f"{path} is not a regular file; remove it")
-    return number
+        if error.errno != errno.ESTALE:
+            raise
+    return os.open(path, flags, 0o666)  # NFS says so if another host has just replaced the file
 
 
-def _write(path: Path, flags: int, content: str | bytes) -> None:
-    with os.fdopen(_open_to_write(path, os.O_WRONLY | os.O_CREAT | flags), "wb") as handle:
+def read_bytes(path: Path, limit: int | None = None) -> bytes:
+    """Return the content of the regular file at `path`. Errors as `opened`, or it has more than `limit` bytes."""
+    with opened(path) as handle:
+        if limit is not None and os.fstat(handle.fileno()).st_size > limit:
+            raise InputError(f"{path} is larger than {limit >> 20} MiB, the limit")
+        return handle.read()
+
+
+def _write(path: Path, mode: Literal["wb", "ab"], content: str | bytes) -> None:
+    with opened(path, mode) as handle:
         if os.fstat(handle.fileno()).st_nlink > 1:
             raise InputError(f"{path} is also another file's name (a hard link); remove one of them")
         handle.write(content.encode() if isinstance(content, str) else content)
@@ -89,29 +102,26 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     part = path.with_name(path.name + PART)
     require_plain(path)
     try:
-        if require_plain(part):
-            os.unlink(part)  # a kill left it, or it is a second name of another file
+        part.unlink(missing_ok=True)  # a kill left it, or it is a link
         try:
-            _write(part, os.O_EXCL | os.O_TRUNC, content)
+            _write(part, "wb", content)
             os.replace(part, path)
         except OSError:
-            with contextlib.suppress(OSError):
-                os.unlink(part)
+            part.unlink(missing_ok=True)
             raise
     except OSError as error:
         raise OSError(f"{path} can't be written: {error.strerror or error}") from error
 
 
 def append(path: Path, content: str) -> None:
-    """Append to the file at `path`, which is created if necessary. Errors as `require_plain`."""
-    _write(path, os.O_APPEND, content)
+    """Append to the file at `path`, which is created if necessary. Errors as `opened`, or it is a hard link."""
+    _write(path, "ab", content)
 
 
 def make_folder(path: Path) -> None:
     """Create the folder at `path`, unless it exists. Errors as `require_plain`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not require_plain(path, stat.S_IFDIR):
-        path.mkdir(exist_ok=True)
+    require_plain(path, stat.S_IFDIR)
+    path.mkdir(parents=True, exist_ok=True)
 
 
 def remove(path: Path) -> None:
@@ -127,28 +137,6 @@ def entries(folder: Path) -> list[Path]:
     return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(BUSY))
 
 
-def read_again(read: Callable[[], T]) -> T:
-    """Return `read()`, called twice if another host replaced the file meanwhile, which NFS reports as a stale handle."""
-    try:
-        return read()
-    except OSError as error:
-        if error.errno != errno.ESTALE:
-            raise
-    return read()
-
-
-def read_bytes(path: Path, limit: int | None = None) -> bytes:
-    """Return the content of `path`.
-
-    Raises:
-        ValueError: it is not a regular file, or has more than `limit` bytes.
-    """
-    try:
-        return read_again(lambda: arrays.read_bytes(path, limit))
-    except InputError as error:
-        raise InputError(f"{path} is {error}") from error
-
-
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
     """Lock the folder at `path` for this process; the system releases the lock when the process ends for any reason.
@@ -159,15 +147,13 @@ def locked(path: Path) -> Iterator[None]:
         ValueError: another process has locked it, or its lock is a link.
         OSError: the folder is not writable.
     """
-    try:
-        number = _open_to_write(path / LOCK, os.O_RDWR | os.O_CREAT)
-    except OSError as error:
-        raise OSError(f"{path} can't be written to: {error.strerror or error}") from error
-    try:
-        _lock(number, path)
+    with contextlib.ExitStack() as stack:
+        try:
+            handle = stack.enter_context(opened(path / LOCK, "ab"))
+        except OSError as error:
+            raise OSError(f"{path} can't be written to: {error.strerror or error}") from error
+        _lock(handle.fileno(), path)
         yield
-    finally:
-        os.close(number)
 
 
 def _lock(number: int, path: Path) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import os
 import sys
 import uuid
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,7 @@ from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
-from earl_jax.runs.files import append, inside, locked, read_bytes, require_plain, write_atomically
+from earl_jax.runs.files import append, locked, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
@@ -96,15 +97,12 @@ class RunFolder:
         """Return the run folder at `path`.
 
         Raises:
-            ValueError: its config is missing or invalid, or a path in the folder points outside it.
+            ValueError: its config is missing or invalid.
         """
         file = path / CONFIG
-        if not file.is_file():
+        if not os.path.lexists(file):
             raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
-        for name in (CONFIG, METRICS, POLICIES, CHECKPOINTS):
-            inside(path, name)
-        config, logs = read_config(file)
-        return cls(path, config, logs)
+        return cls(path, *read_config(file))
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
@@ -130,7 +128,7 @@ class RunFolder:
         Raises:
             ValueError: the run has more steps already.
         """
-        reached = max(self._table().step, newest(self.checkpoints))
+        reached = max(Table.read(self.metrics, self.config).step, newest(self.checkpoints))
         if steps < reached:
             raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
         config = dataclasses.replace(self.config, steps=steps)
@@ -152,14 +150,10 @@ class RunFolder:
     def append(self, rows: list[Row]) -> None:
         """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
         try:
-            columns = columns_of(self.metrics) if require_plain(self.metrics) else []
-            append(self.metrics, csv_text(rows, columns))
+            append(self.metrics, csv_text(rows, columns_of(self.metrics)))
         except OSError as error:
             cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error
-
-    def _table(self) -> Table:
-        return Table.read(self.metrics, self.config)
 
     def rows(self) -> list[Row]:
         """Return the rows of metrics.csv, up to its last complete evaluation.
@@ -169,19 +163,15 @@ class RunFolder:
                 last row; the message says what to do.
         """
         step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
-        table = self._table()
-        self._require(table, table.problem, step)
-        return table.rows
+        return self._table(step, whole=True).rows
 
     def require_rows(self) -> None:
         """Raise a ValueError, as `rows` does, if rows or columns up to the newest checkpoint are damaged or missing."""
         step = newest(self.checkpoints)
-        table = self._table()
-        problem = table.problem if table.step < step else ""
-        missing = ", ".join(sorted(COLUMNS.difference(table.columns)))
-        if missing and table.rows and step and not problem:
-            problem = f"it has no column {missing}"
-        self._require(table, problem, step)
+        table = self._table(step)
+        missing = sorted(COLUMNS.difference(table.columns))
+        if missing and table.rows and step:
+            raise self._damaged(table, f"it has no column {', '.join(missing)}")
 
     def rows_until(self, step: int) -> list[Row]:
         """Drop the rows after `step`, which a resumed run writes again, and return the remaining ones.
@@ -189,26 +179,31 @@ class RunFolder:
         Raises:
             ValueError: a row up to `step` is damaged or missing.
         """
-        table = self._table()
-        self._require(table, table.problem if table.step < step else "", step)
+        table = self._table(step)
         count = step // self.config.eval_every * len(self.config.seeds)
         text = "".join(f"{line}\n" for line in table.lines[: count + 1]) if count else ""
         if self.metrics.exists() and (read_bytes(self.metrics) != text.encode() or self.metrics.stat().st_nlink > 1):
             write_atomically(self.metrics, text)
         return table.rows[:count]
 
-    def _require(self, table: Table, problem: str, step: int) -> None:
-        """Raise an InputError if the table has a `problem` or less than the rows up to `step`."""
+    def _table(self, step: int, whole: bool = False) -> Table:
+        """Return the table of metrics; raise an InputError unless its rows up to `step`, or its `whole`, are intact."""
         if step > self.config.steps:
             name = f"{CHECKPOINTS}/{step:09d}"
             raise InputError(
                 f"{self.path} is damaged: {name} is later than the {self.config.steps} steps of {CONFIG}; restore "
                 f"{CONFIG}, or delete {name}"
             )
-        if not problem and table.step < step // self.config.eval_every * self.config.eval_every:
+        table = Table.read(self.metrics, self.config)
+        if table.problem and (whole or table.step < step):
+            raise self._damaged(table, table.problem)
+        if table.step < step // self.config.eval_every * self.config.eval_every:
             problem = f"its rows end at step {table.step}, but the newest checkpoint is of step {step}"
-        if problem:
-            raise InputError(f"{self.metrics} is damaged: {problem}; {self._remedy(table.step)}")
+            raise self._damaged(table, problem)
+        return table
+
+    def _damaged(self, table: Table, problem: str) -> InputError:
+        return InputError(f"{self.metrics} is damaged: {problem}; {self._remedy(table.step)}")
 
     def _remedy(self, intact: int) -> str:
         """Return what to do if the rows are intact up to the step `intact` only."""

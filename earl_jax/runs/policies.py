@@ -13,9 +13,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from earl_jax.arrays import load_npz, read_bytes
+from earl_jax.arrays import MAX_BYTES, load_npz
 from earl_jax.errors import InputError
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import read_bytes, write_atomically
 
 
 def save_policies(
@@ -86,7 +86,7 @@ def _named(actors: Any) -> dict[str, Any]:
 def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the array `step` and the arrays `names`, as far as the file has them."""
     try:
-        arrays = load_npz(read_bytes(path), ["step", *names])
+        arrays = load_npz(read_bytes(path, MAX_BYTES), ["step", *names])
         if "step" not in arrays or arrays["step"].shape or arrays["step"].dtype.kind not in "iu":
             raise InputError("it has no step")
     except (OSError, InputError) as error:

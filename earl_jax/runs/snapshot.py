@@ -1,4 +1,4 @@
-"""Conversion of a train state to numbered plain arrays on the host, and back."""
+"""Conversion of a train state to plain arrays on the host, by name, and back."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,35 +12,29 @@ from earl_jax.runs.hosts import gathered
 
 PIECE = 1 << 28
 """Bytes of the replay that are copied from a device at a time."""
+ROWS = ("state", "action", "flags", "reward")
 
 
 def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def plain(tree: Any) -> Any:
-    """Return `tree` as numbered arrays or shapes: PRNG keys as words, no empty leaves, which orbax rejects."""
-
-    def convert(leaf):
-        if not _is_key(leaf):
-            return leaf
-        is_shape = isinstance(leaf, jax.ShapeDtypeStruct)
-        return jax.eval_shape(jax.random.key_data, leaf) if is_shape else jax.random.key_data(leaf)
-
-    return {f"{number:03d}": convert(leaf) for number, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
+def plain(tree: Any) -> dict[str, jax.Array]:
+    """Return the leaves of `tree` by their paths, such as `.agent.actor`; PRNG keys are words."""
+    return {
+        jax.tree_util.keystr(path): jax.random.key_data(leaf) if _is_key(leaf) else leaf
+        for path, leaf in jax.tree_util.tree_leaves_with_path(tree)
+    }
 
 
-def typed(leaves: dict[str, Any], like: Any) -> Any:
+def typed(leaves: dict[str, np.ndarray], like: Any) -> Any:
     """Return the `plain` arrays `leaves` as a tree of the structure of `like`."""
-    shapes, structure = jax.tree.flatten(like)
 
-    def restore_leaf(number, shape):
-        if not shape.size:
-            return jnp.zeros(shape.shape, shape.dtype)
-        leaf = leaves[f"{number:03d}"]
-        return jax.random.wrap_key_data(leaf) if _is_key(shape) else jnp.asarray(leaf)
+    def restore_leaf(path, shape):
+        leaf = jnp.asarray(leaves[jax.tree_util.keystr(path)])
+        return jax.random.wrap_key_data(leaf) if _is_key(shape) else leaf
 
-    return jax.tree.unflatten(structure, [restore_leaf(*pair) for pair in enumerate(shapes)])
+    return jax.tree_util.tree_map_with_path(restore_leaf, like)
 
 
 def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
@@ -49,27 +43,24 @@ def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
     `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller. Of a replay
     that evicts transitions, all is saved.
     """
-    row, slots, counts = int(gathered(replay.row)), len(replay.index), gathered(replay.counts)[span]
-    next_row = row
+    written = int(gathered(replay.row))
+    slots, counts = len(replay.index), gathered(replay.counts)[span]
     first, second = (int(count) for count in counts.max(axis=0))
     if replay.evicts:
-        row = replay.capacity
-        first = int(gathered(replay.demos)[0]) + row - int(gathered(replay.first_row)) - 1
+        written = replay.capacity
+        first = int(gathered(replay.demos)[0]) + written - int(gathered(replay.first_row)) - 1
         second = slots - first
-    rows = {
-        "state": _rows(replay.state, 0, row + 1, span),
-        "action": _rows(replay.action, 0, row, span),
-        "flags": _rows(replay.flags, 0, row, span),
-        "reward": _rows(replay.reward, 0, row, span),
+    return {
+        "state": _rows(replay.state, 0, written + 1, span),
+        **{name: _rows(getattr(replay, name), 0, written, span) for name in ROWS[1:]},
         "mine": _rows(replay.index, 0, first, span),
         "other": _rows(replay.index, slots - second, slots, span),
         "counts": counts,
         "demos": gathered(replay.demos),
-        "row": np.asarray(next_row, np.int32),
+        "row": gathered(replay.row),
         "first_row": gathered(replay.first_row),
         "oldest": gathered(replay.oldest)[span],
     }
-    return {name: array for name, array in rows.items() if array.size}
 
 
 def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
@@ -88,21 +79,16 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
 
     The capacity can be larger than before. The buffer stays on the host; the caller moves it to devices.
     """
-    names = ("state", "action", "flags", "reward", "index", "counts", "oldest")
-    buffers = {name: np.zeros(getattr(like, name).shape, getattr(like, name).dtype) for name in names}
-    targets = {"mine": buffers["index"], "other": buffers["index"][::-1]}
+    buffers: dict[str, Any] = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in vars(like).items()}
     start = 0
     for saved, size in zip(parts, sizes, strict=True):
         span = slice(start, start := start + size)
-        buffers["counts"][span] = saved["counts"]
-        buffers["oldest"][span] = saved.get("oldest", 0)
-        for name in names[:4]:
-            rows = saved.get(name)
-            if rows is not None:
-                buffers[name][: len(rows), span] = rows
-        for name, target in targets.items():
-            if name in saved:
-                rows = saved[name] if name == "mine" else saved[name][::-1]
-                target[: len(rows), span] = rows
-    arrays: dict[str, Any] = {**buffers, **{name: parts[0][name] for name in ("demos", "row", "first_row")}}
-    return Replay(**arrays)
+        for name in ("counts", "oldest"):
+            buffers[name][span] = saved[name]
+        for name in ROWS:
+            buffers[name][: len(saved[name]), span] = saved[name]
+        buffers["index"][: len(saved["mine"]), span] = saved["mine"]
+        buffers["index"][len(like.index) - len(saved["other"]) :, span] = saved["other"]
+    for name in ("demos", "row", "first_row"):
+        buffers[name][...] = parts[0][name]
+    return Replay(**buffers)

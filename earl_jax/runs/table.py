@@ -3,6 +3,7 @@
 There is a row for each seed at each evaluation, in the order of the config's seeds.
 """
 
+import contextlib
 import csv
 import dataclasses
 import io
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.files import read_again, read_bytes
+from earl_jax.runs.files import opened, read_bytes
 
 KEYS = {"step", "seed"}
 COLUMNS = {
@@ -34,44 +35,57 @@ class Table:
     lines: tuple[str, ...]
     rows: list[Row]
     problem: str
-    step: int
-    """The last evaluation of `rows`."""
+
+    @property
+    def step(self) -> int:
+        """The last evaluation of `rows`, or 0."""
+        return int(self.rows[-1]["step"]) if self.rows else 0
 
     @classmethod
     def read(cls, path: Path, config: RunConfig) -> "Table":
         """Return the table at `path`, which is empty if there is no file."""
-        lines = complete_lines(path)
-        columns, rows, problem = _intact_rows(lines, config)
-        seeds = len(config.seeds)
-        evaluations = len(rows) // seeds
-        return cls(tuple(columns), tuple(lines), rows[: evaluations * seeds], problem, evaluations * config.eval_every)
+        lines = [line for line in table_text(path).split("\n")[:-1] if line.strip()]
+        columns: list[str] = []
+        rows: list[Row] = []
+        problem = ""
+        try:
+            columns = _header(lines[0]) if lines else []
+            for line, (step, seed) in zip(lines[1:], _expected(config), strict=False):
+                rows.append(_row(columns, line, step, seed))
+            if len(lines) - 1 > len(rows):
+                raise InputError(f"comes after step {config.steps}, the last one of the run")
+        except InputError as error:
+            problem = f"line {len(rows) + 2 if columns else 1} {error}"
+        return cls(tuple(columns), tuple(lines), rows[: len(rows) - len(rows) % len(config.seeds)], problem)
 
 
 def table_text(path: Path) -> str:
     """Return the text of the table at `path`, with the line ends of Unix, or "" if there is no file."""
-    text = read_bytes(path).decode("utf-8-sig", errors="replace") if path.exists() else ""
+    try:
+        text = read_bytes(path).decode("utf-8-sig", errors="replace")
+    except FileNotFoundError:
+        return ""
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def complete_lines(path: Path) -> list[str]:
-    """Return the lines of the table at `path` that end, without blank ones."""
-    return [line for line in table_text(path).split("\n")[:-1] if line.strip()]
 
 
 def columns_of(path: Path) -> list[str]:
     """Return the columns of the table at `path`, of which only the start is read; [] without a complete header."""
-
-    def first_line() -> str:
-        with path.open(encoding="utf-8-sig", errors="replace") as handle:
-            return next((line for line in handle if line.strip()), "")
-
-    line = read_again(first_line)
-    return cells(line) if line.endswith("\n") else []
+    with contextlib.suppress(FileNotFoundError), opened(path) as handle:
+        line = next((line for line in handle if line.strip()), b"").decode(errors="replace")
+        return cells(line) if line.endswith("\n") else []
+    return []
 
 
 def cells(line: str) -> list[str]:
-    """Return the cells of a line."""
-    return next(csv.reader([line]))
+    """Return the cells of a line.
+
+    Raises:
+        ValueError: it cannot be read, because a cell is too long.
+    """
+    try:
+        return next(csv.reader([line]))
+    except csv.Error as error:
+        raise InputError(f"cannot be read ({error})") from error
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
@@ -92,27 +106,11 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
     return text.getvalue()
 
 
-def _intact_rows(lines: Sequence[str], config: RunConfig) -> tuple[list[str], list[Row], str]:
-    """Return the columns, the rows up to the first that is not as it must be, and what is wrong with that one."""
-    columns: list[str] = []
-    rows: list[Row] = []
-    try:
-        columns = cells(lines[0]) if lines else []
-        if lines and (not set(columns) >= KEYS or len(set(columns)) < len(columns)):
-            return columns, [], "line 1 is not the header"
-        for number, (line, (step, seed)) in enumerate(zip(lines[1:], _expected(config), strict=False), 2):
-            row = _row(columns, cells(line))
-            if row is None:
-                return columns, rows, f"line {number} is not a row of numbers"
-            if (row["step"], row["seed"]) != (step, seed):
-                actual = f"step {row['step']} of seed {row['seed']}"
-                return columns, rows, f"line {number} is {actual} instead of step {step} of seed {seed}"
-            rows.append(row)
-    except csv.Error as error:
-        return columns, rows, f"line {len(rows) + 2} cannot be read ({error})"
-    if len(lines) - 1 > len(rows):
-        return columns, rows, f"line {len(rows) + 2} comes after step {config.steps}, the last one of the run"
-    return columns, rows, ""
+def _header(line: str) -> list[str]:
+    columns = cells(line)
+    if not set(columns) >= KEYS or len(set(columns)) < len(columns):
+        raise InputError("is not the header")
+    return columns
 
 
 def _expected(config: RunConfig) -> Iterator[tuple[int, int]]:
@@ -122,14 +120,16 @@ def _expected(config: RunConfig) -> Iterator[tuple[int, int]]:
             yield step, seed
 
 
-def _row(columns: Sequence[str], texts: Sequence[str]) -> Row | None:
-    """Return the row of `texts`, or None if there are others than one number for each column."""
-    if len(texts) != len(columns):
-        return None
+def _row(columns: Sequence[str], line: str, step: int, seed: int) -> Row:
+    """Return the row on a line; raise an InputError that says why it is not a row of numbers of `step` and `seed`."""
+    texts = cells(line)
     try:
-        return {name: _number(text) for name, text in zip(columns, texts, strict=True)}
-    except ValueError:
-        return None
+        row = {name: _number(text) for name, text in zip(columns, texts, strict=True)}
+    except ValueError as error:
+        raise InputError("is not a row of numbers") from error
+    if (row["step"], row["seed"]) != (step, seed):
+        raise InputError(f"is step {row['step']} of seed {row['seed']} instead of step {step} of seed {seed}")
+    return row
 
 
 def _number(text: str) -> float:

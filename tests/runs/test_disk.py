@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from earl_jax.runs.checkpoint import SPARE, newest
+from earl_jax.runs.checkpoint import newest
 from tests.cli.process import ENVIRONMENT, run_process, snapshot, train
 
 pytestmark = pytest.mark.slow
@@ -59,7 +59,7 @@ def error_line(code, err):
 
 def test_a_run_on_a_full_disk_stops_with_an_error_line_and_resumes_when_there_is_room(whole, tmp_path):
     size = sum(file.stat().st_size for file in next((whole / "checkpoints").iterdir()).rglob("*") if file.is_file())
-    with mounted(tmp_path / "disk", SPARE + 4 * size) as disk:
+    with mounted(tmp_path / "disk", 5 * size // 2 + (200 << 10)) as disk:
         code, _, err = run_process(*train(disk / "run"))
         assert "can't be written" in error_line(code, err)
         assert 0 < newest(disk / "run/checkpoints") < 400

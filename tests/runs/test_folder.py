@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import json
 import os
-import re
 
 import numpy as np
 import pytest
@@ -133,13 +132,10 @@ def test_an_error_names_the_damaged_line_of_the_table(folder):
 
 
 @pytest.mark.parametrize("name", ["metrics.csv", "checkpoints"])
-def test_a_path_that_leads_out_of_the_folder_is_refused(folder, name):
-    victim = folder.path.parent / "victim"
-    victim.write_text("mine")
-    (folder.path / name).symlink_to(victim)
-    with pytest.raises(ValueError, match=re.escape(f"{folder.path / name} points outside {folder.path}")):
-        RunFolder.open(folder.path)
-    assert victim.read_text() == "mine"
+def test_a_link_is_not_read(folder, name):
+    (folder.path / name).symlink_to(folder.path.parent / "victim")
+    with pytest.raises(ValueError, match=f"{name} is a link"):
+        RunFolder.open(folder.path).rows()
 
 
 def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):
@@ -171,7 +167,7 @@ def fill(folder):
     append_rows(folder, 40)
     (folder.path / "policies.npz").write_bytes(b"x")
     (folder.path / "checkpoints/000000040/lanes").mkdir(parents=True)
-    (folder.path / "checkpoints/part-80").mkdir()
+    (folder.path / "checkpoints/000000080.orbax-checkpoint-tmp").mkdir()
     (folder.path / "tensorboard").mkdir()
     (folder.path / "tensorboard/events.out.tfevents.1").write_bytes(b"x")
     (folder.path / "wandb").mkdir()
@@ -182,7 +178,9 @@ BEFORE_RESULTS = {
     "damaged config": lambda folder: folder.config_file.write_text("{"),
     "header": lambda folder: folder.metrics.write_text("step,seed,deployed/success\n40,3,0."),
     "logs": lambda folder: (folder.path / "tensorboard").mkdir(),
-    "unfinished checkpoint": lambda folder: (folder.path / "checkpoints/part-40/lanes").mkdir(parents=True),
+    "unfinished checkpoint": lambda folder: (folder.path / "checkpoints/000000040.orbax-checkpoint-tmp/lanes").mkdir(
+        parents=True
+    ),
 }
 RESULTS = {
     "rows": lambda folder: append_rows(folder, 40),
@@ -261,13 +259,3 @@ def test_the_engine_that_trains_is_recorded(folder):
     written = folder.config_file.stat().st_mtime_ns
     folder.record_engine("mjx")
     assert folder.config_file.stat().st_mtime_ns == written
-
-
-@pytest.mark.parametrize("change", [{"format": number} for number in (0, 3, "2", None, [2])] + [{}])
-def test_another_format_is_an_error_of_one_line(folder, change):
-    values = json.loads(folder.config_file.read_text())
-    del values["format"]
-    folder.config_file.write_text(json.dumps({**values, **change}))
-    cause = "its format is .*" if change else "it names no format"
-    with pytest.raises(ValueError, match=rf"config\.json is damaged: {cause}, and this version of earl_jax reads 2$"):
-        RunFolder.open(folder.path)
