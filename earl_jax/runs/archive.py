@@ -11,16 +11,31 @@ import os
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from earl_jax.errors import InputError
 from earl_jax.runs.files import opened
 
-Arrays = dict[str, np.ndarray]
-FILE = "arrays.npz"
+Arrays = dict[str, Any]
+"""NumPy arrays by their names."""
+FILE, STEP = "arrays.npz", "step"
 KEPT = 2
+
+
+class DamagedError(InputError):
+    """The checkpoint of a `step` is damaged, for a `cause`."""
+
+    def __init__(self, folder: Path, step: int, cause: str):
+        super().__init__(f"checkpoint {folder / f'{step:09d}'} is damaged: {cause}")
+
+
+def first_line(error: Exception) -> str:
+    """Return what `error` says, as one line."""
+    return (str(error).strip() or repr(error)).splitlines()[0]
 
 
 class NpzHandler(ocp.CheckpointHandler):
@@ -107,10 +122,10 @@ def write(folder: Path, step: int, parts: dict[str, Arrays]) -> None:
     Raises:
         Exception: it could not be written; those of other steps are unchanged.
     """
+    args = ocp.args.Composite(**{name: SaveArrays({**part, STEP: np.asarray(step)}) for name, part in parts.items()})
     with _manager(folder, clean_up=True) as manager:
         if step in manager.all_steps():
             manager.delete(step)
-        args = ocp.args.Composite(**{name: SaveArrays(arrays) for name, arrays in parts.items()})
         try:
             manager.save(step, args=args, force=True)
         except OSError:
@@ -122,8 +137,15 @@ def read(folder: Path, step: int, names: Sequence[str]) -> dict[str, Arrays]:
     """Return the parts `names` of the checkpoint of `step`.
 
     Raises:
-        Exception: it is damaged.
+        DamagedError: it cannot be read, does not match its checksums, or was written at another step.
     """
-    with _manager(folder) as manager:
-        restored = manager.restore(step, args=ocp.args.Composite(**{name: ReadArrays() for name in names}))
-        return {name: restored[name] for name in names}
+    try:
+        with _manager(folder) as manager:
+            restored = manager.restore(step, args=ocp.args.Composite(**{name: ReadArrays() for name in names}))
+        parts = {name: restored[name] for name in names}
+        written = {int(part.pop(STEP)) for part in parts.values()}
+        if written != {step}:
+            raise InputError(f"it is of step {min(written)}")
+    except Exception as error:  # Orbax raises various exceptions if files are missing
+        raise DamagedError(folder, step, first_line(error)) from error
+    return parts

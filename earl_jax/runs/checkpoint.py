@@ -30,10 +30,6 @@ UNFINISHED = ".orbax-checkpoint-tmp"
 NAME = re.compile("[0-9]{9,10}")
 
 
-class DamagedError(InputError):
-    """A checkpoint cannot be read, or does not match its checksums."""
-
-
 def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
     """Write the lanes `span` of `state` to `folder/<step>` and return that path; the newest older checkpoint is kept.
 
@@ -52,11 +48,11 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
         return done
     try:
         make_folder(folder)
-        archive.write(folder, step, {"lanes": {**lanes, "step": np.int32(step)}, "replay": replay})
+        archive.write(folder, step, {"lanes": lanes, "replay": replay})
     except Exception as error:  # Orbax raises various exceptions if the disk is full
         for part in folder.glob(f"*{UNFINISHED}*"):
             shutil.rmtree(part, ignore_errors=True)
-        cause = _first_line(error)
+        cause = archive.first_line(error)
         raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
     return done
 
@@ -95,6 +91,8 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
         ValueError: no checkpoint is intact, their steps differ, or one belongs to another run; the message names the
             file.
     """
+    from earl_jax.runs.archive import DamagedError
+
     latest = {newest(folder) for folder in folders}
     if len(latest) > 1:
         raise InputError(f"checkpoints of steps {sorted(latest)} can't continue in one program")
@@ -114,10 +112,12 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
 
 
 def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: Any, with_replay: bool) -> Any:
+    from earl_jax.runs import archive
+
     names = ("lanes", "replay") if with_replay else ("lanes",)
-    parts = [_read(folder, step, names) for folder in folders]
+    parts = [archive.read(folder, step, names) for folder in folders]
     lanes = [
-        _lanes(folder / f"{step:09d}", part["lanes"], size, like.lanes)
+        _lanes(folder, part["lanes"], size, like.lanes)
         for folder, part, size in zip(folders, parts, sizes, strict=True)
     ]
     replay = like.replay
@@ -125,8 +125,7 @@ def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: 
         try:
             replay = spread([part["replay"] for part in parts], sizes, like.replay)
         except (KeyError, ValueError, TypeError, IndexError) as error:
-            path = folders[0] / f"{step:09d}"
-            raise DamagedError(f"checkpoint {path} is damaged: its replay has other arrays ({error})") from error
+            raise archive.DamagedError(folders[0], step, f"its replay has other arrays ({error})") from error
     return like.replace(lanes=_joined(*lanes), replay=replay, step=jnp.asarray(step, jnp.int32))
 
 
@@ -136,36 +135,14 @@ def _joined(*parts: Any) -> Any:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def _read(folder: Path, step: int, names: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
-    """Return the parts `names` of a checkpoint, which is of `step` by its own word."""
-    from earl_jax.runs import archive
-
-    path = folder / f"{step:09d}"
-    try:
-        parts = archive.read(folder, step, names)
-        written = int(parts["lanes"].pop("step"))
-    except Exception as error:  # Orbax raises various exceptions if files are missing
-        raise DamagedError(f"checkpoint {path} is damaged: {_first_line(error)}") from error
-    if written != step:
-        raise DamagedError(f"checkpoint {path} is damaged: it is of step {written}")
-    return parts
-
-
-def _lanes(path: Path, arrays: dict[str, np.ndarray], size: int, like: Any) -> Any:
-    """Return the `arrays` of the checkpoint at `path` as `size` lanes in the structure of `like`."""
+def _lanes(folder: Path, arrays: dict[str, np.ndarray], size: int, like: Any) -> Any:
+    """Return the `arrays` of a checkpoint in `folder` as `size` lanes in the structure of `like`."""
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like)
     expected = jax.eval_shape(plain, shapes)
     for name in expected.keys() & arrays.keys():
         if arrays[name].dtype == f"V{expected[name].dtype.itemsize}":  # as NumPy writes bfloat16
             arrays[name] = arrays[name].view(expected[name].dtype)
-    if _described(arrays) != _described(expected):
-        raise InputError(f"checkpoint {path} does not belong to this run: its arrays have other shapes")
+    described, wanted = ({name: (leaf.dtype, leaf.shape) for name, leaf in each.items()} for each in (arrays, expected))
+    if described != wanted:
+        raise InputError(f"a checkpoint in {folder} does not belong to this run: its arrays have other shapes")
     return typed(arrays, shapes)
-
-
-def _described(leaves: dict[str, Any]) -> dict[str, str]:
-    return {name: f"{leaf.dtype}{list(leaf.shape)}" for name, leaf in leaves.items()}
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or repr(error)).splitlines()[0]

@@ -106,12 +106,8 @@ class RunConfig:
         _check_count(seeds)
         require("eval_every", eval_every, COUNT)
         task, setting = split_setting(env, setting)
-        for owner, options in (
-            (task.name, task),
-            (method.name, method),
-            (method.name, method.sac),
-            (setting.name, setting),
-        ):
+        parts = [(task.name, task), (method.name, method), (method.name, method.sac), (setting.name, setting)]
+        for owner, options in parts:
             check_intervals(owner, options)
         return cls(
             env=task.name,
@@ -144,14 +140,12 @@ class RunConfig:
             ValueError: the run was trained on an object of a class that its name does not build; the message names the
                 class.
         """
-        if self.env_class:
-            _require_registered("env", self.env, self.env_class, env_class)
+        _require_registered("env", self.env, self.env_class, env_class)
         return self.build_setting().wrap(make(self.env, **self.env_options))
 
     def build_method(self) -> Method:
         """Return the method with its hyper-parameters. Errors as `build_env`."""
-        if self.algo_class:
-            _require_registered("algo", self.algo, self.algo_class, algo_class)
+        _require_registered("algo", self.algo, self.algo_class, algo_class)
         return make_algo(self.algo, **self.options)
 
     @functools.cached_property
@@ -237,21 +231,23 @@ def _class_name(cls: type) -> str:
     return f"{cls.__module__}:{cls.__qualname__}"
 
 
+def _registered_class(name: str, class_of: Callable[[str], type]) -> str | None:
+    """Return the name of the class that `name` is registered for, or None."""
+    try:
+        return _class_name(class_of(name))
+    except ValueError:
+        return None
+
+
 def _unregistered_class(target: Any, class_of: Callable[[str], type]) -> str | None:
     """Return the class name of `target` if its name is not registered, or registered for another class; else None."""
-    return None if _is_registered(target.name, _class_name(type(target)), class_of) else _class_name(type(target))
+    own = _class_name(type(target))
+    return None if own == _registered_class(target.name, class_of) else own
 
 
-def _is_registered(name: str, class_name: str, class_of: Callable[[str], type]) -> bool:
-    try:
-        return _class_name(class_of(name)) == class_name
-    except ValueError:
-        return False
-
-
-def _require_registered(kind: str, name: str, class_name: str, class_of: Callable[[str], type]) -> None:
-    """Raise a ValueError unless `name` is registered for the class `class_name`."""
-    if _is_registered(name, class_name, class_of):
+def _require_registered(kind: str, name: str, class_name: str | None, class_of: Callable[[str], type]) -> None:
+    """Raise a ValueError unless `name` is registered for the class `class_name`, or that is None."""
+    if class_name is None or class_name == _registered_class(name, class_of):
         return
     cls = class_name.rpartition(":")[2].rpartition(".")[2]
     raise InputError(

@@ -1,19 +1,22 @@
 """What is in a run folder: whether a run has results there, which entries are a run's own, and their removal."""
 
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import PARTS, UNFINISHED, is_checkpoint, saved_steps
-from earl_jax.runs.files import LOCK, PART, entries, remove, require_plain
+from earl_jax.runs.files import LOCK, PART, require_plain
 from earl_jax.runs.table import table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 TENSORBOARD, WANDB = "tensorboard", "wandb"
 FILES = (CONFIG, METRICS, POLICIES)
 OWN_FILES = (*FILES, *(name + PART for name in FILES), LOCK)
+BUSY = ".nfs"
+"""What the names start with that NFS gives to deleted files which another process still reads."""
 EVENTS = "events.out.tfevents."
 """What the names of TensorBoard's files start with."""
 REMOVED = (CHECKPOINTS, TENSORBOARD, POLICIES, METRICS, *(name + PART for name in FILES))
@@ -34,21 +37,25 @@ def unknown_entries(path: Path) -> list[str]:
 
 
 def _unknown(path: Path) -> Iterator[Path]:
-    for entry in entries(path):
+    for entry in _entries(path):
         if entry.name == CHECKPOINTS and _is_folder(entry):
             yield from _unknown_checkpoints(entry)
         elif entry.name == TENSORBOARD and _is_folder(entry):
-            yield from (file for file in entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
+            yield from (file for file in _entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
         elif entry.is_symlink() or entry.name not in (*OWN_FILES, WANDB):
             yield entry
 
 
 def _unknown_checkpoints(folder: Path) -> Iterator[Path]:
-    for entry in entries(folder):
+    for entry in _entries(folder):
         if is_checkpoint(entry):
-            yield from (part for part in entries(entry) if part.is_symlink() or part.name not in PARTS)
+            yield from (part for part in _entries(entry) if part.is_symlink() or part.name not in PARTS)
         elif UNFINISHED not in entry.name or entry.is_symlink():
             yield entry
+
+
+def _entries(folder: Path) -> list[Path]:
+    return [entry for entry in folder.iterdir() if not entry.name.startswith(BUSY)]
 
 
 def _is_folder(path: Path) -> bool:
@@ -72,5 +79,6 @@ def clear(folder: Path) -> list[str]:
     """Remove what an earlier run in `folder` left except its config, and return the names of what was there."""
     removed = [name for name in REMOVED if os.path.lexists(folder / name)]
     for name in removed:
-        remove(folder / name)
+        path = folder / name
+        shutil.rmtree(path) if _is_folder(path) else path.unlink()
     return removed

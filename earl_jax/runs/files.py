@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import os
-import shutil
 import stat
 import warnings
 from collections.abc import Iterator
@@ -13,14 +12,10 @@ from typing import BinaryIO, Literal
 from earl_jax.errors import InputError
 
 LOCK, PART = ".lock", ".part"
-BUSY = ".nfs"
-"""What the names start with that NFS gives to deleted files which another process still reads."""
 WITHOUT_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}
 """Errors of file systems that have no locks."""
 NOT_PLAIN = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE}
 """Errors of opening a link, a folder or a pipe, which depend on the system."""
-_UNLOCKED: set[Path] = set()
-"""Folders without locks that a warning has named."""
 
 
 class RunWarning(UserWarning):
@@ -85,8 +80,6 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
 
 def _write(path: Path, mode: Literal["wb", "ab"], content: str | bytes) -> None:
     with opened(path, mode) as handle:
-        if os.fstat(handle.fileno()).st_nlink > 1:
-            raise InputError(f"{path} is also another file's name (a hard link); remove one of them")
         handle.write(content.encode() if isinstance(content, str) else content)
         handle.flush()
         os.fsync(handle.fileno())
@@ -114,7 +107,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def append(path: Path, content: str) -> None:
-    """Append to the file at `path`, which is created if necessary. Errors as `opened`, or it is a hard link."""
+    """Append to the file at `path`, which is created if necessary. Errors as `opened`."""
     _write(path, "ab", content)
 
 
@@ -122,19 +115,6 @@ def make_folder(path: Path) -> None:
     """Create the folder at `path`, unless it exists. Errors as `require_plain`."""
     require_plain(path, stat.S_IFDIR)
     path.mkdir(parents=True, exist_ok=True)
-
-
-def remove(path: Path) -> None:
-    """Remove a file, a link itself, or a folder with everything in it."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
-
-
-def entries(folder: Path) -> list[Path]:
-    """Return the entries of `folder`, sorted, without those that NFS keeps for a while."""
-    return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(BUSY))
 
 
 @contextlib.contextmanager
@@ -166,10 +146,8 @@ def _lock(number: int, path: Path) -> None:
     except OSError as error:
         if error.errno not in WITHOUT_LOCKS:
             raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
-        if path not in _UNLOCKED:
-            _UNLOCKED.add(path)
-            message = f"{path} is on a file system without locks: make sure that no other process writes to it"
-            warnings.warn(message, UnlockedWarning, stacklevel=4)
+        message = f"{path} is on a file system without locks: make sure that no other process writes to it"
+        warnings.warn(message, UnlockedWarning, stacklevel=4)
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -131,21 +131,22 @@ class RunFolder:
         reached = max(Table.read(self.metrics, self.config).step, newest(self.checkpoints))
         if steps < reached:
             raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
-        config = dataclasses.replace(self.config, steps=steps)
         if first_host():
             with self.claimed():
-                text = json.dumps({**self._config_values(), "steps": steps}, indent=2) + "\n"
-                write_atomically(self.config_file, text)
-        return dataclasses.replace(self, config=config)
+                self._set(steps=steps)
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, steps=steps))
 
     def record_engine(self, engine: str) -> None:
         """Write the physics `engine` of the program that trains this run to config.json, unless it is there."""
-        values = self._config_values()
-        if values.get("engine") != engine:
-            write_atomically(self.config_file, json.dumps({**values, "engine": engine}, indent=2) + "\n")
+        if self._config_values().get("engine") != engine:
+            self._set(engine=engine)
 
     def _config_values(self) -> dict[str, Any]:
         return json.loads(read_bytes(self.config_file, LARGEST_CONFIG))
+
+    def _set(self, **values: Any) -> None:
+        """Replace entries of config.json."""
+        write_atomically(self.config_file, json.dumps({**self._config_values(), **values}, indent=2) + "\n")
 
     def append(self, rows: list[Row]) -> None:
         """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
@@ -224,18 +225,20 @@ def _existing(path: Path, overwrite: bool) -> bytes | None:
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} exists and is not a folder; choose another folder")
-    if (path / CONFIG).is_file() and contents.has_results(path) and not overwrite:
+    config = path / CONFIG
+    in_the_way = contents.has_results(path) and not overwrite
+    if in_the_way and config.is_file():
         raise InputError(
             f"{path} holds another run; choose another folder, continue it with: earl-jax resume {path}, "
             "or replace it with: earl-jax train --overwrite"
         )
     unknown = contents.unknown_entries(path)
-    if unknown or (not overwrite and contents.has_results(path)):
+    if unknown or in_the_way:
         names = ", ".join(unknown[:5]) or "results without a config.json"
         raise InputError(
             f"{path} exists and is not an empty folder: it holds {names}; move it away, or choose another folder"
         )
-    return read_bytes(path / CONFIG) if (path / CONFIG).is_file() else None
+    return read_bytes(config) if config.is_file() else None
 
 
 def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:

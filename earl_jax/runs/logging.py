@@ -15,7 +15,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs import contents
 from earl_jax.runs.contents import TENSORBOARD, WANDB
 from earl_jax.runs.files import make_folder
 from earl_jax.runs.folder import RunFolder
@@ -56,22 +55,14 @@ def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, f
     return values_by_name
 
 
-def _prepare(folder: RunFolder, name: str) -> None:
-    """Create the folder `name` of a log in a run folder; raise a ValueError if a link is there."""
-    make_folder(folder.path / name)
-    contents.require_plain_entries(folder.path)
-
-
 class TensorBoardLog:
     """Event files in the folder `tensorboard` of a run folder."""
 
     def __init__(self, folder: RunFolder, since: int):
-        try:
-            from tensorboardX import SummaryWriter
-        except ImportError as error:
-            raise _missing(TENSORBOARD) from error
+        from tensorboardX import SummaryWriter
+
         self._seeds = folder.config.seeds
-        _prepare(folder, TENSORBOARD)
+        make_folder(folder.path / TENSORBOARD)
         purge_step = since + 1 if since else None
         suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
         self._writer = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
@@ -92,11 +83,8 @@ class WandbLog:
 
     def __init__(self, folder: RunFolder, since: int):
         del since  # wandb resumes the run by itself
-        try:
-            wandb: Any = importlib.import_module("wandb")
-        except ImportError as error:
-            raise _missing(WANDB) from error
-        _prepare(folder, WANDB)
+        wandb: Any = importlib.import_module("wandb")
+        make_folder(folder.path / WANDB)
         config = folder.config
         try:
             self._run = wandb.init(
@@ -121,23 +109,14 @@ LOGS: dict[str, Callable[[RunFolder, int], Log]] = {TENSORBOARD: TensorBoardLog,
 
 
 def check_logs(logs: Sequence[Any]) -> None:
-    """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`."""
+    """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`, or lacks its library."""
     for log in logs:
         if isinstance(log, str) and log not in LOGS:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
+        if isinstance(log, str) and importlib.util.find_spec(LIBRARIES[log]) is None:
+            raise InputError(f"the log {log} needs {LIBRARIES[log]}: pip install 'earl-jax[{log}]'")
         if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
-
-
-def require_libraries(names: Sequence[str]) -> None:
-    """Raise a ValueError if the library of one of the logs `names` is not installed."""
-    for name in names:
-        if importlib.util.find_spec(LIBRARIES[name]) is None:
-            raise _missing(name)
-
-
-def _missing(name: str) -> InputError:
-    return InputError(f"the log {name} needs {LIBRARIES[name]}: pip install 'earl-jax[{name}]'")
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:

@@ -19,7 +19,7 @@ from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_s
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
-from earl_jax.runs.logging import Log, check_logs, require_libraries
+from earl_jax.runs.logging import Log, check_logs
 from earl_jax.training.plan import Plan
 from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
@@ -210,7 +210,6 @@ def _create_folder(
         if names:
             raise InputError(f"the log {names[0]} writes into a run folder: pass one with out=")
         return None
-    require_libraries(names)
     path = Path(out)
     if not first_host():
         return RunFolder(path, run.config, names)

@@ -5,12 +5,11 @@ import fcntl
 import os
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 
 import pytest
 
-from earl_jax.runs.files import UnlockedWarning, append, entries, inside, locked, read_bytes, write_atomically
+from earl_jax.runs.files import UnlockedWarning, append, inside, locked, read_bytes, write_atomically
 
 HOLD_LOCK = (
     "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
@@ -65,7 +64,6 @@ def test_a_file_is_written_as_a_new_one_and_through_no_link(tmp_path, name, make
 
 SPECIAL = {
     "is a link": lambda path: path.symlink_to("victim"),
-    "a hard link": lambda path: path.hardlink_to(path.with_name("victim")),
     "not a regular file": os.mkfifo,
     "is a link or not a regular file": Path.mkdir,
 }
@@ -78,9 +76,8 @@ def test_a_file_that_is_another_or_a_pipe_is_not_opened(tmp_path, kind):
     SPECIAL[kind](path)
     with pytest.raises(ValueError, match=kind):
         append(path, "new")
-    if kind != "a hard link":
-        with pytest.raises(ValueError, match=kind):
-            read_bytes(path)
+    with pytest.raises(ValueError, match=kind):
+        read_bytes(path)
     assert (tmp_path / "victim").read_text() == "mine"
 
 
@@ -97,10 +94,6 @@ def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatc
     monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(getattr(errno, code), code)))
     with pytest.warns(UnlockedWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
         write_atomically(tmp_path / "config.json", "new")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # the folder is named once
-        with locked(tmp_path):
-            pass
 
 
 def test_another_error_of_a_lock_is_no_permission_to_write(tmp_path, monkeypatch):
@@ -134,5 +127,3 @@ def test_a_file_is_replaced_while_another_process_reads_it(tmp_path):
     with path.open() as reader:
         write_atomically(path, "new")
         assert reader.read() == "old"
-    (tmp_path / ".nfs0001").write_text("old")
-    assert entries(tmp_path) == [path]

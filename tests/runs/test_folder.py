@@ -171,6 +171,7 @@ def fill(folder):
     (folder.path / "tensorboard").mkdir()
     (folder.path / "tensorboard/events.out.tfevents.1").write_bytes(b"x")
     (folder.path / "wandb").mkdir()
+    (folder.path / ".nfs0001").write_bytes(b"which NFS keeps while another process reads it")
 
 
 BEFORE_RESULTS = {
@@ -218,7 +219,7 @@ def test_overwriting_names_what_it_removes_and_keeps_the_runs_of_wandb(folder, c
     fill(folder)
     create(folder, overwrite=True)
     assert capsys.readouterr().err.endswith(": checkpoints, tensorboard, policies.npz, metrics.csv\n")
-    assert sorted(path.name for path in folder.path.iterdir()) == [".lock", "config.json", "wandb"]
+    assert sorted(path.name for path in folder.path.iterdir()) == [".lock", ".nfs0001", "config.json", "wandb"]
 
 
 UNKNOWN = ["thesis.tex", "checkpoints/thesis.tex", "checkpoints/000000040/thesis.tex", "tensorboard/thesis.tex"]
