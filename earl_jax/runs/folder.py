@@ -76,15 +76,12 @@ class RunFolder:
             ValueError: the folder holds another run's results or other files, and is left unchanged, or the config has
                 options that JSON cannot represent.
         """
-        existing = _existing(path, overwrite)
+        _require_free(path, overwrite)  # before its lock is written
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
         with locked(path):
-            if _existing(path, overwrite) != existing:
-                raise InputError(
-                    f"{path} holds another run, which another process has just started; choose another folder"
-                )
+            _require_free(path, overwrite)
             has_results = contents.has_results(path)
             removed = contents.clear(path)
             if has_results:
@@ -217,17 +214,12 @@ class RunFolder:
         return f"restore the file from a copy, or delete {' and '.join(later)} to {start}"
 
 
-def _existing(path: Path, overwrite: bool) -> bytes | None:
-    """Return the config.json of the folder at `path`, in which a new run can be created, or None if it has none.
-
-    Raises:
-        ValueError: the folder holds results, unless `overwrite`, or files that are not a run's.
-    """
+def _require_free(path: Path, overwrite: bool) -> None:
+    """Raise an InputError if the folder at `path` holds results, unless `overwrite`, or files that are not a run's."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} exists and is not a folder; choose another folder")
-    config = path / CONFIG
     in_the_way = contents.has_results(path) and not overwrite
-    if in_the_way and config.is_file():
+    if in_the_way and (path / CONFIG).is_file():
         raise InputError(
             f"{path} holds another run; choose another folder, continue it with: earl-jax resume {path}, "
             "or replace it with: earl-jax train --overwrite"
@@ -238,7 +230,6 @@ def _existing(path: Path, overwrite: bool) -> bytes | None:
         raise InputError(
             f"{path} exists and is not an empty folder: it holds {names}; move it away, or choose another folder"
         )
-    return read_bytes(config) if config.is_file() else None
 
 
 def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
