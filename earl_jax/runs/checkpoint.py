@@ -27,7 +27,7 @@ PARTS = ("lanes", "replay", "_CHECKPOINT_METADATA", "commit_success.txt")
 """What is in a checkpoint."""
 UNFINISHED = ".orbax-checkpoint-tmp"
 """What the names of checkpoints contain until they are complete."""
-NAME = re.compile("[0-9]{9,10}")
+NAME = "[0-9]{9,10}"
 
 
 def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
@@ -65,12 +65,8 @@ def newest(folder: Path) -> int:
 def saved_steps(folder: Path) -> list[int]:
     """Return the steps of the checkpoints in `folder`, sorted; a link in its place is an InputError."""
     require_plain(folder, stat.S_IFDIR)
-    return sorted(int(path.name) for path in folder.iterdir() if is_checkpoint(path)) if folder.is_dir() else []
-
-
-def is_checkpoint(path: Path) -> bool:
-    """Return whether `path` is a folder with the name of a checkpoint."""
-    return NAME.fullmatch(path.name) is not None and path.is_dir() and not path.is_symlink()
+    found = [path for path in folder.iterdir() if re.fullmatch(NAME, path.name)] if folder.is_dir() else []
+    return sorted(int(path.name) for path in found if path.is_dir() and not path.is_symlink())
 
 
 def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:

@@ -1,24 +1,30 @@
 """What is in a run folder: whether a run has results there, which entries are a run's own, and their removal."""
 
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 
 from earl_jax.errors import InputError
-from earl_jax.runs.checkpoint import PARTS, UNFINISHED, is_checkpoint, saved_steps
+from earl_jax.runs.checkpoint import NAME, PARTS, UNFINISHED, saved_steps
 from earl_jax.runs.files import LOCK, PART, require_plain
 from earl_jax.runs.table import table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 TENSORBOARD, WANDB = "tensorboard", "wandb"
 FILES = (CONFIG, METRICS, POLICIES)
+FOLDERS = (CHECKPOINTS, TENSORBOARD, WANDB)
 OWN_FILES = (*FILES, *(name + PART for name in FILES), LOCK)
-BUSY = ".nfs"
-"""What the names start with that NFS gives to deleted files which another process still reads."""
-EVENTS = "events.out.tfevents."
-"""What the names of TensorBoard's files start with."""
+OWN_NAMES = (
+    *map(re.escape, (*OWN_FILES, *FOLDERS)),
+    rf"{TENSORBOARD}/events\.out\.tfevents\.[^/]*",
+    rf"{CHECKPOINTS}/{NAME}(/({'|'.join(PARTS)})(/.*)?)?",
+    rf"{CHECKPOINTS}/[^/]*{UNFINISHED}.*",
+    r"(.*/)?\.nfs[^/]*",  # NFS names deleted files so while another process reads them
+)
+"""Patterns of the paths that a run writes."""
 REMOVED = (CHECKPOINTS, TENSORBOARD, POLICIES, METRICS, *(name + PART for name in FILES))
 """What a new run in the place of an earlier one removes, in an order in which a kill leaves no half run."""
 
@@ -33,46 +39,26 @@ def has_results(path: Path) -> bool:
 
 def unknown_entries(path: Path) -> list[str]:
     """Return the entries of the folder at `path`, and of the folders of a run in it, that no run writes, and links."""
-    return sorted(str(entry.relative_to(path)) for entry in _unknown(path)) if path.is_dir() else []
+    found = (*path.iterdir(), *_below(path)) if path.is_dir() else ()
+    names = {str(entry.relative_to(path)): entry.is_symlink() for entry in found}
+    return sorted(name for name, is_link in names.items() if is_link or not re.fullmatch("|".join(OWN_NAMES), name))
 
 
-def _unknown(path: Path) -> Iterator[Path]:
-    for entry in _entries(path):
-        if entry.name == CHECKPOINTS and _is_folder(entry):
-            yield from _unknown_checkpoints(entry)
-        elif entry.name == TENSORBOARD and _is_folder(entry):
-            yield from (file for file in _entries(entry) if file.is_symlink() or not file.name.startswith(EVENTS))
-        elif entry.is_symlink() or entry.name not in (*OWN_FILES, WANDB):
-            yield entry
-
-
-def _unknown_checkpoints(folder: Path) -> Iterator[Path]:
-    for entry in _entries(folder):
-        if is_checkpoint(entry):
-            yield from (part for part in _entries(entry) if part.is_symlink() or part.name not in PARTS)
-        elif UNFINISHED not in entry.name or entry.is_symlink():
-            yield entry
-
-
-def _entries(folder: Path) -> list[Path]:
-    return [entry for entry in folder.iterdir() if not entry.name.startswith(BUSY)]
-
-
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()
+def _below(path: Path) -> Iterator[Path]:
+    """Yield all entries of the folders in which a run writes."""
+    for name in (CHECKPOINTS, TENSORBOARD):
+        for top, folders, files in os.walk(path / name):
+            yield from (Path(top, entry) for entry in folders + files)
 
 
 def require_plain_entries(path: Path) -> None:
     """Raise an InputError that names a link or a special file, if there is one where a run at `path` writes."""
     for name in OWN_FILES:
         require_plain(path / name)
-    for name in (CHECKPOINTS, TENSORBOARD, WANDB):
+    for name in FOLDERS:
         require_plain(path / name, stat.S_IFDIR)
-    for name in (CHECKPOINTS, TENSORBOARD):
-        for top, folders, files in os.walk(path / name):
-            for entry in (Path(top, name) for name in folders + files):
-                if entry.is_symlink():
-                    raise InputError(f"{entry} is a link, and a run writes through none; remove it")
+    for entry in filter(Path.is_symlink, _below(path)):
+        raise InputError(f"{entry} is a link, and a run writes through none; remove it")
 
 
 def clear(folder: Path) -> list[str]:
@@ -80,5 +66,5 @@ def clear(folder: Path) -> list[str]:
     removed = [name for name in REMOVED if os.path.lexists(folder / name)]
     for name in removed:
         path = folder / name
-        shutil.rmtree(path) if _is_folder(path) else path.unlink()
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     return removed

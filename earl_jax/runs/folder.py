@@ -82,6 +82,7 @@ class RunFolder:
         folder = cls(path, config, tuple(logs))
         with locked(path):
             _require_free(path, overwrite)
+            contents.require_plain_entries(path)
             has_results = contents.has_results(path)
             removed = contents.clear(path)
             if has_results:

@@ -240,6 +240,13 @@ def test_other_files_and_links_in_a_folder_are_never_removed(folder, name, overw
     assert snapshot(folder.path) == before
 
 
+def test_a_file_in_the_place_of_a_folder_is_not_removed(folder):
+    (folder.path / "tensorboard").write_text("all of it")
+    with pytest.raises(ValueError, match="tensorboard is a link or not a folder"):
+        create(folder, overwrite=True)
+    assert (folder.path / "tensorboard").read_text() == "all of it"
+
+
 def test_overwriting_a_folder_in_use_is_refused(folder):
     fill(folder)
     before = snapshot(folder.path)
