@@ -203,7 +203,7 @@ DAMAGE = {
     "no step": (arrays("lanes", step=None), "'step'"),
     "a step of text": (arrays("lanes", step=np.array("80x")), "80x"),
     "a pickle": (arrays("lanes", step=np.array([object()])), "allow_pickle=False"),
-    "compressed": (arrays("replay", write=np.savez_compressed), "state.npy is compressed"),
+    "compressed": (arrays("replay", write=np.savez_compressed), "its arrays are larger than the file"),
     "no rows": (arrays("replay", state=None), "its replay has other arrays"),
     "too many rows": (arrays("replay", state=np.zeros((5000, 2, 12), np.float32)), "its replay has other arrays"),
     "rows of text": (arrays("replay", state=np.array([["x"] * 2] * 3)), "its replay has other arrays"),

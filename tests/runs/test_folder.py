@@ -1,6 +1,5 @@
 """Run folders: any content is a valid run or one clear error."""
 
-import copy
 import dataclasses
 import json
 import os
@@ -52,29 +51,26 @@ def build(config):
     return config.build_env(), config.build_setting(), per_lane(config.build_method(), 2)
 
 
-def error_message(action):
-    """Return the message of a ValueError, or "" without an error; any other error is a bug."""
+def message_with(folder, content, use=build):
+    """Return the message of a ValueError of `use` on another config.json, or ""; any other error is a bug."""
+    original = folder.config_file.read_bytes()
+    folder.config_file.write_bytes(content)
     try:
-        action()
+        use(RunFolder.open(folder.path).config)
     except ValueError as error:
         return str(error)
+    finally:
+        folder.config_file.write_bytes(original)
     return ""
-
-
-def open_and_build(folder):
-    build(RunFolder.open(folder.path).config)
 
 
 @FUZZ
 @given(key=st.sampled_from(KEYS), value=JSON, drop=st.booleans())
 @example(key="env_options", value={"\r": 2**63}, drop=False)
 def test_a_changed_config_is_valid_or_one_clear_error(folder, key, value, drop):
-    original = folder.config_file.read_text()
-    config = copy.deepcopy(json.loads(original))
+    config = json.loads(folder.config_file.read_text())
     config.pop(key)
-    folder.config_file.write_text(json.dumps(config if drop else {**config, key: value}))
-    message = error_message(lambda: open_and_build(folder))
-    folder.config_file.write_text(original)
+    message = message_with(folder, json.dumps(config if drop else {**config, key: value}).encode())
     assert len(message.splitlines()) <= 1
 
 
@@ -89,12 +85,9 @@ OPTIONS += [("setting", name) for name in ("name", "intervention_chance", "budge
 @given(option=st.sampled_from(OPTIONS), value=JSON)
 def test_an_option_of_any_type_is_valid_or_one_error_that_names_it(folder, option, value):
     key, name = option
-    original = folder.config_file.read_text()
-    config = json.loads(original)
+    config = json.loads(folder.config_file.read_text())
     config[key] = {**config[key], name: value}
-    folder.config_file.write_text(json.dumps(config))
-    message = error_message(lambda: open_and_build(folder))
-    folder.config_file.write_text(original)
+    message = message_with(folder, json.dumps(config).encode())
     assert not message or any(word in message for word in (name, "setting", "hyper-parameter"))
 
 
@@ -103,9 +96,7 @@ def test_an_option_of_any_type_is_valid_or_one_error_that_names_it(folder, optio
 def test_an_overwritten_config_is_valid_or_one_error_that_names_the_file(folder, where, text):
     original = folder.config_file.read_bytes()
     start = int(where * len(original))
-    folder.config_file.write_bytes(original[:start] + text + original[start + len(text) :])
-    message = error_message(lambda: RunFolder.open(folder.path))
-    folder.config_file.write_bytes(original)
+    message = message_with(folder, original[:start] + text + original[start + len(text) :], use=id)
     assert not message or str(folder.config_file) in message
 
 
