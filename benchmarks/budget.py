@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.output import save
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper.tasks import METHODS, methods_on, training_steps
+from earl_jax.paper.artefact import METHODS, methods_on, training_steps
 from earl_jax.report.tables import markdown_table, write
 
 Row = dict[str, Any]

@@ -19,7 +19,7 @@ from benchmarks.paper_cells import FORMER_VAPRL, PAGES, PEG, ROOT, TABLETOP, cel
 from benchmarks.robustness.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
-from earl_jax.paper.tasks import training_steps
+from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, table_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all

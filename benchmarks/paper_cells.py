@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.output import RESULTS
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper.tasks import METHODS, methods_on, training_steps
+from earl_jax.paper.artefact import METHODS, methods_on, training_steps
 from earl_jax.report.comparison import RULE, published_rows, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, published_score

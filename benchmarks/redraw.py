@@ -2,12 +2,11 @@
 
     python -m benchmarks.redraw [--out DIR]
 
-Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 4 of figure4.csv and
-figure4_visits.csv, figure 5 of figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells,
-the tests of differences and the leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`,
-`benchmarks.differences` and `benchmarks.leaderboard` write them, and success from uniform starts from results/starts. The
-tables and the picture of docs/cfbrl.md are those of `benchmarks.cfbrl`, the rates in docs/algorithms.md those of
-`benchmarks.speed.method_cost`.
+Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 5 of
+figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells, the tests of differences and the
+leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`, `benchmarks.differences` and
+`benchmarks.leaderboard` write them, and success from uniform starts from results/starts. The tables and the picture of
+docs/cfbrl.md are those of `benchmarks.cfbrl`, the rates in docs/algorithms.md those of `benchmarks.speed.method_cost`.
 """
 
 import argparse
@@ -15,34 +14,25 @@ import csv
 from pathlib import Path
 
 from benchmarks import cfbrl, differences, leaderboard, paper_cells
-from benchmarks.output import RESULTS as KEPT_RESULTS
+from benchmarks.output import RESULTS
 from benchmarks.robustness import uniform_starts
 from benchmarks.speed import method_cost
-from earl_jax.paper.curves import write_curves
-from earl_jax.paper.figure2 import write_figure2
-from earl_jax.paper.figure4 import draw_figure4
-from earl_jax.paper.figure5 import write_figure5
-from earl_jax.paper.reproduce import RESULTS
-from earl_jax.paper.score_tables import write_table
-from earl_jax.paper.tradeoff import write_tradeoff
-from earl_jax.paper.visit_maps import read_maps
+from earl_jax.paper import figure5
+from earl_jax.paper.reproduce import ARTEFACTS
 
-KEPT = KEPT_RESULTS / "reproduce"
+KEPT = RESULTS / "reproduce"
 
 
 def redraw(out: Path) -> list[Path]:
     """Return the files written into `out`, a folder for each table and figure."""
     runs = sorted(path.parent for path in KEPT.glob("runs/*/*/*/metrics.csv"))
-    suite = [path for path in runs if path.parts[-3] in RESULTS["figure2"].tasks]
+    suite = [path for path in runs if path.parts[-3] in ARTEFACTS["figure2"].tasks]
     tasks = [path for path in runs if path not in suite]
-    written = [*write_table(1, tasks, out / "table1"), *write_table(2, tasks, out / "table2")]
-    written += [*write_curves(tasks, out / "curves"), *write_figure2(suite, out / "figure2")]
-    written += write_tradeoff(
-        sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv")), out / "tradeoff"
-    )
-    written += draw_figure4(read_maps(KEPT / "figure4"), out / "figure4")
+    tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
+    folders = {"table1": tasks, "table2": tasks, "curves": tasks, "figure2": suite, "tradeoff": tradeoff}
+    written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
     with (KEPT / "figure5" / "figure5_seeds.csv").open() as handle:
-        return [*written, *write_figure5(list(csv.DictReader(handle)), out / "figure5")]
+        return [*written, *figure5.report_of(list(csv.DictReader(handle))).write("figure5", out / "figure5")]
 
 
 def main() -> None:

@@ -177,13 +177,13 @@ NUMBERS = {
     "earl_jax.envs.dhand.observation:ARM": 7,
     "earl_jax.envs.minitaur.motors:MOTORS": 8,
     "earl_jax.envs.minitaur.pen:EFFORT": {"released": -0.005 * 0.002, "paper": 0.02},
-    "earl_jax.paper.tasks:FIGURE2_HORIZONS": (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000),
+    "earl_jax.paper.figure2:HORIZONS": (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000),
     "earl_jax.envs.dm_control.cheetah_run:CheetahRun.eval_horizon": 1_000,
     "earl_jax.envs.dm_control.fish_swim:FishSwim.eval_horizon": 1_000,
-    "earl_jax.paper.tasks:METHODS": ("naive", "fbrl", "r3l", "vaprl", "oracle"),
-    "earl_jax.paper.tasks:FIGURE4_TASKS": ("tabletop_organization", "sawyer_peg", "minitaur_pen"),
-    "earl_jax.paper.tasks:FIGURE5_METHODS": ("fbrl", "vaprl", "oracle"),
-    "earl_jax.paper.tasks:FIGURE2_TASKS": ("cheetah_run", "fish_swim"),
+    "earl_jax.paper.artefact:METHODS": ("naive", "fbrl", "r3l", "vaprl", "oracle"),
+    "earl_jax.paper.figure4:TASKS": ("tabletop_organization", "sawyer_peg", "minitaur_pen"),
+    "earl_jax.paper.figure5:METHODS": ("fbrl", "vaprl", "oracle"),
+    "earl_jax.paper.figure2:TASKS": ("cheetah_run", "fish_swim"),
 }
 """Numbers and lists of the paper, by the object that has them."""
 

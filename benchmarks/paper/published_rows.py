@@ -6,7 +6,7 @@ from scipy import stats
 
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper.tasks import METHODS, methods_on
+from earl_jax.paper.artefact import METHODS, methods_on
 from earl_jax.report.leaderboard import Row, score_text
 from earl_jax.report.published import RECONSTRUCTED, SEEDS, published_crossings, published_score, published_steps
 from earl_jax.report.tables import millions

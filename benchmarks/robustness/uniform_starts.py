@@ -26,7 +26,7 @@ from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.statistics import relative_drop
-from earl_jax.paper.tasks import training_steps
+from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
 from earl_jax.report.runs import read
 from earl_jax.report.tables import interval_text, markdown_table, write

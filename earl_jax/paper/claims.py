@@ -4,15 +4,13 @@ Source: Sharma et al. 2022, section 6.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from earl_jax import assets
 from earl_jax.report.published import published_score
 from earl_jax.report.runs import MethodRuns
 from earl_jax.report.style import task_order
 
-Scores = dict[str, dict[str, tuple[float, float]]]
-"""J_D of the final policy and C(A), by task and method."""
 EPISODIC = "oracle"
 """The method that resets, which is no autonomous one and which table 2 lacks."""
 NAIVE_BEST = 2
@@ -28,8 +26,13 @@ def table2_claims(groups: Sequence[MethodRuns]) -> str:
     )
 
 
-def _counts(scores: Scores) -> str:
-    compared = {env: methods for env, methods in scores.items() if len(methods) > 1}
+def _counts(scored: Iterable[tuple[str, str, float, float]]) -> str:
+    """Return what holds for the tasks of `scored`: task, method, J_D of the final policy and C(A), the first of each method."""
+    scores: dict[str, dict[str, tuple[float, float]]] = {}
+    for env, algo, deployed, continuing in scored:
+        if algo != EPISODIC:
+            scores.setdefault(env, {}).setdefault(algo, (deployed, continuing))
+    compared = {env: scores[env] for env in task_order(scores) if len(scores[env]) > 1}
     if not compared:
         return "no task has two methods to compare"
     naive = [env for env, methods in compared.items() if "naive" in best(methods, 1)]
@@ -55,23 +58,18 @@ def changes_order(methods: Mapping[str, tuple[float, float]]) -> bool:
     return any((first[0] - second[0]) * (first[1] - second[1]) < 0 for first, second in pairs)
 
 
-def _published() -> Scores:
-    scores: Scores = {}
+def _published() -> Iterable[tuple[str, str, float, float]]:
     for row in assets.published("table2"):
-        env, algo = row["env"], row["algo"]
-        deployed, continuing = published_score("table1", env, algo), published_score("table2", env, algo)
-        if deployed and continuing and algo != EPISODIC:
-            scores.setdefault(env, {})[algo] = (deployed.value, continuing.value)
-    return {env: scores[env] for env in task_order(scores)}
+        scores = [published_score(table, row["env"], row["algo"]) for table in ("table1", "table2")]
+        if scores[0] and scores[1]:
+            yield row["env"], row["algo"], scores[0].value, scores[1].value
 
 
-def _ours(groups: Sequence[MethodRuns]) -> Scores:
-    """Return the mean scores of the runs that can be compared with the paper's, the first of each method."""
-    scores: Scores = {}
+def _ours(groups: Sequence[MethodRuns]) -> Iterable[tuple[str, str, float, float]]:
+    """Yield the mean scores of the runs that can be compared with the paper's."""
     for group in groups:
-        if group.algo != EPISODIC and group.curves.comparable:
-            metrics = group.curves.metrics
-            final = (metrics[name][:, -1].mean() for name in (group.curves.deployed_metric, "continuing/reward"))
-            deployed, continuing = map(float, final)
-            scores.setdefault(group.env, {}).setdefault(group.algo, (deployed, continuing))
-    return scores
+        curves = group.curves
+        if curves.comparable:
+            metrics = curves.deployed_metric, "continuing/reward"
+            deployed, continuing = (float(curves.metrics[name][:, -1].mean()) for name in metrics)
+            yield group.env, group.algo, deployed, continuing

@@ -1,95 +1,100 @@
 """Figure 2 of the paper: the return of plain SAC by the number of steps between resets, with two TD updates.
 
 Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as a terminal state. The paper's learner is
-the first version of SAC; ours is the second, see `LEARNER`.
+the first version of SAC, ours the second.
 """
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos.method import TASK
+from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, difference, mean_of
+from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
-from earl_jax.paper.tasks import FIGURE2_FINDINGS, FIGURE2_HORIZONS, FIGURE2_TASKS
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.scores import last_mean
-from earl_jax.report.style import ordered, save
-from earl_jax.report.tables import markdown_table, write
+from earl_jax.report.style import ordered
+from earl_jax.report.tables import markdown_table
 from earl_jax.runs.config import RunConfig
 
+TASKS = ("cheetah_run", "fish_swim")
+HORIZONS = (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000)
+"""H_T, the steps between resets."""
+STEPS = 1_000_000
+"""Training steps, which the paper does not print: five lifetimes between resets at the longest horizon."""
 UPDATES = {True: "without the biased update", False: "with the biased update"}
 """Names of the two TD updates by `timeout_bootstrap`."""
+FINDINGS = {
+    ("cheetah_run", True): "degrades",
+    ("cheetah_run", False): "restored",
+    ("fish_swim", True): "degrades",
+    ("fish_swim", False): "degrades",
+}
+"""The paper's finding on the return as H_T grows, by task and `timeout_bootstrap`."""
 UNCLEAR, INCONCLUSIVE, MISSING = "no clear difference", "inconclusive", "-"
 NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan)
-DESCRIPTION = (
-    "Final deployed return (mean of a seed's last 10 evaluations) of naive RL by H_T, the steps between resets: mean "
-    "over seeds [95 % bootstrap interval] (seeds), `-` where nothing was run."
-)
-RULES = (
-    "Finding: the return at the shortest minus that at the longest H_T. It is `degrades` if the 95 % interval lies "
-    f"above 0, `improves` if it lies below 0, else `{UNCLEAR}`. Verdict: `agrees` with a published `degrades` if ours "
-    "is the same; `agrees` with `restored` if ours does not degrade and the biased update helps at the longest H_T "
-    f"(second table); `differs` if ours is the opposite; else `{INCONCLUSIVE}`."
-)
-LEARNER = (
-    "The learner is SAC of arXiv 1812.05905. The paper cites arXiv 1801.01290 for this figure, which learns a state value "
-    "and keeps its temperature: `--set fixed_temperature=true` keeps ours, and `reward_scale` sets the weight of the "
-    "reward against it."
-)
 
 
 class Point(NamedTuple):
-    """The deployed returns [seeds, E] at `evaluations` [E] on one task with one TD update (`bootstrap`) and horizon.
-
-    `goals` and `learner` say how the goal of the task changes, and with which temperature and reward scale it was learnt.
-    """
+    """The deployed returns [seeds, E] of the lanes of a `run` on one task with one TD update (`bootstrap`) and horizon."""
 
     env: str
     bootstrap: bool
     horizon: int
+    run: Curves
     returns: np.ndarray
-    evaluations: np.ndarray
-    goals: str
-    learner: str
 
     @property
     def scores(self) -> np.ndarray:
         """The final returns [seeds]: the mean of the last 10 evaluations."""
         return last_mean(self.returns)
 
-    @property
-    def steps(self) -> int:
-        """The steps trained."""
-        return int(self.evaluations[-1])
+    def row(self, scores: np.ndarray, **columns: int) -> Row:
+        """Return the row of `scores [seeds]`, with further `columns` before their mean."""
+        key = {"env": self.env, "timeout_bootstrap": self.bootstrap, "train_horizon": self.horizon}
+        return {**key, **columns, **interval_columns(mean_of(scores), "return")}
 
 
 Arms = dict[tuple[str, bool], list[Point]]
 """The points of each task and update, shortest horizon first; an update that was not run has none."""
 
 
-def write_figure2(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Write figure 2 from run folders of `naive` into `out` and return the files: csv, csv of the curves, md, png.
+def blocks(env: str) -> list[Block]:
+    """Return the runs on one task: every horizon with both TD updates.
+
+    A goal stays until the next reset: in the paper's words, the agent has to undo the task before it can practise it
+    again. Naive RL in the deployment setting would draw another goal every 1,000 steps.
+    """
+    updates: Options = {"timeout_bootstrap": [False, True]}
+    options: list[Options] = [{"train_horizon": list(HORIZONS)}]
+    if len(make(env).goal_states) > 1:
+        options = [{"train_horizon": h, "setting": "continuing", "goal_change": h} for h in HORIZONS]
+    return [Block(env, ("naive",), STEPS, {**tied, **updates}, eval_every_factor=2) for tied in options]
+
+
+def report(folders: Sequence[Path]) -> Report:
+    """Return figure 2 from run folders of `naive`, with rows of the final returns and of every evaluation.
 
     Raises:
         ValueError: a folder is no run or one of another method, runs of one point differ in other options, or
             matplotlib is not installed.
     """
     points = _points(read_all(folders))
-    rows, curves = [_row(point) for point in points], [row for point in points for row in _curve_rows(point)]
-    figure = draw(rows, curves, UPDATES)
-    out.mkdir(parents=True, exist_ok=True)
-    paths = [out / "figure2.csv", out / "figure2_curves.csv", out / "figure2.md"]
-    write(rows, paths[0])
-    write(curves, paths[1])
-    paths[2].write_text(_markdown(points))
-    return [*paths, save(figure, out / "figure2.png")]
+    rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=len(point.scores)) for point in points]
+    curves = [
+        point.row(scores, step=step)
+        for point in points
+        for step, scores in zip(point.run.steps.tolist(), point.returns.T, strict=True)
+    ]
+    return Report(_parts(points), draw(rows, curves, UPDATES), {"": rows, "_curves": curves})
 
 
 def _points(runs: Sequence[Curves]) -> list[Point]:
@@ -107,14 +112,23 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
                 raise InputError(
                     f"runs on {config.env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options"
                 )
-            texts = _goals_text(config), _learner_text(config)
-            points[key] = Point(*key, returns[updates == update], curves.steps, *texts)
-    envs = ordered((env for env, _, _ in points), FIGURE2_TASKS)
+            points[key] = Point(*key, curves, returns[updates == update])
+    envs = ordered((env for env, _, _ in points), TASKS)
     return sorted(points.values(), key=lambda point: (envs.index(point.env), not point.bootstrap, point.horizon))
 
 
+def _run_note(run: Curves) -> str:
+    """Return how long a run is, how the goal of its task changes, and with which temperature and reward scale it learns."""
+    sac = run.config.build_method().sac
+    temperatures, scales = (
+        ", ".join(f"{v:g}" for v in np.unique(x)) for x in (sac.initial_temperature, sac.reward_scale)
+    )
+    kind = "fixed at" if sac.fixed_temperature else "learnt from"
+    learner = f"temperature {kind} {temperatures}, reward scale {scales}"
+    return f"- {run.config.env}: {run.steps[-1]:,} steps, {_goals_text(run.config)}, {learner}"
+
+
 def _goals_text(config: RunConfig) -> str:
-    """Return how the task's goal changes in a run."""
     env = config.build_env()
     protocol = config.protocol(env)
     if len(env.goal_states) == 1:
@@ -123,42 +137,6 @@ def _goals_text(config: RunConfig) -> str:
         return "the target stays between resets"
     drawn = protocol.goal_change or int(config.build_method().phase_length(env, jnp.asarray(TASK)))
     return f"another target every {drawn:,} steps, with and without a reset"
-
-
-def _learner_text(config: RunConfig) -> str:
-    sac = config.build_method().sac
-    temperatures, scales = (
-        ", ".join(f"{v:g}" for v in np.unique(x)) for x in (sac.initial_temperature, sac.reward_scale)
-    )
-    kind = "fixed at" if sac.fixed_temperature else "learnt from"
-    return f"temperature {kind} {temperatures}, reward scale {scales}"
-
-
-def _curve_rows(point: Point) -> list[dict[str, Any]]:
-    """Return a row per evaluation: the mean over seeds and its interval."""
-    scores_at = zip(point.evaluations.tolist(), point.returns.T, strict=True)
-    return [{**_key(point), "step": step, **_columns(scores)} for step, scores in scores_at]
-
-
-def _row(point: Point) -> dict[str, Any]:
-    return {**_key(point), "steps": point.steps, "seeds": len(point.scores), **_columns(point.scores)}
-
-
-def _key(point: Point) -> dict[str, Any]:
-    return {"env": point.env, "timeout_bootstrap": point.bootstrap, "train_horizon": point.horizon}
-
-
-def _columns(scores: np.ndarray) -> dict[str, Any]:
-    return dict(zip(("return", "low", "high"), mean_of(scores), strict=True))
-
-
-def _arms(points: Sequence[Point]) -> Arms:
-    envs = dict.fromkeys(point.env for point in points)
-    return {
-        (env, update): [point for point in points if (point.env, point.bootstrap) == (env, update)]
-        for env in envs
-        for update in UPDATES
-    }
 
 
 def finding(arm: Sequence[Point]) -> tuple[Estimate, str]:
@@ -172,15 +150,15 @@ def finding(arm: Sequence[Point]) -> tuple[Estimate, str]:
 def effect(without: Sequence[Point], biased: Sequence[Point]) -> tuple[int | None, Estimate, str]:
     """Return the longest horizon of both arms, the return with minus without the biased update there, and its word."""
     before, after = ({point.horizon: point.scores for point in arm} for arm in (without, biased))
-    common = sorted(before.keys() & after.keys())
-    if not common:
+    horizon = max(before.keys() & after.keys(), default=None)
+    if horizon is None:
         return None, NO_ESTIMATE, MISSING
-    estimate = difference(after[common[-1]], before[common[-1]])
-    return common[-1], estimate, word_by_sign(estimate, "helps", "hurts", UNCLEAR)
+    estimate = difference(after[horizon], before[horizon])
+    return horizon, estimate, word_by_sign(estimate, "helps", "hurts", UNCLEAR)
 
 
 def verdict(finding: str, effect: str, published: str | None) -> str:
-    """Return whether a finding and the biased update's `effect` agree with the `published` finding, by `RULES`."""
+    """Return whether a finding and the biased update's `effect` agree with the `published` finding, by the rules of the page."""
     if published is None or finding == MISSING:
         return MISSING
     if published == "restored":
@@ -188,20 +166,22 @@ def verdict(finding: str, effect: str, published: str | None) -> str:
     return {"degrades": "agrees", "improves": "differs"}.get(finding, INCONCLUSIVE)
 
 
-def _markdown(points: Sequence[Point]) -> str:
-    arms = _arms(points)
-    parts = [
-        "# Figure 2: return by the steps between resets",
-        DESCRIPTION,
-        _returns(arms),
-        "## Findings",
-        _findings(arms),
-    ]
-    return "\n\n".join([*parts, RULES, _effects(arms), _missing(points), _notes(points)]) + "\n"
+def _parts(points: Sequence[Point]) -> dict[str, str]:
+    arms: Arms = {(env, update): [] for env in dict.fromkeys(point.env for point in points) for update in UPDATES}
+    for point in points:
+        arms[point.env, point.bootstrap].append(point)
+    return {
+        "returns": _returns(arms),
+        "findings": _findings(arms),
+        "effects": _effects(arms),
+        "missing": _missing(arms),
+        "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
+        "few_seeds": FEW_SEEDS if any(len(point.scores) < FEW for point in points) else "",
+    }
 
 
 def _returns(arms: Arms) -> str:
-    horizons = sorted({*FIGURE2_HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
+    horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
     lines = []
     for (env, update), arm in arms.items():
         texts = {point.horizon: f"{estimate_text(mean_of(point.scores), 1)} ({len(point.scores)})" for point in arm}
@@ -213,13 +193,11 @@ def _findings(arms: Arms) -> str:
     lines = []
     for (env, update), arm in arms.items():
         estimate, ours = finding(arm)
-        published = FIGURE2_FINDINGS.get((env, update))
+        published = FINDINGS.get((env, update))
         _, _, update_effect = effect(arms[env, True], arms[env, False])
         horizons = f"{arm[0].horizon:,} and {arm[-1].horizon:,}" if len(arm) > 1 else MISSING
-        agreement = verdict(ours, update_effect, published)
-        lines.append(
-            [env, UPDATES[update], horizons, estimate_text(estimate, 1), ours, published or MISSING, agreement]
-        )
+        words = [ours, published or MISSING, verdict(ours, update_effect, published)]
+        lines.append([env, UPDATES[update], horizons, estimate_text(estimate, 1), *words])
     header = ["env", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
     return markdown_table(header, lines)
 
@@ -232,16 +210,14 @@ def _effects(arms: Arms) -> str:
     return markdown_table(["env", "H_T", "return with minus without the biased update", "the biased update"], lines)
 
 
-def _missing(points: Sequence[Point]) -> str:
-    present = {(point.env, point.bootstrap, point.horizon) for point in points}
+def _missing(arms: Arms) -> str:
+    """Return which points of the published figure were not run."""
     lines = []
-    for env, update in FIGURE2_FINDINGS:
-        missing = [f"{horizon:,}" for horizon in FIGURE2_HORIZONS if (env, update, horizon) not in present]
+    for env, update in FINDINGS:
+        present = {point.horizon for point in arms.get((env, update), ())}
+        missing = [f"{horizon:,}" for horizon in HORIZONS if horizon not in present]
         lines += [f"- {env}, {UPDATES[update]}: {'; '.join(missing)}"] if missing else []
     return "\n".join(["Not run, by H_T:", "", *lines]) if lines else "Every point of the published figure was run."
 
 
-def _notes(points: Sequence[Point]) -> str:
-    trained = dict.fromkeys(f"- {point.env}: {point.steps:,} steps, {point.goals}, {point.learner}" for point in points)
-    few = [FEW_SEEDS] if any(len(point.scores) < FEW for point in points) else []
-    return "\n\n".join(["Runs:", "\n".join(trained), LEARNER, *few])
+FIGURE2 = Artefact("figure2", TASKS, blocks, report)

@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.paper.artefact import Row, column
 from earl_jax.report.style import draw_band, legend_below, new_figure, reach, step_axis, task_title
 from earl_jax.report.tables import steps_text
 
@@ -13,10 +12,9 @@ PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
 """Colour and line of each TD update by `timeout_bootstrap`."""
 COLOUR_MAP = "viridis"
 """The colours of the horizons, from the shortest to the longest."""
-Rows = Sequence[Mapping[str, Any]]
 
 
-def draw(points: Rows, curves: Rows, updates: Mapping[bool, str]) -> Any:
+def draw(points: Sequence[Row], curves: Sequence[Row], updates: Mapping[bool, str]) -> Any:
     """Return a figure with a row per task: learning curves of each TD update by horizon, then final returns.
 
     Args:
@@ -31,7 +29,7 @@ def draw(points: Rows, curves: Rows, updates: Mapping[bool, str]) -> Any:
         for update, axis in zip(updates, line, strict=False):
             for horizon in horizons:
                 part = _chosen(curves, env=env, timeout_bootstrap=update, train_horizon=horizon)
-                draw_band(axis, [row["step"] for row in part], _estimate(part), _colour(horizon, horizons))
+                draw_band(axis, column(part, "step"), _estimates(part), _colour(horizon, horizons))
             axis.set(title=f"{task_title(env)}, {updates[update]}", ylabel="return")
             axis.sharey(line[0])
             axis.grid(alpha=0.3)
@@ -43,12 +41,12 @@ def draw(points: Rows, curves: Rows, updates: Mapping[bool, str]) -> Any:
     return figure
 
 
-def _chosen(rows: Rows, **values: Any) -> Rows:
-    return [row for row in rows if all(row[name] == value for name, value in values.items())]
+def _chosen(rows: Sequence[Row], **values: Any) -> list[Row]:
+    return [row for row in rows if values.items() <= row.items()]
 
 
-def _estimate(rows: Rows) -> Estimate:
-    return Estimate(*(np.array([row[name] for row in rows]) for name in ("return", "low", "high")))
+def _estimates(rows: Sequence[Row]) -> Estimate:
+    return Estimate(*(column(rows, name) for name in ("return", "low", "high")))
 
 
 def _colour(horizon: int, horizons: Sequence[int]) -> Any:
@@ -57,16 +55,16 @@ def _colour(horizon: int, horizons: Sequence[int]) -> Any:
     return colormaps[COLOUR_MAP](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
 
 
-def _draw_final(axis: Any, rows: Rows, update: bool, name: str) -> None:
+def _draw_final(axis: Any, rows: Sequence[Row], update: bool, name: str) -> None:
     """Draw one update's final returns, moved sideways a little so that the intervals of both updates can be seen."""
     colour, style = PLOT_STYLES[update]
-    estimate = _estimate(rows)
+    estimate = _estimates(rows)
     horizons = [row["train_horizon"] * (1.03 if update else 0.97) for row in rows]
     options = {"color": colour, "label": name, "capsize": 3, "markersize": 5}
     axis.errorbar(horizons, estimate.value, reach(estimate), fmt=style, **options)
 
 
-def _format_final(axis: Any, rows: Rows) -> None:
+def _format_final(axis: Any, rows: Sequence[Row]) -> None:
     title = f"{task_title(rows[0]['env'])}, final"
     axis.set(title=title, xscale="log", xlabel="H_T, steps between resets", ylabel="final return")
     ticks = sorted({row["train_horizon"] for row in rows})

@@ -9,113 +9,142 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from earl_jax.metrics.comparison import LEVEL, Comparison, Sample, holm, welch
-from earl_jax.metrics.statistics import Estimate, stderr
-from earl_jax.paper.figure4_picture import THRESHOLD_TEXT, draw
-from earl_jax.paper.tasks import FIGURE4_GOAL_RADIUS, FIGURE4_LARGER
-from earl_jax.paper.visit_maps import VisitMap, checked, write_maps
+import numpy as np
+
+from earl_jax.envs import Env
+from earl_jax.errors import InputError
+from earl_jax.metrics import visitation
+from earl_jax.metrics.comparison import LEVEL, Sample, holm, welch
+from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, mean_text, runs_of
+from earl_jax.paper.figure4_picture import THRESHOLD, draw
 from earl_jax.report.published import estimate_text
-from earl_jax.report.style import save
+from earl_jax.report.style import method_order, task_order
 from earl_jax.report.tables import markdown_table
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import load_visits
 
+TASKS = ("tabletop_organization", "sawyer_peg", "minitaur_pen")
+METHODS = ("fbrl", "oracle")
+LARGER = {
+    ("tabletop_organization", "distance"): "fbrl",
+    ("tabletop_organization", "corners"): "fbrl",
+    ("sawyer_peg", "distance"): "fbrl",
+    ("sawyer_peg", "near_goal"): "oracle",
+    ("minitaur_pen", "distance"): "fbrl",
+}
+"""The method with the larger value in the paper, by task and measure of visits. In its words the oracle stays around the
+initial and goal distributions, the other agent goes further away and into the corners, and the oracle's peg is stuck
+around the goal box."""
+GOAL_RADIUS = {"sawyer_peg": 0.12}
+"""Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
+MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
 UNCLEAR, MISSING = "no clear difference", "-"
-DESCRIPTION = (
-    "Visits to the bins of a square grid during training, mean over seeds (standard error). Distance: mean distance of a "
-    "visit to the nearest position of the initial and goal distributions, in the map's unit. Corners: share of visits in "
-    "the four corners, squares with a tenth of the map's side. Near goal: share of visits within "
-    + ", ".join(f"{radius} m ({env})" for env, radius in FIGURE4_GOAL_RADIUS.items())
-    + " of a goal. Covered: share of bins visited. Entropy: of the shares of visits, relative to that of equal visits "
-    "everywhere. Concentration: share of visits in the most visited 1 % of bins."
-)
-CLAIMS = (
-    "The paper: the oracle's visits stay around the initial and goal distributions, FBRL's are further away and in the "
-    "corners, and the oracle's peg is stuck around the goal box. Each row tests one of these claims over seeds: the "
-    "difference with its 95 % interval by Welch's t-test, p, and p corrected by Holm's method for the tests in this table. "
-    f"The verdict is `as published` or `opposite to published` if the corrected p is below {LEVEL}, else "
-    f"`{UNCLEAR}`. The paper makes no claim about entropy or coverage."
-)
-POOLED = (
-    "These maps are sums over seeds, because earlier versions kept no others. Their measures are those of the sum, their "
-    "differences have no test, and the last column gives their sign alone."
-)
-PICTURE = f"The picture's last column is the oracle's share of visits in a bin minus FBRL's. {THRESHOLD_TEXT}"
 
 
-class Verdict(NamedTuple):
-    """One claim of the paper: the values [seeds] of both methods, and their difference, FBRL minus oracle."""
+class VisitMap(NamedTuple):
+    """Visits on the map of a task with one method: int `visits [N, B, B]` of N seeds, first axis x."""
 
-    env: str
-    measure: str
-    larger: str
-    fbrl: float
-    oracle: float
-    comparison: Comparison
+    env: Env
+    algo: str
+    visits: np.ndarray
 
     @property
-    def agrees(self) -> bool:
-        """Whether the sign of the difference is the published one."""
-        return self.comparison.difference != 0 and (self.comparison.difference > 0) == (self.larger == "fbrl")
+    def shares(self) -> np.ndarray:
+        """Share of the visits of all seeds in each bin, [B, B]."""
+        return self.visits.sum(axis=0) / max(self.visits.sum(), 1)
 
 
-def write_figure4(maps: Sequence[VisitMap], out: Path) -> list[Path]:
-    """Write figure 4 from `maps` into `out` and return the files: csv of every seed, visits as csv, md, png.
+def report(folders: Sequence[Path]) -> Report:
+    """Return figure 4 from the maps of visited positions of run folders, which need no checkpoints.
 
     Raises:
-        ValueError: there are no maps, one has a wrong shape, a task and method come twice, or matplotlib is not
-            installed.
+        ValueError: as `report_of`, or a folder is no run.
     """
-    maps = checked(maps)
-    drawn = draw_figure4(maps, out)
-    return [*write_maps(maps, out), *drawn]
+    read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
+    return report_of([VisitMap(env, algo, visits) for algo, env, visits in read if visits is not None])
 
 
-def draw_figure4(maps: Sequence[VisitMap], out: Path) -> list[Path]:
-    """Write the text and the picture of figure 4 alone, from `maps`, and return both files. Errors as `write_figure4`."""
-    maps = checked(maps)
-    figure = draw(maps)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "figure4.md").write_text(_markdown(maps))
-    return [out / "figure4.md", save(figure, out / "figure4.png")]
+def report_of(maps: Sequence[VisitMap]) -> Report:
+    """Return figure 4 from `maps`, with rows of the measures of every seed and of its visits.
+
+    Raises:
+        ValueError: there are no maps, a task and method come twice, or matplotlib is not installed.
+    """
+    by_name = {(part.env.name, part.algo): part for part in maps}
+    if not maps or len(by_name) < len(maps):
+        raise InputError(f"figure 4 needs one map of visits for each task and method, got {list(by_name)}")
+    envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
+    maps = [by_name[name] for env in envs for algo in algos if (name := (env, algo)) in by_name]
+    rows = [row for part in maps for row in seed_rows(part)]
+    parts = {
+        "radii": ", ".join(f"{radius} m ({env})" for env, radius in GOAL_RADIUS.items()),
+        "measures": _measures_table(rows),
+        "level": str(LEVEL),
+        "verdicts": _verdicts_table(verdicts(rows)),
+        "missing": "\n\n".join(filter(None, (_missing(rows, env) for env in envs))),
+        "threshold": str(THRESHOLD),
+    }
+    figure = draw({part.env.name: part.env for part in maps}, {name: part.shares for name, part in by_name.items()})
+    return Report(parts, figure, {"": rows, "_visits": [row for part in maps for row in _visit_rows(part)]})
 
 
-def _markdown(maps: Sequence[VisitMap]) -> str:
-    columns = list(dict.fromkeys(name for part in maps for name in part.scores))
-    lines = [_measured(part, columns) for part in maps]
-    header = ["env", "algo", "seeds", "steps", *(name.replace("_", " ") for name in columns)]
-    parts = ["# Figure 4: positions visited during training", DESCRIPTION, markdown_table(header, lines), CLAIMS]
-    parts.append(_verdict_table(verdicts(maps)))
-    if any(part.pooled for part in maps):
-        parts.append(POOLED)
-    missing = [_missing(maps, env) for env in dict.fromkeys(part.env for part in maps)]
-    parts += [text for text in missing if text]
-    return "\n\n".join([*parts, PICTURE]) + "\n"
+def seed_rows(part: VisitMap) -> list[Row]:
+    """Return a row per seed with the `MEASURES` of its map, None for a distance that its task has no places for."""
+    env, visits, bounds = part.env, part.visits, np.asarray(part.env.map_bounds)
+    rows = [{"env": env.name, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
+    distances = {name: [None] * len(rows) for name in ("distance", "near_goal")}
+    if env.map_starts is not None and env.map_goals is not None:
+        distances["distance"] = visitation.mean_distance(
+            visits, bounds, np.concatenate([env.map_starts, env.map_goals])
+        )
+    if env.map_goals is not None and env.name in GOAL_RADIUS:
+        distances["near_goal"] = visitation.share_near(visits, bounds, env.map_goals, GOAL_RADIUS[env.name])
+    measures = {**distances, "corners": visitation.share_in_corners(visits)}
+    (x_low, y_low), (x_high, y_high) = bounds.tolist()
+    grid = {"bins": visits.shape[1], "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
+    for row, own in zip(rows, visits, strict=True):
+        scores = {name: values[row["seed"]] for name, values in measures.items()} | visitation.measure(own)
+        row |= {name: scores[name] for name in MEASURES} | grid
+    return rows
 
 
-def _measured(part: VisitMap, columns: Sequence[str]) -> list[str]:
-    """Return the line of one map in the table of measures."""
-    texts = []
-    for name in columns:
-        scores = part.scores.get(name)
-        error = "" if scores is None or part.pooled else f" ({stderr(scores):.3f})"
-        texts.append(MISSING if scores is None else f"{scores.mean():.3f}{error}")
-    seeds = f"{part.seeds}, pooled" if part.pooled else str(part.seeds)
-    return [*part.name, seeds, f"{part.steps:,}", *texts]
+def _visit_rows(part: VisitMap) -> list[Row]:
+    key = {"env": part.env.name, "algo": part.algo}
+    places = np.argwhere(part.visits).tolist()
+    return [{**key, "seed": n, "x_bin": x, "y_bin": y, "visits": part.visits[n, x, y]} for n, x, y in places]
 
 
-def verdicts(maps: Sequence[VisitMap]) -> list[Verdict]:
-    """Return the comparison of each published claim about a task that has maps of both FBRL and the oracle."""
-    scores = {part.name: part.scores for part in maps}
-    results = []
-    for (env, measure), larger in FIGURE4_LARGER.items():
-        fbrl, oracle = (scores.get((env, algo), {}).get(measure) for algo in ("fbrl", "oracle"))
-        if fbrl is not None and oracle is not None:
-            means = float(fbrl.mean()), float(oracle.mean())
-            results.append(Verdict(env, measure, larger, *means, comparison=welch(Sample.of(fbrl), Sample.of(oracle))))
+def _measures_table(rows: Sequence[Row]) -> str:
+    lines = []
+    for name, seeds in grouped(rows, "env", "algo").items():
+        texts = [MISSING if seeds[0][each] is None else mean_text(column(seeds, each), 3) for each in MEASURES]
+        lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
+    return markdown_table(["env", "algo", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
+
+
+def verdicts(rows: Sequence[Row]) -> list[Row]:
+    """Return a row per published claim about a task that `seed_rows` of both methods are about: means, test and verdict."""
+    seeds, results = grouped(rows, "env", "algo"), []
+    for (env, measure), larger in LARGER.items():
+        if all((env, algo) in seeds for algo in METHODS):
+            fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
+            test = welch(Sample.of(fbrl), Sample.of(oracle))._asdict()
+            means = {"fbrl": float(fbrl.mean()), "oracle": float(oracle.mean())}
+            results.append({"env": env, "measure": measure, "larger": larger, **means, **test})
+    for row, p in zip(results, holm([row["p"] for row in results]), strict=True):
+        row |= {"p_holm": p, "verdict": _word(row["difference"], row["larger"], p)}
     return results
 
 
-def _verdict_table(results: Sequence[Verdict]) -> str:
-    corrected = holm([verdict.comparison.p for verdict in results])
+def _word(difference: float, larger: str, p: float) -> str:
+    """Return the verdict on a `difference` of FBRL minus the oracle at the corrected `p`."""
+    if difference == 0:
+        return UNCLEAR
+    sign = "as published" if (difference > 0) == (larger == "fbrl") else "opposite to published"
+    return f"{sign}, not tested" if math.isnan(p) else sign if p < LEVEL else UNCLEAR
+
+
+def _verdicts_table(results: Sequence[Row]) -> str:
     header = [
         "env",
         "measure",
@@ -128,30 +157,18 @@ def _verdict_table(results: Sequence[Verdict]) -> str:
         "verdict",
     ]
     lines = []
-    for verdict, p in zip(results, corrected, strict=True):
-        comparison = verdict.comparison
-        difference = estimate_text(Estimate(*comparison[:3]), 3)
-        texts = [_p_text(comparison.p), _p_text(p), verdict.larger, _word(verdict, p)]
-        means = [f"{verdict.fbrl:.3f}", f"{verdict.oracle:.3f}"]
-        lines.append([verdict.env, verdict.measure.replace("_", " "), *means, difference, *texts])
+    for row in results:
+        means = [f"{row[algo]:.3f}" for algo in METHODS]
+        tests = [MISSING if math.isnan(row[name]) else f"{row[name]:.2g}" for name in ("p", "p_holm")]
+        difference = estimate_text(estimate_of(row, "difference"), 3)
+        names = row["env"], row["measure"].replace("_", " ")
+        lines.append([*names, *means, difference, *tests, row["larger"], row["verdict"]])
     return markdown_table(header, lines)
 
 
-def _p_text(p: float) -> str:
-    return MISSING if math.isnan(p) else f"{p:.2g}"
-
-
-def _word(verdict: Verdict, p: float) -> str:
-    """Return the verdict at the corrected `p`."""
-    if verdict.comparison.difference == 0:
-        return UNCLEAR
-    sign = "as published" if verdict.agrees else "opposite to published"
-    if math.isnan(p):
-        return f"{sign}, not tested"
-    return sign if p < LEVEL else UNCLEAR
-
-
-def _missing(maps: Sequence[VisitMap], env: str) -> str:
-    present = {part.algo for part in maps if part.env == env}
-    missing = [algo for algo in ("fbrl", "oracle") if algo not in present]
+def _missing(rows: Sequence[Row], env: str) -> str:
+    missing = [algo for algo in METHODS if (env, algo) not in grouped(rows, "env", "algo")]
     return f"No test on {env}: no map of {' or '.join(missing)}." if missing else ""
+
+
+FIGURE4 = Artefact("figure4", TASKS, runs_of(*METHODS), report)

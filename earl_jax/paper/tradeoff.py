@@ -4,8 +4,9 @@ Source: Sharma et al. 2022, section 7, which asks for it by task and shows no fi
 epsilon of an intervention, and a budget h_max for help that the agent requests (appendix A.2).
 """
 
+import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,8 @@ from scipy import stats
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
 from earl_jax.metrics.scores import deployed_area
-from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.scores import last_mean
 from earl_jax.report.style import (
@@ -25,129 +27,98 @@ from earl_jax.report.style import (
     method_order,
     new_figure,
     reach,
-    save,
     task_order,
     task_title,
 )
-from earl_jax.report.tables import markdown_table, write
+from earl_jax.report.tables import markdown_table
 
+TASKS = ("tabletop_organization", "sawyer_door")
+METHODS = ("naive", "fbrl")
+STEPS = 1_000_000
+"""Training steps; the paper has no experiment on this trade-off, so all numbers are ours."""
+CHANCES = (0.0, 1e-5, 1e-4, 1e-3, 5e-3)
+"""epsilon: at the largest one an intervention follows after 200 steps on average, about as often as an episode ends."""
+BUDGETS = (10.0, 100.0, 1_000.0)
+"""h_max, at a cost of 1 for each intervention."""
+LINE = ("env", "algo", "kind")
+"""The columns that name a line of the picture."""
 KINDS = {"epsilon": "o-", "budget": "s--"}
 """The two ways in which interventions are given, and their lines."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "help", "below": "hurt"}
 """What more interventions do, by the verdict on the correlation."""
-DESCRIPTION = (
-    "Deployed score and interventions of whole lifetimes, mean over seeds (standard error). Epsilon is the probability of "
-    "an intervention after any step, budget the largest total cost of help; both beside the interventions of every H_T "
-    "steps. Final: the mean of a seed's last 10 evaluations. D(A): the area under its deployed curve per step, which is "
-    "higher if it learns sooner. Interventions: all resets, requested and enforced help included. Ended: share of "
-    "seeds whose budget was spent, so that their lifetime ended and they no longer learn. All values of one task, method "
-    "and kind are those at the same step, the last one that all of its runs have."
-)
-RULES = (
-    "Finding: Spearman's rank correlation of the final score with the interventions spent, over all seeds of all values, and its "
-    f"p. More interventions `help` or `hurt` if p, adjusted by Holm over this table, is below {LEVEL}, else the seeds `cannot "
-    "tell`; there is no correlation where all scores are equal. A test of the two ends alone could find nothing in five seeds, "
-    "whose smallest p is 0.008. The paper's conclusion names this trade-off and has no numbers for it."
-)
 
 
-class Point(NamedTuple):
-    """The lifetimes of one method on one task with one epsilon or budget; arrays are [N] seeds.
-
-    `mean_deployed`: the area under the deployed curve, per step.
-    """
-
-    env: str
-    algo: str
-    kind: str
-    value: float
-    final: np.ndarray
-    mean_deployed: np.ndarray
-    spent: np.ndarray
-    ended: np.ndarray
-    steps: int
-
-    @property
-    def name(self) -> tuple[str, str, str, float]:
-        """The task, the method, the kind and its value."""
-        return self[:4]
+Lines = dict[tuple[Any, ...], list[list[Row]]]
+"""By task, method and kind: the rows of each value, from the fewest to the most interventions."""
 
 
-def write_tradeoff(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Write the trade-off from run folders into `out` and return the files: csv, md, png.
+def blocks(env: str) -> list[Block]:
+    """Return the runs on one task: every epsilon without a budget, and every budget without an epsilon."""
+    varied: list[Options] = [{"intervention_chance": list(CHANCES)}, *({"budget": budget} for budget in BUDGETS)]
+    return [Block(env, (algo,), STEPS, options) for algo in methods_on(env, METHODS) for options in varied]
+
+
+def report(folders: Sequence[Path]) -> Report:
+    """Return the trade-off from run folders, with a row per seed.
 
     Raises:
         ValueError: a folder is no run, two runs of one point differ in other options, or matplotlib is not installed.
     """
-    points = _points(read_all(folders))
-    figure = _draw(points)
-    out.mkdir(parents=True, exist_ok=True)
-    paths = [out / "tradeoff.csv", out / "tradeoff.md"]
-    write([row for point in points for row in _rows(point)], paths[0])
-    paths[1].write_text(_markdown(points))
-    return [*paths, save(figure, out / "tradeoff.png")]
-
-
-def _points(runs: Sequence[Curves]) -> list[Point]:
-    """Return a point per run, by task, method, kind and value; those of one line at the last step that all have."""
-    lines: dict[tuple[str, str, str], list[Curves]] = {}
-    for curves in runs:
-        lines.setdefault((curves.config.env, curves.config.algo, _kind(curves)), []).append(curves)
-    points = [_point(curves, min(int(run.steps[-1]) for run in line)) for line in lines.values() for curves in line]
-    names = [point.name for point in points]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        env, algo, kind, value = twice[0]
-        raise InputError(f"runs of {algo} on {env} with {kind} {value:g} differ in other options; name one of them")
-    envs, algos = task_order(point.env for point in points), method_order(point.algo for point in points)
-    kinds = list(KINDS)
-    return sorted(
-        points,
-        key=lambda point: (envs.index(point.env), algos.index(point.algo), kinds.index(point.kind), point.value),
+    rows = seed_rows(read_all(folders))
+    lines = {
+        name: sorted(grouped(line, "value").values(), key=lambda seeds: column(seeds, "interventions").mean())
+        for name, line in grouped(rows, *LINE).items()
+    }
+    return Report(
+        {"points": _points_table(rows), "findings": _findings_table(lines), "level": str(LEVEL)},
+        _draw(lines),
+        {"": rows},
     )
 
 
-def _kind(curves: Curves) -> str:
-    return "epsilon" if curves.config.build_setting().budget is None else "budget"
+def seed_rows(runs: Sequence[Curves]) -> list[Row]:
+    """Return a row per seed, by task, method, kind and value; the runs of one line at the last step that all have.
+
+    Raises:
+        ValueError: two runs of one value differ in other options.
+    """
+    lines: dict[tuple[str, str, str], dict[float, Curves]] = {}
+    for run in runs:
+        env, algo, setting = run.config.env, run.config.algo, run.config.build_setting()
+        kind = "epsilon" if setting.budget is None else "budget"
+        value = float(setting.intervention_chance if setting.budget is None else setting.budget)
+        line = lines.setdefault((env, algo, kind), {})
+        if value in line:
+            raise InputError(f"runs of {algo} on {env} with {kind} {value:g} differ in other options; name one of them")
+        line[value] = run
+    envs, algos = task_order(env for env, _, _ in lines), method_order(algo for _, algo, _ in lines)
+    rows = []
+    for name in [(env, algo, kind) for env in envs for algo in algos for kind in KINDS]:
+        line = sorted(lines.get(name, {}).items())
+        last = min((int(run.steps[-1]) for _, run in line), default=0)
+        for value, run in line:
+            rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run, last)
+    return rows
 
 
-def _point(curves: Curves, step: int) -> Point:
-    """Return the point of one run at `step`."""
-    setting, until = curves.config.build_setting(), curves.steps <= step
-    metrics = {name: values[:, until] for name, values in curves.metrics.items()}
-    scores = metrics[curves.deployed_metric]
-    return Point(
-        env=curves.config.env,
-        algo=curves.config.algo,
-        kind=_kind(curves),
-        value=float(setting.intervention_chance if setting.budget is None else setting.budget),
-        final=last_mean(scores),
-        mean_deployed=deployed_area(curves.steps[until], scores),
-        spent=np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
-        ended=np.zeros(len(scores)) if setting.budget is None else metrics["help/over"][:, -1],
-        steps=int(curves.steps[until][-1]),
-    )
-
-
-def _rows(point: Point) -> list[dict[str, Any]]:
-    """Return one row per seed."""
-    key = {"env": point.env, "algo": point.algo, "kind": point.kind, "value": point.value, "steps": point.steps}
-    names = ("interventions", "final", "deployed_area", "ended")
-    arrays = dict(zip(names, (point.spent, point.final, point.mean_deployed, point.ended), strict=True))
+def _rows(key: Row, run: Curves, last: int) -> list[Row]:
+    """Return the rows of one run at its last step up to `last`."""
+    until = run.steps <= last
+    metrics = {name: values[:, until] for name, values in run.metrics.items()}
+    deployed = metrics[run.deployed_metric]
+    scores = {
+        "interventions": np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
+        "final": last_mean(deployed),
+        "deployed_area": deployed_area(run.steps[until], deployed),
+        "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else np.zeros(len(deployed)),
+    }
+    key = {**key, "steps": int(run.steps[until][-1])}
     return [
-        {**key, "lane": lane, **{name: float(values[lane]) for name, values in arrays.items()}}
-        for lane in range(len(point.final))
+        {**key, "lane": lane, **{name: float(values[lane]) for name, values in scores.items()}}
+        for lane in range(len(deployed))
     ]
-
-
-def _lines(points: Iterable[Point]) -> dict[tuple[str, str, str], list[Point]]:
-    """Return the points of each task, method and kind, from the fewest to the most interventions."""
-    lines: dict[tuple[str, str, str], list[Point]] = {}
-    for point in points:
-        lines.setdefault(point.name[:3], []).append(point)
-    return {name: sorted(line, key=lambda point: point.spent.mean()) for name, line in lines.items()}
 
 
 class Finding(NamedTuple):
@@ -157,40 +128,42 @@ class Finding(NamedTuple):
     p: float
 
 
-def finding(line: Sequence[Point]) -> Finding:
+def finding(rows: Sequence[Row]) -> Finding:
     """Return the correlation over all seeds of one line."""
-    final, spent = (np.concatenate([getattr(point, name) for point in line]) for name in ("final", "spent"))
+    final, spent = column(rows, "final"), column(rows, "interventions")
     if np.ptp(final) == 0 or np.ptp(spent) == 0:
         return Finding(math.nan, math.nan)
     result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
     return Finding(float(result.statistic), float(result.pvalue))
 
 
-def _markdown(points: Sequence[Point]) -> str:
+def _points_table(rows: Sequence[Row]) -> str:
+    lines = []
+    for (*name, value, steps), seeds in grouped(rows, *LINE, "value", "steps").items():
+        texts = [mean_text(column(seeds, score), 3) for score in ("final", "deployed_area")]
+        spent, ended = mean_text(column(seeds, "interventions"), 1, ","), f"{column(seeds, 'ended').mean():.2f}"
+        lines.append([*name, f"{value:g}", len(seeds), f"{steps:,}", spent, *texts, ended])
     header = ["env", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
-    table = markdown_table(header, [_line(point) for point in points])
-    parts = ["# Learning by interventions: the trade-off of the paper's conclusion", DESCRIPTION, table]
-    lines = {name: line for name, line in _lines(points).items() if len(line) > 1}
-    if lines:
-        header = ["env", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
-        parts += [markdown_table([*header, "more interventions"], _findings(lines)), RULES]
-    return "\n\n".join(parts) + "\n"
+    return markdown_table(header, lines)
 
 
-def _findings(lines: dict[tuple[str, str, str], list[Point]]) -> list[list[str]]:
-    """Return a row of text for the finding of each of `lines`, with its ends."""
-    results = [finding(line) for line in lines.values()]
+def _findings_table(lines: Lines) -> str:
+    """Return a table of the finding of each line of several values, with its ends."""
+    lines = {name: line for name, line in lines.items() if len(line) > 1}
+    if not lines:
+        return "No method has runs with two values, so there is no finding."
+    results = [finding(list(itertools.chain(*line))) for line in lines.values()]
     rows = []
-    adjusted = holm([result.p for result in results])
-    for (name, line), result, p in zip(lines.items(), results, adjusted, strict=True):
-        counts, scores = (
-            " to ".join(format(getattr(end, value).mean(), style) for end in (line[0], line[-1]))
-            for value, style in (("spent", ",.0f"), ("final", ".3f"))
-        )
+    for (name, line), result, p in zip(lines.items(), results, holm([result.p for result in results]), strict=True):
+        ends = [
+            " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
+            for score, style in (("interventions", ",.0f"), ("final", ".3f"))
+        ]
         numbers = [_number(result.correlation), *(_number(value, least=0.001) for value in (result.p, p))]
         word = verdict(result.correlation, p)
-        rows.append([*name, counts, scores, *numbers, WORDS.get(word, word)])
-    return rows
+        rows.append([*name, *ends, *numbers, WORDS.get(word, word)])
+    header = ["env", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
+    return markdown_table([*header, "more interventions"], rows)
 
 
 def _number(value: float, least: float = -math.inf) -> str:
@@ -199,36 +172,30 @@ def _number(value: float, least: float = -math.inf) -> str:
     return f"<{least:g}" if value < least else f"{value:.3f}"
 
 
-def _line(point: Point) -> list[str]:
-    texts = [f"{values.mean():.3f} ({stderr(values):.3f})" for values in (point.final, point.mean_deployed)]
-    spent = f"{point.spent.mean():,.1f} ({stderr(point.spent):,.1f})"
-    counts = [str(len(point.final)), f"{point.steps:,}", spent]
-    return [point.env, point.algo, point.kind, f"{point.value:g}", *counts, *texts, f"{point.ended.mean():.2f}"]
-
-
-def _draw(points: Sequence[Point]) -> Any:
+def _draw(lines: Lines) -> Any:
     """Return a figure with a column per task: final score and area by the interventions spent."""
-    envs = list(dict.fromkeys(point.env for point in points))
+    envs = list(dict.fromkeys(env for env, _, _ in lines))
     figure, axes = new_figure(2, len(envs), (max(4.8 * len(envs), 6.4), 7.0), sharex="col")
-    palette = colours(point.algo for point in points)
-    for (env, algo, kind), line in _lines(points).items():
-        column = axes[:, envs.index(env)]
-        for axis, name in zip(column, ("final", "mean_deployed"), strict=True):
-            _draw_line(axis, line, name, palette[algo], KINDS[kind], f"{algo}, {kind}")
-    for env, column in zip(envs, axes.T, strict=True):
-        column[0].set(title=task_title(env), ylabel="final deployed score")
-        column[1].set(xscale="symlog", xlabel="interventions spent", ylabel="area under the deployed curve, per step")
-        for axis in column:
-            axis.grid(alpha=0.3)
+    palette = colours(algo for _, algo, _ in lines)
+    for (env, algo, kind), line in lines.items():
+        for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
+            _draw_line(axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{algo}, {kind}")
+    for env, (above, below) in zip(envs, axes.T, strict=True):
+        above.set(title=task_title(env), ylabel="final deployed score")
+        below.set(xscale="symlog", xlabel="interventions spent", ylabel="area under the deployed curve, per step")
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
     legend_below(figure, legend_entries(axes[0]), 4)
     return figure
 
 
-def _draw_line(axis: Any, line: Sequence[Point], name: str, colour: str, style: str, label: str) -> None:
+def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, **style: Any) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
-    spent = [point.spent.mean() for point in line]
-    estimate = Estimate(*zip(*(mean_interval(getattr(point, name)) for point in line), strict=True))
-    options = {"color": colour, "label": label, "capsize": 3, "markersize": 5}
-    axis.errorbar(spent, estimate.value, reach(estimate), fmt=style, **options)
-    for x, y, point in zip(spent, estimate.value, line, strict=True):
-        axis.annotate(f"{point.value:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")
+    spent = [column(seeds, "interventions").mean() for seeds in line]
+    estimate = Estimate(*zip(*(mean_interval(column(seeds, score)) for seeds in line), strict=True))
+    axis.errorbar(spent, estimate.value, reach(estimate), capsize=3, markersize=5, **style)
+    for x, y, seeds in zip(spent, estimate.value, line, strict=True):
+        axis.annotate(f"{seeds[0]['value']:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")
+
+
+TRADEOFF = Artefact("tradeoff", TASKS, blocks, report)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from earl_jax.paper.curves import write_curves
+from earl_jax.paper.curves import CURVES
 from earl_jax.protocol import Continuing, Deployment
 from earl_jax.report.published import crossings_beside
 from earl_jax.report.runs import read_methods
@@ -19,7 +19,7 @@ def files(tmp_path_factory):
         write_run(root / "a", TABLETOP, "fbrl", scores, steps=(100_000, 200_000), metrics={"continuing/reward": 0.004}),
         write_run(root / "b", KITCHEN, "oracle", [[100.0, 300.0]], steps=(20, 40), metrics={"continuing/reward": 0.0}),
     ]
-    return write_curves(folders, root / "new" / "out")
+    return CURVES.write(folders, root / "new" / "out")
 
 
 def test_curves_hold_means_and_intervals(files):

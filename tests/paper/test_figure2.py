@@ -3,7 +3,7 @@
 import pytest
 from matplotlib import colormaps
 
-from earl_jax.paper.figure2 import verdict, write_figure2
+from earl_jax.paper.figure2 import FIGURE2, verdict
 from earl_jax.protocol import Continuing
 from tests.report.run_files import constant, count_pixels, read_csv, write_run
 
@@ -37,7 +37,7 @@ def files(tmp_path_factory):
     ]
     mixed = {"env_options": horizon_options(1_000), "timeout_bootstrap": [False, True, True]}
     folders.append(write_run(root / "fish", "fish_swim", "naive", constant(7.0, 8.0, 9.0), **mixed))
-    return write_figure2(folders, root / "out")
+    return FIGURE2.write(folders, root / "out")
 
 
 def test_each_point_has_the_final_returns_of_its_lanes(files):
@@ -81,7 +81,7 @@ def test_the_text_says_how_the_target_changes_and_what_the_learner_is(files, tmp
         fixed_temperature=True,
         reward_scale=0.1,
     )
-    text = write_figure2([tied], tmp_path / "out")[2].read_text()
+    text = FIGURE2.write([tied], tmp_path / "out")[2].read_text()
     assert "the target stays between resets, temperature fixed at 1, reward scale 0.1" in text
 
 
@@ -96,7 +96,7 @@ def test_verdicts_need_a_clear_difference():
 def test_other_methods_are_refused(tmp_path):
     oracle = write_run(tmp_path / "a", "fish_swim", "oracle", constant(1.0))
     with pytest.raises(ValueError, match="runs of naive, not of oracle"):
-        write_figure2([oracle], tmp_path / "out")
+        FIGURE2.write([oracle], tmp_path / "out")
 
 
 def test_two_runs_for_one_point_are_refused(tmp_path):
@@ -105,4 +105,4 @@ def test_two_runs_for_one_point_are_refused(tmp_path):
         for scale in (1.0, 2.0)
     ]
     with pytest.raises(ValueError, match=r"H_T 100,000, with the biased update, differ in other options"):
-        write_figure2(runs, tmp_path / "out")
+        FIGURE2.write(runs, tmp_path / "out")

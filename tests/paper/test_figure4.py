@@ -1,46 +1,51 @@
 """Figure 4 on small maps whose distances and spread are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from earl_jax.envs import make
-from earl_jax.paper import figure4
-from earl_jax.paper.figure4 import verdicts, write_figure4
+from earl_jax.paper.figure4 import VisitMap, report_of, seed_rows, verdicts
 from earl_jax.paper.figure4_picture import difference
-from earl_jax.paper.visit_maps import VISITS, VisitMap, read_maps, write_maps
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import count_pixels, read_csv
 
-SQUARE = np.array([[-1.0, -1.0], [1.0, 1.0]])
+PEN = {"map_starts": np.array([[-0.75, -0.75]]), "map_goals": np.array([[0.25, -0.75]])}
+"""A start and a goal in the middle of a bin of a map of 4 by 4 bins."""
 
 
-def visit_map(env="sawyer_peg", algo="fbrl", visits=None, map_bounds=SQUARE, unit="m", **places):
-    visits = np.ones((1, 4, 4), int) if visits is None else visits
-    return VisitMap(env=env, algo=algo, visits=visits, map_bounds=map_bounds, steps=100, unit=unit, **places)
+def task(name="sawyer_peg", map_bounds=((-1.0, -1.0), (1.0, 1.0)), map_unit="m", map_starts=None, map_goals=None):
+    places = {"map_starts": map_starts, "map_goals": map_goals}
+    return SimpleNamespace(name=name, map_bounds=np.array(map_bounds), map_unit=map_unit, **places)
 
 
 def pen_maps(fbrl, oracle):
-    """Return maps of the pen with a start and a goal in the middle of a bin; each seed has one bin per method."""
-    places = {"starts": np.array([[-0.75, -0.75]]), "goals": np.array([[0.25, -0.75]])}
+    """Return maps of the pen; each seed has all visits in one bin per method."""
     maps = []
     for algo, bins in (("oracle", oracle), ("fbrl", fbrl)):
         visits = np.zeros((len(bins), 4, 4), int)
         for seed, (x, y) in enumerate(bins):
             visits[seed, x, y] = 10
-        maps.append(visit_map("minitaur_pen", algo, visits, **places))
+        maps.append(VisitMap(task("minitaur_pen", **PEN), algo, visits))
     return maps
 
 
+def claims_of(*maps):
+    return {row["measure"]: row for row in verdicts([row for part in maps for row in seed_rows(part)])}
+
+
 def test_visits_are_measured_and_compared_with_the_oracle(tmp_path):
-    far, near = [(0, 3), (1, 3), (0, 3), (0, 2)], [(0, 0), (2, 0), (2, 0), (1, 0)]
-    empty = visit_map("tabletop_organization", "fbrl", np.zeros((2, 4, 4), int))
-    maps = [*pen_maps(far, near), empty]
-    csv_file, visits_file, text_file, picture = write_figure4(maps, tmp_path / "out")
+    oracle, fbrl = pen_maps([(0, 3), (1, 3), (0, 3), (0, 2)], [(0, 0), (2, 0), (2, 0), (1, 0)])
+    empty = VisitMap(task("tabletop_organization"), "fbrl", np.zeros((2, 4, 4), int))
+    csv_file, visits_file, text_file, picture = report_of([oracle, fbrl, empty]).write("figure4", tmp_path / "out")
     rows = read_csv(csv_file)
-    assert [(row["env"], row["algo"]) for row in rows] == [empty.name] * 2 + [maps[1].name] * 4 + [maps[0].name] * 4
+    names = [("tabletop_organization", "fbrl")] * 2 + [("minitaur_pen", "fbrl")] * 4 + [("minitaur_pen", "oracle")] * 4
+    assert [(row["env"], row["algo"]) for row in rows] == names
     assert [float(row["distance"]) for row in rows[2:6]] == [1.5, pytest.approx(np.hypot(0.5, 1.5)), 1.5, 1.0]
     assert [float(row["distance"]) for row in rows[6:]] == [0, 0, 0, 0.5]
-    assert (rows[0]["distance"], rows[2]["visits"], rows[2]["bins"], rows[2]["x_low"]) == ("", "10", "4", "-1.0")
+    assert (rows[0]["distance"], rows[2]["steps"], rows[2]["bins"], rows[2]["x_low"]) == ("", "10", "4", "-1.0")
     assert list(read_csv(visits_file)[0].values()) == ["minitaur_pen", "fbrl", "0", "0", "3", "10"]
     text = text_file.read_text()
     assert "| minitaur_pen | distance | 1.395 | 0.125 | 1.270 [" in text
@@ -54,26 +59,24 @@ def test_visits_are_measured_and_compared_with_the_oracle(tmp_path):
     [
         ([(0, 0), (2, 0), (1, 0)], [(0, 3), (1, 3), (0, 3)], "opposite to published"),
         ([(0, 0), (0, 3), (1, 0)], [(0, 1), (0, 3), (2, 0)], "no clear difference"),
+        ([(0, 0), (0, 0), (0, 0)], [(0, 0), (0, 0), (0, 0)], "no clear difference"),
         ([(0, 3)], [(0, 0)], "as published, not tested"),
     ],
 )
 def test_a_verdict_needs_a_clear_difference(fbrl, oracle, word):
-    assert f"| fbrl | {word} |" in figure4._markdown(pen_maps(fbrl, oracle))
+    assert claims_of(*pen_maps(fbrl, oracle))["distance"]["verdict"] == word
 
 
 def test_the_claims_of_the_peg_are_its_distance_and_the_oracle_around_the_box():
-    env = make("sawyer_peg")
     at_goal, far = np.zeros((2, 2, 64, 64), int)
     at_goal[:, 23:25, 32] = [[9, 1], [8, 2]]
     far[:, 60, 60], far[0, 0, 0] = 9, 1
-    maps = [
-        visit_map("sawyer_peg", algo, visits, env.map_bounds, starts=env.map_starts, goals=env.map_goals)
-        for algo, visits in (("fbrl", far), ("oracle", at_goal))
-    ]
-    claims = {verdict.measure: verdict for verdict in verdicts(maps)}
-    assert (claims["near_goal"].fbrl, claims["near_goal"].oracle, claims["near_goal"].agrees) == (0, 1, True)
-    assert claims["distance"].agrees
+    env = make("sawyer_peg")
+    claims = claims_of(VisitMap(env, "fbrl", far), VisitMap(env, "oracle", at_goal))
     assert claims.keys() == {"near_goal", "distance"}
+    near = claims["near_goal"]
+    assert (near["fbrl"], near["oracle"]) == (0, 1)
+    assert {row["verdict"].removesuffix(", not tested") for row in claims.values()} == {"as published"}
 
 
 def test_the_difference_is_the_oracles_share_minus_the_others_above_a_threshold():
@@ -81,32 +84,18 @@ def test_the_difference_is_the_oracles_share_minus_the_others_above_a_threshold(
     expected = np.zeros((4, 4))
     expected[0, 0] = expected[2, 0] = 1
     expected[0, 3] = -1
-    np.testing.assert_array_equal(difference(oracle, fbrl), expected)
-    even = visit_map(visits=np.full((1, 4, 4), 100))
-    slightly = visit_map(visits=np.full((1, 4, 4), 100) + np.eye(4, dtype=int))
-    assert not difference(slightly, even).any()
-
-
-def test_maps_are_read_again_and_those_without_seeds_are_pooled(tmp_path):
-    maps = pen_maps([(0, 3), (1, 3)], [(0, 0), (2, 0)])
-    write_maps(maps[::-1], tmp_path)
-    for written, read in zip(maps[::-1], read_maps(tmp_path), strict=True):
-        assert (read.name, read.steps, read.seeds, read.pooled) == (written.name, 100, 2, None)
-        np.testing.assert_array_equal(read.visits, written.visits)
-        np.testing.assert_array_equal(read.map_bounds, SQUARE)
-    (tmp_path / VISITS).write_text("env,algo,x_bin,y_bin,visits\nminitaur_pen,fbrl,1,2,7\n")
-    pooled = read_maps(tmp_path)[0]
-    assert (pooled.seeds, pooled.pooled, pooled.visits.sum(), pooled.visits[0, 1, 2]) == (2, 2, 7, 7)
+    np.testing.assert_array_equal(difference(oracle.shares, fbrl.shares), expected)
+    even = np.full((4, 4), 1 / 16)
+    assert not difference(even + 1e-4 * np.eye(4), even).any()
 
 
 def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
-    from matplotlib.figure import Figure
-
     figures = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     visits = np.zeros((1, 4, 4), int)
     visits[0, 3, 0] = 9
-    write_figure4([visit_map(visits=visits, map_bounds=[[0, 10], [4, 20]], unit="cm")], tmp_path)
+    env = task(map_bounds=[[0, 10], [4, 20]], map_unit="cm")
+    report_of([VisitMap(env, "fbrl", visits)]).write("figure4", tmp_path)
     axis = figures[0].axes[0]
     image = axis.images[0]
     assert image.get_extent() == [0, 4, 10, 20]
@@ -115,10 +104,7 @@ def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
     assert (axis.get_title(), axis.get_xlabel(), axis.get_ylabel()) == ("Sawyer peg, fbrl", "x, cm", "y, cm")
 
 
-def test_invalid_maps_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="has one map"):
-        write_figure4([visit_map(), visit_map()], tmp_path)
-    with pytest.raises(ValueError, match=r"expected \[N, B, B\]"):
-        write_figure4([visit_map(visits=np.ones((4, 4)))], tmp_path)
-    with pytest.raises(ValueError, match="at least one map"):
-        write_figure4([], tmp_path)
+@pytest.mark.parametrize("count", [0, 2])
+def test_each_task_and_method_has_one_map(count):
+    with pytest.raises(ValueError, match="needs one map of visits for each task and method"):
+        report_of([VisitMap(task(), "fbrl", np.ones((1, 4, 4), int))] * count)

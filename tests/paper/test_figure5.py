@@ -2,7 +2,7 @@
 
 import pytest
 
-from earl_jax.paper.figure5 import figure_rows, write_figure5
+from earl_jax.paper.figure5 import report_of
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import count_pixels, read_csv
 
@@ -19,7 +19,7 @@ def test_drops_are_compared_with_the_published_ones(tmp_path):
         *seed_rows("vaprl", [1.0, 1.0], [1.0, 1.0]),
         *seed_rows("r3l", [0.0, 0.0], [0.0, 0.1]),
     ]
-    csv_file, seeds_file, text_file, picture = write_figure5(rows, tmp_path / "out")
+    csv_file, seeds_file, text_file, picture = report_of(rows).write("figure5", tmp_path / "out")
     methods = {row["algo"]: row for row in read_csv(csv_file)}
     assert list(methods) == ["fbrl", "r3l", "vaprl", "oracle"]
     names = ("initial", "uniform", "drop", "drop_low", "drop_high", "published_drop")
@@ -33,14 +33,7 @@ def test_drops_are_compared_with_the_published_ones(tmp_path):
     assert count_pixels(picture, COLOURS["fbrl"]) > 1000
 
 
-def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict():
-    row = figure_rows(seed_rows("oracle", [1.0, 1.0], [0.5, 0.7]))[0]
-    assert (row["verdict"], row["drop"]) == ("within", pytest.approx(0.4))
-    assert figure_rows(seed_rows("oracle", [1.0], [0.6]))[0]["verdict"] == "-"
-
-
-def test_missing_rows_and_columns_are_refused():
-    with pytest.raises(ValueError, match="at least one row"):
-        figure_rows([])
-    with pytest.raises(ValueError, match="success_uniform"):
-        figure_rows([{"algo": "fbrl", "seed": 0, "success_initial": 1.0}])
+@pytest.mark.parametrize(("initial", "uniform", "verdict"), [([1.0, 1.0], [0.5, 0.7], "within"), ([1.0], [0.6], "-")])
+def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict(initial, uniform, verdict):
+    row = report_of(seed_rows("oracle", initial, uniform)).tables[""][0]
+    assert (row["verdict"], row["drop"]) == (verdict, pytest.approx(0.4))

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from earl_jax import assets
 from earl_jax.cli.main import main
-from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper import reproduce, tasks
+from earl_jax.paper import artefact, figure2, reproduce, tradeoff
 from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid, launcher, processes, worker
 from earl_jax.sweeps.launcher import Outcome
@@ -67,11 +67,10 @@ def in_process(planner_in_process, monkeypatch):
     monkeypatch.setattr(processes.Workers, "run", train)
 
 
-def planned_runs(name, scale, tmp_path, envs=None, **options):
-    """Return the path of the grid of a result at a scale, and its runs."""
-    result, path = reproduce.RESULTS[name], tmp_path / "grid.toml"
-    blocks = [block for env in envs or result.tasks for block in result.blocks(env)]
-    path.write_text(reproduce.grid_text(blocks, reproduce.SCALES[scale], options))
+def planned_runs(name, scale, tmp_path, *tasks, **options):
+    """Return the path of the grid of an artefact at a scale, and its runs."""
+    path = tmp_path / "grid.toml"
+    path.write_text(reproduce.grid_text(name, scale, tasks, options=options))
     return path, grid.read(path)
 
 
@@ -104,59 +103,46 @@ def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
     assert (folder / name / f"{name}.csv").read_text() == before
 
 
-def test_the_full_scale_of_the_tables_is_that_of_the_paper(tmp_path):
+def test_the_full_scale_of_the_tables_is_that_of_the_paper_and_figures_share_their_runs(tmp_path):
     _, runs = planned_runs("table1", "full", tmp_path)
+    published = {(row["env"], row["algo"]) for row in assets.published("table1")}
     assert len(runs) == 6 * 4 + 3
+    assert {(run.env, run.algo) for run in runs} == published
     steps = {run.env: run.steps for run in runs}
-    assert set(steps) == set(PAPER_TASKS)
     expected = {"tabletop_organization": 2_500_000, "sawyer_door": 4_000_000, "minitaur_pen": 3_000_000}
     assert expected.items() <= steps.items()
-    assert {run.env for run in runs if run.algo == "vaprl"} == {"tabletop_organization", "sawyer_door", "sawyer_peg"}
     assert {run.seeds for run in runs} == {(0, 1, 2, 3, 4)}
     assert all(run.options == {} and (run.eval_every, run.eval_episodes) == (10_000, 10) for run in runs)
+    for name in ("table2", "curves", "figure4", "figure5"):
+        assert set(map(repr, planned_runs(name, "full", tmp_path)[1])) <= set(map(repr, runs))
 
 
 def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
-    _, runs = planned_runs("table1", "short", tmp_path, ["tabletop_organization"], precision="bf16")
+    _, runs = planned_runs("table1", "short", tmp_path, "tabletop_organization", precision="bf16")
     assert {(run.steps, len(run.seeds), run.options["precision"]) for run in runs} == {(250_000, 3, "bf16")}
+    with pytest.raises(ValueError, match="'cheetah_run'; choose from tabletop_organization"):
+        artefact.training_steps("cheetah_run")
 
 
-def test_figures_share_the_runs_of_the_tables(tmp_path):
-    _, of_table = planned_runs("table1", "full", tmp_path)
-    for name in ("table2", "curves", "figure4", "figure5"):
-        _, runs = planned_runs(name, "full", tmp_path)
-        assert set(map(repr, runs)) <= set(map(repr, of_table))
-
-
-def test_all_horizons_of_a_task_of_figure_2_fit_one_program(tmp_path):
-    path, runs = planned_runs("figure2", "full", tmp_path)
-    assert {run.options["train_horizon"] for run in runs} == set(tasks.FIGURE2_HORIZONS)
-    groups = plan(path, tmp_path / "out")["groups"]
-    assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14), (70, 14)]
-
-
-def test_the_fish_of_figure_2_keeps_its_target_between_resets(tmp_path):
-    path, runs = planned_runs("figure2", "full", tmp_path, ["fish_swim"])
-    groups = plan(path, tmp_path / "out")["groups"]
-    configs = [RunConfig(**config) for group in groups for config in group["runs"].values()]
-    protocols = [config.protocol(config.build_env()) for config in configs]
-    assert len(protocols) == len(runs) == 2 * len(tasks.FIGURE2_HORIZONS)
-    assert all(protocol.goal_change == protocol.train_horizon for protocol in protocols)
-
-
-def test_figure_2_takes_a_fixed_temperature_and_a_reward_scale(tmp_path):
+def test_figure_2_has_a_program_for_all_horizons_of_a_task_and_the_fish_keeps_its_target_between_resets(tmp_path):
     options = {"fixed_temperature": True, "reward_scale": 0.1}
-    path, runs = planned_runs("figure2", "full", tmp_path, ["cheetah_run"], **options)
+    path, runs = planned_runs("figure2", "full", tmp_path, **options)
+    groups = plan(path, tmp_path / "out")["groups"]
+    assert {run.options["train_horizon"] for run in runs} == set(figure2.HORIZONS)
     assert all(options.items() <= run.options.items() for run in runs)
-    assert len(plan(path, tmp_path / "out")["groups"]) == 1
+    assert [(group["lanes"], len(group["runs"])) for group in groups] == [(70, 14), (70, 14)]
+    configs = [RunConfig(**config) for group in groups for config in group["runs"].values()]
+    protocols = [config.protocol(config.build_env()) for config in configs if config.env == "fish_swim"]
+    assert len(protocols) == 2 * len(figure2.HORIZONS)
+    assert all(protocol.goal_change == protocol.train_horizon for protocol in protocols)
 
 
 def test_the_trade_off_varies_epsilon_and_the_budget_on_two_tasks(tmp_path):
     path, runs = planned_runs("tradeoff", "full", tmp_path)
     assert {run.env for run in runs} == {"tabletop_organization", "sawyer_door"}
     varied = {(run.algo, *run.options.items()) for run in runs}
-    values = [("intervention_chance", value) for value in tasks.TRADEOFF_CHANCES]
-    values += [("budget", value) for value in tasks.TRADEOFF_BUDGETS]
+    values = [("intervention_chance", value) for value in tradeoff.CHANCES]
+    values += [("budget", value) for value in tradeoff.BUDGETS]
     assert varied == {(algo, value) for algo in ("naive", "fbrl") for value in values}
     lanes = sorted(group["lanes"] for group in plan(path, tmp_path / "out")["groups"])
     assert lanes == [5] * 12 + [25] * 4

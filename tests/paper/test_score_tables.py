@@ -8,7 +8,7 @@ from scipy import stats
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.claims import best, changes_order, table2_claims
-from earl_jax.paper.score_tables import write_table
+from earl_jax.paper.score_tables import TABLE1, TABLE2
 from earl_jax.report.paper_rows import paper_rows
 from earl_jax.report.published import INTERVAL_RULE, published_fault, published_score
 from earl_jax.report.runs import read_methods
@@ -35,7 +35,7 @@ def table1(tmp_path_factory):
         write_method(root / "d", TABLETOP, "fbrl", constant(0.5), reward_scale=1.0),
         write_method(root / "e", DOOR, "oracle", constant(0.9, 1.0)),
     ]
-    return write_table(1, folders, root / "out")
+    return TABLE1.write(folders, root / "out")
 
 
 def test_table_1_scores_a_method_by_its_last_evaluation(table1):
@@ -60,7 +60,7 @@ def test_runs_of_the_published_length_are_tested_by_welch_and_holm(tmp_path):
         )
         for algo, mean in (("naive", 0.95), ("vaprl", 0.5))
     ]
-    csv_file, text_file, _ = write_table(1, folders, tmp_path / "out")
+    csv_file, text_file, _ = TABLE1.write(folders, tmp_path / "out")
     rows = {row["algo"]: row for row in read_csv(csv_file) if row["p"]}
     naive = stats.ttest_ind_from_stats(
         0.95, 0.03 * math.sqrt(10 / 9), 10, 0.32, 0.17 * math.sqrt(25 / 4), 5, equal_var=False
@@ -99,7 +99,7 @@ def test_table_2_compares_lifetime_rewards_with_bounds_and_missing_scores(tmp_pa
         write_method(tmp_path / f"{env}-{algo}", env, algo, constant(0.0, 0.0), reward, steps=[3_000_000, 6_000_000])
         for (env, algo), reward in rewards.items()
     ]
-    csv_file, text_file, _ = write_table(2, folders, tmp_path / "out")
+    csv_file, text_file, _ = TABLE2.write(folders, tmp_path / "out")
     verdicts = {(row["env"], row["algo"]): row["verdict"] for row in read_csv(csv_file) if row["mean"]}
     assert verdicts == dict(zip(rewards, ("-", "-", "cannot tell", "above"), strict=True))
     text = text_file.read_text()
@@ -115,7 +115,7 @@ def test_the_text_of_table_2_checks_the_papers_claims(tmp_path):
         for algo, (deployed, lifetime) in scores.items()
     ]
     folders.append(write_method(tmp_path / "door", DOOR, "fbrl", constant(0.5), 0.1))
-    text = write_table(2, folders, tmp_path / "out")[1].read_text()
+    text = TABLE2.write(folders, tmp_path / "out")[1].read_text()
     published = (
         "In the published tables naive RL is the best on 2 of 6 (tabletop_organization, franka_kitchen), the best methods of "
         "tables 1 and 2 differ on 4 of 6, and a pair of methods changes its order on 5 of 6."
@@ -126,7 +126,7 @@ def test_the_text_of_table_2_checks_the_papers_claims(tmp_path):
     )
     assert "changes its order on 1 of 1. The oracle is left out" in text
     assert "In our runs no task has two methods to compare." in table2_claims(read_methods(folders[-1:]))
-    assert "Claims of the paper" not in write_table(1, folders, tmp_path / "out")[1].read_text()
+    assert "Claims of the paper" not in TABLE1.write(folders, tmp_path / "out")[1].read_text()
 
 
 def test_ties_are_no_change_of_order():
@@ -142,11 +142,6 @@ def test_the_contradiction_of_text_and_table_is_a_known_fault(tmp_path):
     assert "had left the pen" in fault
     assert f"the table has {scores['r3l']} for r3l and {scores['oracle']} for the oracle" in fault
     assert float(scores["r3l"]) < float(scores["oracle"])
-
-
-def test_an_unknown_table_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="choose from 1, 2"):
-        write_table(3, [tmp_path], tmp_path / "out")
 
 
 def test_another_kind_of_reward_is_not_compared(tmp_path):

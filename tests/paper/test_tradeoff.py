@@ -2,7 +2,7 @@
 
 import pytest
 
-from earl_jax.paper.tradeoff import write_tradeoff
+from earl_jax.paper.tradeoff import TRADEOFF
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import TABLETOP, count_pixels, read_csv, write_run
@@ -29,7 +29,7 @@ def files(tmp_path_factory):
         lifetimes(root / "d", "naive", [[0.0, 0.0]] * 2, 5, budget=100.0, asked=1),
         lifetimes(root / "e", "fbrl", low, 5, chance=0.01),
     ]
-    return write_tradeoff(folders, root / "out")
+    return TRADEOFF.write(folders, root / "out")
 
 
 def test_each_seed_has_its_scores_and_all_interventions(files):
@@ -68,4 +68,4 @@ def test_two_runs_for_one_point_are_refused(tmp_path):
         for scale in (1.0, 2.0)
     ]
     with pytest.raises(ValueError, match=r"naive on tabletop_organization with epsilon 0 differ in other options"):
-        write_tradeoff(runs, tmp_path / "out")
+        TRADEOFF.write(runs, tmp_path / "out")

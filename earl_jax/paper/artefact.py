@@ -1,0 +1,122 @@
+"""What a table or figure of the paper is: the runs that it takes, and the files that are made of them.
+
+Source of tasks, methods and lengths: Sharma et al. 2022, tables 1 and 2.
+"""
+
+import dataclasses
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.errors import InputError
+from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.report.published import published_steps
+from earl_jax.report.style import save
+from earl_jax.report.tables import write
+
+PAGES = Path(__file__).parent / "pages"
+METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
+Options = dict[str, Any]
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Runs on one task that differ only in their method, or in `options` that hold lists of alternatives."""
+
+    env: str
+    algos: tuple[str, ...]
+    steps: int
+    options: Options = dataclasses.field(default_factory=dict)
+    eval_every_factor: int = 1
+    """Factor on the scale's `eval_every`, for tasks whose evaluations take long."""
+
+
+class Report(NamedTuple):
+    """The content of an artefact's files: parts of its page by name, a matplotlib figure, rows by the end of a csv's name."""
+
+    parts: dict[str, str]
+    figure: Any
+    tables: dict[str, list[Row]]
+
+    def write(self, name: str, out: Path) -> list[Path]:
+        """Write `name`*.csv, `name`.md and `name`.png into the folder `out`, and return them.
+
+        The page is pages/`name`.md with the parts in their places; paragraphs without text are left out.
+        """
+        out.mkdir(parents=True, exist_ok=True)
+        tables = {out / f"{name}{end}.csv": rows for end, rows in self.tables.items()}
+        for path, rows in tables.items():
+            write(rows, path)
+        page = (PAGES / f"{name}.md").read_text().format(**self.parts)
+        text = out / f"{name}.md"
+        text.write_text(re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n")
+        return [*tables, text, save(self.figure, out / f"{name}.png")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Artefact:
+    """A table or figure: its possible tasks, the runs on each of them, and the report made of their folders.
+
+    `report` raises a ValueError if a folder holds no run that belongs to it, or matplotlib is not installed.
+    """
+
+    name: str
+    tasks: tuple[str, ...]
+    blocks: Callable[[str], list[Block]]
+    report: Callable[[Sequence[Path]], Report]
+
+    def write(self, folders: Sequence[Path], out: Path) -> list[Path]:
+        """Write the report on run `folders` into `out` and return its files: csv, md, png. Raises as `report`."""
+        return self.report(folders).write(self.name, out)
+
+
+def training_steps(env: str) -> int:
+    """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""
+    steps = published_steps(env)
+    if steps is None:
+        raise InputError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
+    return steps[0]
+
+
+def methods_on(env: str, methods: tuple[str, ...] = METHODS) -> tuple[str, ...]:
+    """Return those of `methods` that can run on a task: VaPRL needs demonstrations."""
+    has_demos = make(env).has_demos
+    return tuple(method for method in methods if has_demos or method != "vaprl")
+
+
+def runs_of(*methods: str) -> Callable[[str], list[Block]]:
+    """Return the function from a task of the paper to the runs of `methods` on it, at their published length."""
+    return lambda env: [Block(env, methods_on(env, methods), training_steps(env))]
+
+
+def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Return `rows` by their values of the columns `names`, in the order in which they occur."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in names), []).append(row)
+    return groups
+
+
+def column(rows: Iterable[Row], name: str) -> np.ndarray:
+    """Return the numbers [rows] of a column."""
+    return np.array([row[name] for row in rows], float)
+
+
+def interval_columns(estimate: Estimate, name: str, prefix: str = "") -> Row:
+    """Return an estimate as the columns `name`, `low` and `high`; the last two start with `prefix`."""
+    return dict(zip((name, f"{prefix}low", f"{prefix}high"), estimate, strict=True))
+
+
+def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
+    """Return the estimate that `interval_columns` wrote into `row`."""
+    return Estimate(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
+
+
+def mean_text(values: np.ndarray, digits: int, style: str = "") -> str:
+    """Return the mean of `values [seeds]` with the standard error in brackets; `style` is "," for thousands."""
+    return f"{values.mean():{style}.{digits}f} ({stderr(values):{style}.{digits}f})"
