@@ -6,10 +6,12 @@ Each run becomes the folder OUT/NAME. With --against, the command compares every
 commit wrote on the same machine, and ends with 1 if one differs. Programs of another CPU or of another jax round differently.
 """
 
-import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import tyro
+from tyro.conf import Positional
 
 import earl_jax
 
@@ -30,29 +32,25 @@ RUNS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "dhand_lightbulb": ("dhand_lightbulb", "naive", {**SHORT, "engine": "c"}),
     "sawyer_door_mjx": ("sawyer_door", "fbrl", {"steps": 60, "eval_every": 60, "eval_episodes": 1, "engine": "mjx"}),
 }
+Name = Literal[tuple(RUNS)]
 
 
-def main() -> None:
-    """Train the runs that are not there yet, and compare them if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--against", type=Path, metavar="OTHER", help="the folder that another commit wrote")
-    parser.add_argument("--only", nargs="+", choices=RUNS, default=list(RUNS), metavar="NAME", help="some of the runs")
-    arguments = parser.parse_args()
+def main(out: Positional[Path], against: Path | None = None, only: tuple[Name, ...] = tuple(RUNS)) -> None:
+    """Train the runs that are not there yet, and compare them with those of the folder `against` if asked."""
     differing = []
-    for name in arguments.only:
+    for name in only:
         env, algo, options = RUNS[name]
-        path = arguments.out / name
+        path = out / name
         if not path.exists():
             earl_jax.train(env, algo, out=path, **{**SMALL, **options})
-        if arguments.against is None:
+        if against is None:
             print(f"{name}: trained", flush=True)
             continue
-        same = (path / "metrics.csv").read_bytes() == (arguments.against / name / "metrics.csv").read_bytes()
+        same = (path / "metrics.csv").read_bytes() == (against / name / "metrics.csv").read_bytes()
         differing += [] if same else [name]
         print(f"{name}: {'identical' if same else 'DIFFERS'}", flush=True)
-    sys.exit(f"{len(differing)} of {len(arguments.only)} runs differ: {', '.join(differing)}" if differing else 0)
+    sys.exit(f"{len(differing)} of {len(only)} runs differ: {', '.join(differing)}" if differing else 0)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -1,22 +1,71 @@
-"""The result of a benchmark: a JSON file with the command that made it and the versions it ran on."""
+"""What benchmarks write: results with the command and the versions that made them, and tables in pages."""
 
+import csv
+import io
 import json
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from earl_jax.runs.provenance import provenance
 
 RESULTS = Path(__file__).parent / "results"
+ROOT = RESULTS.parents[1]
+DOCS = ROOT / "docs"
 
 
-def emit(report: dict[str, Any], path: Path | None, command: str) -> None:
+def emit(report: dict[str, Any], path: Path | None, command: str | None = None) -> None:
     """Print `report` as one JSON line, and save it to `path` unless that is None."""
     print(json.dumps(report))
     if path:
-        save(path, command, report)
+        save(path, report, command)
 
 
-def save(path: Path, command: str, report: dict[str, Any]) -> None:
-    """Write the `command`, `report`, and versions, platform and commit to `path`."""
+def save(path: Path, report: dict[str, Any], command: str | None = None) -> None:
+    """Write `report` to `path` with versions, platform, commit and `command`, by default that of this process."""
+    if command is None:
+        module = getattr(sys.modules["__main__"], "__spec__", None)
+        arguments = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
+        command = shlex.join(["python", "-m", module.name if module else "", *arguments])
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n")
+
+
+def save_rows(path: Path, rows: Sequence[Mapping[str, Any]], **about: Any) -> None:
+    """Write `rows` to `path`.csv and, with `about` as by `save`, to `path`.json."""
+    save(path.with_suffix(".json"), {**about, "rows": rows})
+    path.with_suffix(".csv").write_text(csv_text(rows))
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return `rows` as csv; a row lacks the columns that it does not have."""
+    text = io.StringIO()
+    columns = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a csv file."""
+    with path.open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def with_tables(page: str, tables: Mapping[str, str]) -> str:
+    """Return the text of `page` with each table between the comments `NAME` and `end of NAME` that mark its place."""
+    for name, table in tables.items():
+        start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        before, _, rest = page.partition(start)
+        _, _, after = rest.partition(end)
+        page = f"{before}{start}\n\n{table}\n\n{end}{after}"
+    return page
+
+
+def write_files(files: Mapping[Path, str]) -> None:
+    """Write texts to their paths."""
+    for path, text in files.items():
+        path.write_text(text)

@@ -5,7 +5,6 @@ and their scores over episodes that did not choose them. A run ships if its best
 must not cost success: a seed whose float16 actor is below the 95 % interval of its float32 actor does not ship.
 """
 
-import argparse
 import functools
 import io
 import json
@@ -14,7 +13,9 @@ from typing import Any
 
 import jax
 import numpy as np
+import tyro
 from scipy.stats import binomtest
+from tyro.conf import Positional
 
 from earl_jax import assets
 from earl_jax.envs import Env, with_engine
@@ -26,6 +27,7 @@ from earl_jax.runs.policies import policies_step
 from earl_jax.training import Policy, load_policies
 from earl_jax.training.policy import actor_of_arrays, arrays_of_actor
 
+PRETRAINED = assets.root() / "pretrained"
 LEAST = 0.3
 """Smallest success of a run's best seed."""
 MOST_SEEDS = 5
@@ -117,21 +119,20 @@ def _write(path: Path, data: bytes, description: dict[str, Any]) -> None:
     path.with_suffix(".json").write_text(json.dumps(description, indent=1) + "\n")
 
 
-def main() -> None:
-    """Pack the runs of the arguments, and print a line for each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN")
-    parser.add_argument("--out", type=Path, default=assets.root() / "pretrained")
-    parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--least", type=float, default=LEAST)
-    arguments = parser.parse_args()
-    for folder in arguments.runs:
+def main(
+    runs: Positional[tuple[Path, ...]],
+    out: Path = PRETRAINED,
+    episodes: int = EPISODES,
+    least: float = LEAST,
+) -> None:
+    """Pack the `runs`, and print a line for each."""
+    for folder in runs:
         try:
-            made = pack(folder, arguments.out, arguments.episodes, arguments.least)
+            made = pack(folder, out, episodes, least)
             print(folder, "seeds", made["seeds"], "success", made[METRICS[0]], flush=True)
         except InputError as error:
             print(f"left out: {error}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -3,24 +3,22 @@
     python -m benchmarks.redraw [--out DIR]
 
 Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 5 of
-figure5_seeds.csv. With --out, only these are written, into another folder. The 27 cells, the tests of differences and the
-leaderboard come from benchmarks/results/paper, as `python -m benchmarks.paper_cells`, `benchmarks.differences` and
-`benchmarks.leaderboard` write them, and success from uniform starts from results/starts. The tables and the picture of
-docs/cfbrl.md are those of `benchmarks.cfbrl`, the rates in docs/algorithms.md those of `benchmarks.speed.method_cost`.
+figure5_seeds.csv. With --out, only these are written, into another folder. The other files are those that
+the modules of benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
 import argparse
-import csv
 from pathlib import Path
 
-from benchmarks import cfbrl, differences, leaderboard, paper_cells
-from benchmarks.output import RESULTS
-from benchmarks.robustness import uniform_starts
+from benchmarks.output import RESULTS, read_csv, write_files
+from benchmarks.paper import cells, cfbrl, differences, leaderboard, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.paper import figure5
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
+PAGES = (cells, differences, uniform_starts, leaderboard, cfbrl, method_cost)
+"""The modules that write tables into pages."""
 
 
 def redraw(out: Path) -> list[Path]:
@@ -31,8 +29,8 @@ def redraw(out: Path) -> list[Path]:
     tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
     folders = {"table1": tasks, "table2": tasks, "curves": tasks, "figure2": suite, "tradeoff": tradeoff}
     written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
-    with (KEPT / "figure5" / "figure5_seeds.csv").open() as handle:
-        return [*written, *figure5.report_of(list(csv.DictReader(handle))).write("figure5", out / "figure5")]
+    rows = read_csv(KEPT / "figure5" / "figure5_seeds.csv")
+    return [*written, *figure5.report_of(rows).write("figure5", out / "figure5")]
 
 
 def main() -> None:
@@ -42,12 +40,10 @@ def main() -> None:
     out = parser.parse_args().out
     print(*redraw(out or KEPT), sep="\n")
     if out is None:
-        paper_cells.main()
-        differences.main()
-        uniform_starts.write_table()
-        leaderboard.write_page()
-        cfbrl.main()
-        method_cost.write_tables()
+        for module in PAGES:
+            write_files(module.files())
+        for module in (cells, differences, cfbrl):
+            module.draw()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Speed: equal tasks of the peers, the plan and ratios of the suite, programs on one device, costs, kernels."""
+"""Speed: equal tasks of the peers, the plan and ratios of the suite, programs on one device, costs."""
 
 import dataclasses
 import importlib.util
@@ -11,14 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget, kernels, paper_cells, per_device
-from benchmarks.speed import method_cost, suite
+from benchmarks.speed import budget, method_cost, per_device, suite
 from benchmarks.speed.peers.common import DOOR, TABLETOP
 from benchmarks.speed.peers.learners import LEARNERS, Batch
 from benchmarks.speed.peers.numpy_tabletop import NumpyTabletop
 from benchmarks.speed.peers.original import Door
-from benchmarks.speed.peers.plan import Job, plan
-from benchmarks.speed.peers.ratios import BARS, LANES, ratios
+from benchmarks.speed.peers.plan import BARS, LANES, Job, plan, ratios
 from earl_jax.algos import list_algos, make_algo
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import PAPER_TASKS, make
@@ -101,14 +99,8 @@ def test_every_bar_has_its_rows_in_the_full_suite():
 
 
 def make_row(peer: str, task: str, lanes: int, processes: int, rate: float | None) -> dict:
-    return {
-        "peer": peer,
-        "task": task,
-        "device": "cpu",
-        "lanes": lanes,
-        "processes": processes,
-        "lane_steps_per_s": rate,
-    }
+    key = {"peer": peer, "task": task, "device": "cpu", "lanes": lanes}
+    return {**key, "processes": processes, "lane_steps_per_s": rate}
 
 
 def test_a_ratio_is_to_the_fastest_row_that_ran():
@@ -202,17 +194,6 @@ def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
 
 
-def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():
-    def step(x, _):
-        return jnp.sin(x @ x), None
-
-    program = jax.jit(lambda x: jnp.cos(jax.lax.scan(step, x, length=5)[0])).lower(jnp.ones((8, 8))).compile()
-    found = kernels.step_kernels(program.as_text())
-    depths = {kernel.place.rpartition("/")[2]: kernel.depth for kernel in found}
-    assert depths["dot_general"] < depths["sin"], "the sine waits for the product"
-    assert not any("cos" in kernel.name + kernel.place for kernel in found), "the cosine is outside the loop"
-
-
 class FakeChunks:
     """A program of benchmarks.speed.method_cost that has one rate after another, and a full replay after the last."""
 
@@ -231,9 +212,9 @@ class FakeChunks:
 
 
 def test_the_cost_of_a_method_is_its_rate_beside_naives_in_the_same_round(tmp_path):
-    given, out = method_cost.parse(["--rounds", "9", "--lanes", "3"]), tmp_path / "device"
+    options, out = method_cost.Options(rounds=9, lanes=3), tmp_path / "device"
     naive, rlpd = FakeChunks("naive", 1.0, 1000.0, 2000.0, 4000.0), FakeChunks("rlpd utd=20", 1.0, 100.0, 100.0, 800.0)
-    method_cost.measure([naive, rlpd], given, out)
+    method_cost.measure([naive, rlpd], options, out)
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["rates"] == {"naive": [1000.0, 2000.0, 4000.0], "rlpd utd=20": [100.0, 100.0, 800.0]}
     row = report["rows"][1]
@@ -253,11 +234,3 @@ def test_the_cost_of_every_method_is_measured():
         algo, *own = name.split()
         make_algo(algo, precision="bf16", **parse_options(tuple(own)))
     assert {name.split()[0] for name in method_cost.METHODS} == set(list_algos())
-
-
-def test_the_table_of_costs_in_the_docs_is_that_of_its_files():
-    text = method_cost.PAGE.read_text()
-    again, other = (
-        paper_cells.with_table(text, table, *method_cost.MARKS) for table in (method_cost.tables(), "| another |")
-    )
-    assert again == text != other, "run python -m benchmarks.speed.method_cost --table"

@@ -1,1 +1,1 @@
-"""Inputs of the pages about the paper: published rows and recorded demonstrations."""
+"""The tables and figures of the pages, made of kept runs. Each module has `files`, the texts that `redraw` writes."""

@@ -9,20 +9,20 @@ position 3, orientation 4, motor angles 8 and more. Front left and back right le
 `randomize` is off, because the recorded robot is the nominal one.
 """
 
-import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+import tyro
+from tyro.conf import Positional
 
 from benchmarks.output import emit
 from earl_jax import physics
 from earl_jax.envs import make
-from earl_jax.physics.engine_choice import ENGINES
 
 HOLD = 200
 """Control steps of a stance: two seconds."""
@@ -113,15 +113,10 @@ def report(file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--engine", choices=ENGINES, default="c")
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    command = f"python -m benchmarks.physics.minitaur_trots {arguments.file.name} --engine {arguments.engine}"
-    emit(report(arguments.file, arguments.engine), arguments.out, command)
+def main(file: Positional[Path], engine: Literal["c", "mjx", "warp"] = "c", out: Path | None = None) -> None:
+    """Print the comparison, and write it to `out`."""
+    emit(report(file, engine), out)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

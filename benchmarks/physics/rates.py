@@ -5,34 +5,28 @@
 Actions are random. A control step is that of the task, with observation and reward.
 """
 
-import argparse
-import os
+import itertools
 import statistics
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import tyro
 
-from benchmarks.output import save
+from benchmarks.output import RESULTS, save_rows
 from earl_jax.envs import list_envs, make
-from earl_jax.physics.engine_choice import ENGINES
-from earl_jax.report.tables import write
+from earl_jax.machine import own_cores
 
-ENVS = [name for name in list_envs() if make(name).engine != "kinematic"]
+ENVS = tuple(name for name in list_envs() if make(name).engine != "kinematic")
 MIN_SECONDS = 1.0
 """The shortest time of a timed repeat."""
 
 
-def make_task(name: str, engine: str, substeps: int | None) -> Any:
-    """Return the task `name` on `engine`, with its own `substeps` if they are None."""
-    return make(name, engine=engine, **({"substeps": substeps} if substeps else {}))
-
-
 def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: int) -> dict[str, Any]:
     """Return compile seconds and the median rate of one env, engine and number of lanes."""
-    env = make_task(name, engine, substeps)
+    env = make(name, engine=engine, **({"substeps": substeps} if substeps else {}))
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), lanes))
 
     def run(state, key, steps):
@@ -65,39 +59,21 @@ def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: i
     }  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--envs", nargs="+", default=list(ENVS), choices=ENVS)
-    parser.add_argument("--engines", nargs="+", default=["c", "mjx"], choices=ENGINES)
-    parser.add_argument("--lanes", type=int, nargs="+", default=[1, 100, 1000])
-    parser.add_argument("--substeps", type=int, nargs="+", default=[None], help="other than each task's own")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/physics/run"))
-    arguments = parser.parse_args()
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+def main(
+    envs: tuple[str, ...] = ENVS,
+    engines: tuple[Literal["c", "mjx", "warp"], ...] = ("c", "mjx"),
+    lanes: tuple[int, ...] = (1, 100, 1000),
+    substeps: tuple[int, ...] = (),
+    repeats: int = 3,
+    out: Path = RESULTS / "physics" / "run",
+) -> None:
+    """Measure each task on each engine; `substeps` are by default each task's own."""
     rows = []
-    for name in arguments.envs:
-        settings = [
-            (engine, lanes, substeps)
-            for engine in arguments.engines
-            for lanes in arguments.lanes
-            for substeps in arguments.substeps
-        ]
-        for setting in settings:
-            rows.append(measure(name, *setting, arguments.repeats))
-            print(rows[-1], flush=True)
-            save_rows(rows, arguments)
-
-
-def save_rows(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
-    """Write the rows so far as csv, and as json with the command, cores and versions."""
-    options = {field: getattr(arguments, field) for field in ("envs", "engines", "lanes", "substeps")}
-    given = {field: values for field, values in options.items() if values != [None]}
-    text = " ".join(f"--{name} {' '.join(map(str, values))}" for name, values in given.items())
-    command = f"python -m benchmarks.physics.rates {text}"
-    write(rows, arguments.out.with_suffix(".csv"))
-    save(arguments.out.with_suffix(".json"), command, {"cores": len(os.sched_getaffinity(0)), "rows": rows})
+    for setting in itertools.product(envs, engines, lanes, substeps or (None,)):
+        rows.append(measure(*setting, repeats))
+        print(rows[-1], flush=True)
+        save_rows(out, rows, cores=len(own_cores()))
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -9,15 +9,16 @@ hand is elsewhere, as after contact, the arm and its mocap target are moved to i
 backward one.
 """
 
-import argparse
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
+from tyro.conf import Positional
 
 from earl_jax import physics
 from earl_jax.demos.importer import Recording, read
@@ -25,7 +26,6 @@ from earl_jax.envs import State, make
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
 from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
 from earl_jax.envs.sawyer.peg import HEAD
-from earl_jax.physics.engine_choice import ENGINES
 
 HOLD = 10
 ALREADY_THERE = 1e-5
@@ -144,15 +144,15 @@ def _reset_error(env: Sawyer, first: np.ndarray) -> float:
     return float(np.abs([*pose.hand, pose.grip] - first[:4]).max())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("env", choices=["sawyer_door", "sawyer_peg"])
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--engine", choices=["auto", *ENGINES], default="auto")
-    parser.add_argument("--substeps", type=int, default=5)
-    arguments = parser.parse_args()
-    print(json.dumps(replay(arguments.env, arguments.file, arguments.engine, arguments.substeps)))
+def main(
+    env: Positional[Literal["sawyer_door", "sawyer_peg"]],
+    file: Positional[Path],
+    engine: Literal["auto", "c", "mjx", "warp"] = "auto",
+    substeps: int = 5,
+):
+    """Print the report on one file."""
+    print(json.dumps(replay(env, file, engine, substeps)))
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

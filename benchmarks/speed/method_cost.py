@@ -7,11 +7,8 @@ before the first step are not timed. Writes results/method_cost/NAME.{csv,json} 
 `--name` gives one), and at the end the tables of docs/algorithms.md from all of these files; with `--table` only the tables.
 """
 
-import argparse
-import csv
+import dataclasses
 import os
-import shlex
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,18 +17,16 @@ from typing import Any
 
 import jax
 import numpy as np
+import tyro
 
-from benchmarks.output import RESULTS, save
-from benchmarks.paper_cells import PAGES, with_table
+from benchmarks.output import DOCS, RESULTS, read_csv, save_rows, with_tables, write_files
 from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.cli.xla_flags import set_flags
 from earl_jax.machine import own_cores
-from earl_jax.report.tables import markdown_table, write
+from earl_jax.report.tables import markdown_table
 
 ROOT = RESULTS / "method_cost"
-PAGE = PAGES / "docs" / "algorithms.md"
-MARKS = "<!-- method cost -->", "<!-- end of method cost -->"
 METHODS = (
     "naive", "oracle", "fbrl", "fbrl controllers=1", "r3l", "vaprl", "bc", "risc", "medal", "rlpd", "rlpd utd=20", "cfbrl",
 )  # fmt: skip
@@ -40,15 +35,43 @@ HEADER = ("method", "steps/s", "quartiles", "ratio to the first", "quartiles")
 Row = dict[str, Any]
 
 
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    env: str = "tabletop_organization"
+    methods: tuple[str, ...] = METHODS
+    """Methods with options; the first is compared with."""
+    lanes: int = 5
+    set: tuple[str, ...] = ("precision=bf16",)
+    """name=value options of all methods."""
+    minutes: float = 5
+    """Start no round later than this after the first."""
+    rounds: int = 20
+    seconds: float = 0.7
+    """Seconds of a measurement, which is at least one chunk."""
+    chunk: int = 1000
+    """Steps of a call, as in training by default."""
+    steps: int = 1_000_000
+    """Rows of a replay, which end the measurement."""
+    threads: int = len(own_cores())
+    wait_for: Path | None = None
+    """Start timing when this file exists."""
+    name: str | None = None
+    """Name of the files written; by default the device."""
+    table: bool = False
+    """Write the tables alone, from the kept files."""
+
+
 class Program:
     """The compiled chunk of the method `name`; its replay has space for `room` more steps."""
 
-    def __init__(self, name: str, given: argparse.Namespace):
+    def __init__(self, name: str, options: Options):
         algo, *own = name.split()
-        options = parse_options((*given.set, *own))
-        problem, self._method, self._state = make_training(given.env, algo, given.lanes, given.steps, **options)
-        self._program, seconds = compile_steps(problem, self._method, self._state, given.chunk)
-        self.name, self.room, self._chunk, self._calls = name, given.steps, given.chunk, 1
+        choices = parse_options((*options.set, *own))
+        problem, self._method, self._state = make_training(options.env, algo, options.lanes, options.steps, **choices)
+        self._program, seconds = compile_steps(problem, self._method, self._state, options.chunk)
+        self.name, self.room, self._chunk, self._calls = name, options.steps, options.chunk, 1
         print(f"{name}: compiled in {seconds:.1f} s", flush=True)
 
     def fit(self, seconds: float) -> None:
@@ -71,49 +94,47 @@ class Program:
         return self.room < self._calls * self._chunk
 
 
-def compile_programs(given: argparse.Namespace) -> list[Program]:
+def compile_programs(options: Options) -> list[Program]:
     """Return the programs of the methods; one that does not compile is left out, but the first must."""
 
     def attempt(name: str) -> Program | None:
         try:
-            return Program(name, given)
+            return Program(name, options)
         except Exception as error:
-            if name == given.methods[0]:
+            if name == options.methods[0]:
                 raise
             print(f"{name} is left out: {type(error).__name__}: {str(error)[:400]}", flush=True)
             return None
 
-    with ThreadPoolExecutor(given.threads) as pool:
-        return [program for program in pool.map(attempt, given.methods) if program]
+    with ThreadPoolExecutor(options.threads) as pool:
+        return [program for program in pool.map(attempt, options.methods) if program]
 
 
-def measure(programs: Sequence[Program], given: argparse.Namespace, out: Path) -> None:
+def measure(programs: Sequence[Program], options: Options, out: Path) -> None:
     """Time the programs in turns, in every second round from the last to the first, and write the results so far."""
     for program in programs:
-        program.fit(given.seconds)
+        program.fit(options.seconds)
     rates: dict[str, list[float]] = {program.name: [] for program in programs}
-    end = time.monotonic() + 60 * given.minutes
-    for number in range(given.rounds + 1):
+    end = time.monotonic() + 60 * options.minutes
+    for number in range(options.rounds + 1):
         if time.monotonic() > end or any(program.full for program in programs):
             return
         timed = {program.name: program.rate() for program in programs[:: -1 if number % 2 else 1]}
         if number > 0:
             for name, rate in timed.items():
                 rates[name].append(rate)
-            write_result(rates, given, out)
+            write_result(rates, options, out)
             print(f"round {number}:", *(f"{name} {rate[-1]:.0f}" for name, rate in rates.items()), sep="  ", flush=True)
 
 
-def write_result(rates: dict[str, list[float]], given: argparse.Namespace, out: Path) -> None:
+def write_result(rates: dict[str, list[float]], options: Options, out: Path) -> None:
     """Write rates, rows, flags and provenance to `out`.json, and the rows to `out`.csv."""
     setting = {
-        "device": jax.devices()[0].device_kind, "cores": len(own_cores()), "env": given.env, "lanes": given.lanes,
-        "set": " ".join(given.set),
+        "device": jax.devices()[0].device_kind, "cores": len(own_cores()), "env": options.env, "lanes": options.lanes,
+        "set": " ".join(options.set),
     }  # fmt: skip
     rows = [setting | row for row in cost_rows(rates)]
-    report = {"xla_flags": os.environ.get("XLA_FLAGS", ""), "rates": rates, "rows": rows}
-    save(out.with_suffix(".json"), shlex.join(["python", "-m", "benchmarks.speed.method_cost", *sys.argv[1:]]), report)
-    write(rows, out.with_suffix(".csv"))
+    save_rows(out, rows, xla_flags=os.environ.get("XLA_FLAGS", ""), rates=rates)
 
 
 def cost_rows(rates: dict[str, list[float]]) -> list[Row]:
@@ -135,8 +156,7 @@ def tables(root: Path = ROOT) -> str:
 
 
 def _table(path: Path) -> str:
-    with path.open(newline="") as handle:
-        rows = list(csv.DictReader(handle))
+    rows = read_csv(path)
     heading = "{device} with {cores} cores, {env}, {lanes} lanes, `{set}`, {rounds} rounds:".format(**rows[0])
     shown = [0, 3, 4] if rows[0]["device"] == "cpu" else range(len(HEADER))  # of a CPU only ratios
     lines = [[cells[column] for column in shown] for cells in (HEADER, *map(_line, rows))]
@@ -152,43 +172,25 @@ def _line(row: dict[str, str]) -> list[str]:
     ]  # fmt: skip
 
 
-def write_tables() -> None:
-    """Write the tables in docs/algorithms.md from the kept files."""
-    PAGE.write_text(with_table(PAGE.read_text(), tables(), *MARKS))
+def files() -> dict[Path, str]:
+    """Return docs/algorithms.md with the tables of the kept files."""
+    page = DOCS / "algorithms.md"
+    return {page: with_tables(page.read_text(), {"method cost": tables()})}
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--env", default="tabletop_organization")
-    parser.add_argument("--methods", nargs="+", default=METHODS, help="with options; the first is compared with")
-    parser.add_argument("--lanes", type=int, default=5)
-    parser.add_argument("--set", nargs="*", default=["precision=bf16"], help="name=value options of all methods")
-    parser.add_argument("--minutes", type=float, default=5, help="start no round later than this after the first")
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=0.7, help="of a measurement, which is at least one chunk")
-    parser.add_argument("--chunk", type=int, default=1000, help="steps of a call, as in training by default")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="rows of a replay, which end the measurement")
-    parser.add_argument("--threads", type=int, default=len(own_cores()))
-    parser.add_argument("--wait-for", type=Path, help="start timing when this file exists")
-    parser.add_argument("--name", help="of the files written (default: the device)")
-    parser.add_argument("--table", action="store_true", help="write the tables alone, from the kept files")
-    return parser.parse_args(arguments)
-
-
-def main() -> None:
+def main(options: Options) -> None:
     """Measure, and write the tables."""
-    given = parse()
-    if not given.table:
+    if not options.table:
         set_flags(["train"])  # the flags of a GPU that training has
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # while compiling, leave the memory to others
-        programs = compile_programs(given)
+        programs = compile_programs(options)
         print("all programs are compiled", flush=True)
-        while given.wait_for and not given.wait_for.exists():
+        while options.wait_for and not options.wait_for.exists():
             time.sleep(0.2)
         device = jax.devices()[0].device_kind.lower().removeprefix("nvidia ").replace(" ", "_")
-        measure(programs, given, ROOT / (given.name or device))
-    write_tables()
+        measure(programs, options, ROOT / (options.name or device))
+    write_files(files())
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

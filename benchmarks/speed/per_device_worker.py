@@ -1,33 +1,35 @@
-"""A program of benchmarks.per_device: it compiles, prints that it is ready, and trains for the seconds in each line of stdin.
+"""A program of benchmarks.speed.per_device: it compiles, says so, and trains for the seconds in each line of stdin.
 
 Prints lines of JSON: `compile_s` when it is ready, then `steps_per_s` for each line of stdin, from the calls that ended in time.
 """
 
-import argparse
 import json
 import os
 import sys
 import time
 
+import tyro
+from tyro.conf import Positional
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("env")
-    parser.add_argument("algo")
-    parser.add_argument("--lanes", type=int, default=5)
-    parser.add_argument("--chunk", type=int, default=1000)
-    parser.add_argument("--set", nargs="*", default=[])
-    parser.add_argument("--cores", type=int, nargs="+")
-    arguments = parser.parse_args()
-    if arguments.cores and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, arguments.cores)  # before jax and the physics count the cores
-    advance, compile_s = _prepare(arguments)
+
+def main(
+    env: Positional[str],
+    algo: Positional[str],
+    cores: tuple[int, ...],
+    lanes: int = 5,
+    chunk: int = 1000,
+    set: tuple[str, ...] = (),
+) -> None:
+    """Compile the program of a method on a task, and train on request."""
+    if cores and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores)  # before jax and the physics count the cores
+    advance, compile_s = _prepare(env, algo, lanes, chunk, set)
     print(json.dumps({"compile_s": round(compile_s, 1)}), flush=True)
     for line in sys.stdin:
-        print(json.dumps({"steps_per_s": _rate(advance, arguments.chunk, float(line))}), flush=True)
+        print(json.dumps({"steps_per_s": _rate(advance, chunk, float(line))}), flush=True)
 
 
-def _prepare(arguments: argparse.Namespace):
+def _prepare(env: str, algo: str, lanes: int, chunk: int, options: tuple[str, ...]):
     """Return a function that trains for a chunk, and the seconds of its compilation; it has run once."""
     import jax
 
@@ -36,9 +38,8 @@ def _prepare(arguments: argparse.Namespace):
     from earl_jax.training.program_cache import keep_programs
 
     keep_programs()
-    options = parse_options(tuple(arguments.set))
-    problem, method, state = make_training(arguments.env, arguments.algo, arguments.lanes, 100_000, **options)
-    program, compile_s = compile_steps(problem, method, state, arguments.chunk)
+    problem, method, state = make_training(env, algo, lanes, 100_000, **parse_options(options))
+    program, compile_s = compile_steps(problem, method, state, chunk)
 
     def advance() -> None:
         nonlocal state
@@ -60,4 +61,4 @@ def _rate(advance, chunk: int, seconds: float) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

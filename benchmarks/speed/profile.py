@@ -5,9 +5,9 @@ physics, storing) and of the host's physics alone. A profiler's trace of the who
 kernels by the named scopes of the loop, their number, and the idle time of the device. Writes FILE.json and FILE.csv.
 """
 
-import argparse
 import collections
 import gzip
+import itertools
 import json
 import re
 import statistics
@@ -20,12 +20,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
 
-from benchmarks.output import save
+from benchmarks.output import RESULTS, save_rows
 from benchmarks.speed.training import make_training
+from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import MujocoEnv
 from earl_jax.physics.engines import c
-from earl_jax.report.tables import write
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState
 
@@ -141,30 +142,22 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
     return {**row, **trace(short, TRACED, scopes(program.as_text()))}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--envs", nargs="+", default=["tabletop_organization", "sawyer_door", "dhand_lightbulb"])
-    parser.add_argument("--algo", default="naive")
-    parser.add_argument("--lanes", type=int, nargs="+", default=[5, 50, 500])
-    parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--set", nargs="*", default=[], help="name=value options of the method, such as precision=bf16")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/profile/run"))
-    arguments = parser.parse_args()
-    options = dict(pair.split("=", 1) for pair in arguments.set)
-    command = "python -m benchmarks.speed.profile --envs {} --algo {} --lanes {} --steps {} --set {}".format(
-        " ".join(arguments.envs), arguments.algo, " ".join(map(str, arguments.lanes)), arguments.steps,
-        " ".join(arguments.set),
-    )  # fmt: skip
+def main(
+    envs: tuple[str, ...] = ("tabletop_organization", "sawyer_door", "dhand_lightbulb"),
+    algo: str = "naive",
+    lanes: tuple[int, ...] = (5, 50, 500),
+    steps: int = 300,
+    repeats: int = 3,
+    set: tuple[str, ...] = (),
+    out: Path = RESULTS / "profile" / "run",
+) -> None:
+    """Profile each task with each number of lanes; `set` has name=value options of the method, such as precision=bf16."""
     rows = []
-    for name in arguments.envs:
-        for lanes in arguments.lanes:
-            rows.append(measure(name, arguments.algo, lanes, arguments.steps, arguments.repeats, options))
-            print(rows[-1], flush=True)
-            save(arguments.out.with_suffix(".json"), command, {"rows": rows})
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    write([{column: row.get(column, "") for column in columns} for row in rows], arguments.out.with_suffix(".csv"))
+    for env, count in itertools.product(envs, lanes):
+        rows.append(measure(env, algo, count, steps, repeats, parse_options(set)))
+        print(rows[-1], flush=True)
+        save_rows(out, rows)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

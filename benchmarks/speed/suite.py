@@ -8,7 +8,7 @@ Prints the rows and the ratios between them, and writes results/speed/<machine>_
 process: ours in this interpreter, the peers in that of `--peer-python`. A row that does not run has its reason instead.
 """
 
-import argparse
+import dataclasses
 import json
 import os
 import re
@@ -18,21 +18,35 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
+import tyro
 
-from benchmarks.output import RESULTS, save
+from benchmarks.output import RESULTS, ROOT, csv_text, save
 from benchmarks.speed.peers.common import cores
-from benchmarks.speed.peers.plan import LIMIT_S, Job, plan
-from benchmarks.speed.peers.ratios import ratios
-from earl_jax.report.tables import write
+from benchmarks.speed.peers.plan import LIMIT_S, Job, plan, ratios
 
-ROOT = Path(__file__).parents[2]
 PEERS = ROOT / ".cache" / "peers"
 REQUIREMENTS = Path(__file__).parent / "peers" / "requirements.txt"
 COLUMNS = ("peer", "task", "device", "processes", "lanes", "lane_steps_per_s", "start_s", "compile_s", "reason", "note")
-MARK = "python -m benchmarks.speed.suite "
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    suite: Literal["quick", "full"] = "quick"
+    peer_python: str = str(PEERS / "bin" / "python")
+    """The interpreter that has the peers."""
+    install_peers: bool = False
+    """Build the peers' environment and end."""
+    name: str | None = None
+    """The result's name, by default the machine's: cpu2_peers, h200_peers."""
+    only: tuple[str, ...] = ()
+    """Measure the rows of these peers only."""
+    note: str = ""
+    """A remark stored with the result, such as other load on the machine."""
 
 
 def install(folder: Path) -> None:
@@ -49,7 +63,10 @@ def measure(job: Job, python: str, seconds: float) -> dict[str, Any]:
     if seconds < 1:
         return {**blank, "reason": "not run: the suite's time was over"}
     if shutil.which(python) is None:
-        return {**blank, "reason": f"no interpreter {python}; build one with: {MARK}--install-peers"}
+        return {
+            **blank,
+            "reason": f"no interpreter {python}; build one with: python -m benchmarks.speed.suite --install-peers",
+        }
     try:
         rows = start(job, python, seconds)
     except (RuntimeError, subprocess.TimeoutExpired, OSError) as error:
@@ -106,15 +123,13 @@ def machine() -> str:
     return (model.group() if model else kind.replace(" ", "-")).lower()
 
 
-def save_rows(rows: list[dict[str, Any]], path: Path, chosen: argparse.Namespace) -> None:
+def save_rows(rows: list[dict[str, Any]], path: Path, options: Options) -> None:
     """Write the rows so far, and the ratios between them, as json and csv."""
-    about = {"suite": chosen.suite, "cores": cores(), "note": chosen.note}
-    only = " --only " + " ".join(f"'{peer}'" for peer in chosen.only) if chosen.only else ""
-    save(path, f"{MARK}--suite {chosen.suite}{only}", {**about, "ratios": ratios(rows), "rows": rows})
+    save(path, {"suite": options.suite, "cores": cores(), "note": options.note, "ratios": ratios(rows), "rows": rows})
     flat = [{name: row.get(name) for name in COLUMNS} for row in rows]
     for row, source in zip(flat, rows, strict=True):
         row["versions"] = " ".join(f"{name}={value}" for name, value in source.get("versions", {}).items())
-    write(flat, path.with_suffix(".csv"))
+    path.with_suffix(".csv").write_text(csv_text(flat))
 
 
 def format_row(row: dict[str, Any]) -> str:
@@ -126,39 +141,26 @@ def format_row(row: dict[str, Any]) -> str:
     return f"{label} {row['lane_steps_per_s']:10,.1f} lane-steps/s, {times}"
 
 
-def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--suite", choices=tuple(LIMIT_S), default="quick")
-    parser.add_argument(
-        "--peer-python", default=str(PEERS / "bin" / "python"), help="the interpreter that has the peers"
-    )
-    parser.add_argument("--install-peers", action="store_true", help="build the peers' environment and end")
-    parser.add_argument("--name", help="the result's name, by default the machine's: cpu2_peers, h200_peers")
-    parser.add_argument("--only", nargs="+", metavar="PEER", help="measure these rows only")
-    parser.add_argument("--note", default="", help="a remark stored with the result, such as other load on the machine")
-    return parser.parse_args()
-
-
-def main() -> None:
+def main(options: Options) -> None:
+    """Measure the rows of the suite, each in its own process."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    chosen = parse()
-    if chosen.install_peers:
+    if options.install_peers:
         install(PEERS)
         return
-    path = RESULTS / "speed" / f"{chosen.name or f'{machine()}_peers'}.json"
-    until = time.monotonic() + LIMIT_S[chosen.suite]
+    path = RESULTS / "speed" / f"{options.name or f'{machine()}_peers'}.json"
+    until = time.monotonic() + LIMIT_S[options.suite]
     rows: list[dict[str, Any]] = []
     device = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    for job in plan(chosen.suite, device, cores()):
-        if chosen.only and job.peer not in chosen.only:
+    for job in plan(options.suite, device, cores()):
+        if options.only and job.peer not in options.only:
             continue
-        python = sys.executable if job.ours else chosen.peer_python
+        python = sys.executable if job.ours else options.peer_python
         rows.append(measure(job, python, min(job.limit_s, until - time.monotonic())))
         print(format_row(rows[-1]), flush=True)
-        save_rows(rows, path, chosen)
+        save_rows(rows, path, options)
     for ratio in ratios(rows):
         print(ratio["says"], flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

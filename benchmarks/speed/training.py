@@ -1,21 +1,21 @@
 """Measure training steps per second, without compile time: `python -m benchmarks.speed.training --env sawyer_door --lanes 1 10`.
 
-Writes benchmarks/results/speed/<name>.json and .csv. A lane-step is one control step and one gradient step of one seed.
+Writes OUT.json and OUT.csv. A lane-step is one control step and one gradient step of one seed.
 """
 
-import argparse
+import itertools
 import statistics
 import time
 from pathlib import Path
 from typing import Any
 
 import jax
+import tyro
 
-from benchmarks.output import save
+from benchmarks.output import RESULTS, save_rows
 from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
-from earl_jax.report.tables import write
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
@@ -57,26 +57,21 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     }  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--env", default="tabletop_organization")
-    parser.add_argument("--lanes", type=int, nargs="+", default=[1, 4])
-    parser.add_argument("--algos", nargs="+", default=["naive"])
-    parser.add_argument("--steps", type=int, default=1000)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/speed/run"))
-    arguments = parser.parse_args()
+def main(
+    env: str = "tabletop_organization",
+    lanes: tuple[int, ...] = (1, 4),
+    algos: tuple[str, ...] = ("naive",),
+    steps: int = 1000,
+    repeats: int = 3,
+    out: Path = RESULTS / "speed" / "run",
+) -> None:
+    """Measure each method with each number of lanes."""
     rows = []
-    for algo in arguments.algos:
-        for lanes in arguments.lanes:
-            rows.append(measure(arguments.env, algo, lanes, arguments.steps, arguments.repeats))
-            print(rows[-1], flush=True)
-    command = "python -m benchmarks.speed.training --env {} --algos {} --lanes {} --steps {}".format(
-        arguments.env, " ".join(arguments.algos), " ".join(map(str, arguments.lanes)), arguments.steps
-    )
-    save(arguments.out.with_suffix(".json"), command, {"rows": rows})
-    write(rows, arguments.out.with_suffix(".csv"))
+    for algo, count in itertools.product(algos, lanes):
+        rows.append(measure(env, algo, count, steps, repeats))
+        print(rows[-1], flush=True)
+    save_rows(out, rows)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

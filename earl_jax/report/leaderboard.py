@@ -1,6 +1,6 @@
 """The rows of the leaderboard: those that ship (assets/published/leaderboard.csv), and the row of any run beside them.
 
-The file has the published scores and the runs of this repository; `python -m benchmarks.leaderboard` writes it and
+The file has the published scores and the runs of this repository; `python -m benchmarks.paper.leaderboard` writes it and
 docs/leaderboard.md from the same rows.
 """
 

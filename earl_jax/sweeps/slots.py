@@ -31,7 +31,7 @@ GAINS: dict[str, dict[tuple[int, int], float]] = {
 }
 """What `auto` decides by. By task and (programs on the GPU, cores of each): the time of equally many steps of each program
 one after the other, over the time of all at once. The programs are different methods with 5 lanes in bf16 on one H200 with 16
-cores, measured by `python -m benchmarks.per_device`, which prints rows for this table."""
+cores, measured by `python -m benchmarks.speed.per_device`, which prints rows for this table."""
 
 
 class Slot(NamedTuple):

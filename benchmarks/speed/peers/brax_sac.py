@@ -9,17 +9,7 @@ import jax.numpy as jnp
 from brax import envs
 from brax.training.agents.sac import networks, train
 
-from benchmarks.speed.peers.common import (
-    BATCH,
-    CAPACITY,
-    HIDDEN,
-    HORIZON,
-    LEARNING_RATE,
-    TABLETOP,
-    emit,
-    options,
-    since_start,
-)
+from benchmarks.speed.peers import common
 from earl_jax.envs import make
 
 WARM_UP = 256
@@ -28,7 +18,7 @@ WARM_UP = 256
 class Tabletop(envs.Env):
     """earl_jax's tabletop task under brax's contract; brax's own wrapper ends episodes and resets them."""
 
-    task = make(TABLETOP)
+    task = make(common.TABLETOP)
     observation_size, action_size, backend = task.obs_size, task.action_size, "none"
 
     def reset(self, rng: jax.Array) -> envs.State:
@@ -50,27 +40,28 @@ def replicated(tree: Any, devices: list[Any]) -> Any:
 
 
 def main() -> None:
-    chosen = options(__doc__)
+    chosen = common.options(__doc__)
     removed = not hasattr(jax, "device_put_replicated")
     if removed:
         vars(jax)["device_put_replicated"] = replicated
-    rates, start, ends = [], since_start(), []
+    rates, start, ends = [], common.since_start(), []
 
     def progress(step, metrics):
-        ends.append(since_start())
+        ends.append(common.since_start())
         rates.extend([metrics["training/sps"]] if "training/sps" in metrics else [])
 
     train.train(
-        Tabletop(), num_timesteps=WARM_UP + (chosen.repeats + 1) * chosen.steps, episode_length=HORIZON, num_envs=1,
-        num_eval_envs=1, num_evals=chosen.repeats + 2, min_replay_size=WARM_UP, max_replay_size=CAPACITY, batch_size=BATCH,
-        grad_updates_per_step=1, learning_rate=LEARNING_RATE, discounting=0.99, max_devices_per_host=1,
-        network_factory=functools.partial(networks.make_sac_networks, hidden_layer_sizes=HIDDEN), progress_fn=progress,
+        Tabletop(), num_timesteps=WARM_UP + (chosen.repeats + 1) * chosen.steps, episode_length=common.HORIZON, num_envs=1,
+        num_eval_envs=1, num_evals=chosen.repeats + 2, min_replay_size=WARM_UP, max_replay_size=common.CAPACITY,
+        batch_size=common.BATCH, grad_updates_per_step=1, learning_rate=common.LEARNING_RATE, discounting=0.99,
+        max_devices_per_host=1, progress_fn=progress,
+        network_factory=functools.partial(networks.make_sac_networks, hidden_layer_sizes=common.HIDDEN),
     )  # fmt: skip
     shim = "; jax.device_put_replicated, which newer jax has removed, is restored for it" if removed else ""
-    emit(
-        ("brax", "jax", "jaxlib", "flax", "optax"), peer="brax", task=TABLETOP, device=jax.devices()[0].device_kind,
-        processes=1, lanes=1, lane_steps_per_s=float(statistics.median(rates[1:])), start_s=start,
-        compile_s=ends[1] - start, note=f"training/sps, without its evaluations; {CAPACITY:,} replay rows{shim}",
+    common.emit(
+        ("brax", "jax", "jaxlib", "flax", "optax"), peer="brax", task=common.TABLETOP, device=jax.devices()[0].device_kind,
+        lanes=1, lane_steps_per_s=float(statistics.median(rates[1:])), start_s=start,
+        compile_s=ends[1] - start, note=f"training/sps, without its evaluations; {common.CAPACITY:,} replay rows{shim}",
     )  # fmt: skip
 
 

@@ -93,7 +93,7 @@ def version_of(package: str) -> str | None:
 
 
 def emit(packages: tuple[str, ...], **row: Any) -> None:
-    """Print `row` as one JSON line, rounded, with the versions of `packages` and of Python."""
+    """Print the `row` of one process as one JSON line, rounded, with the versions of `packages` and of Python."""
     versions = {"python": platform.python_version(), **{name: version_of(name) for name in packages}}
     row = {name: round(value, 2) if isinstance(value, float) else value for name, value in row.items()}
-    print(json.dumps({**row, "versions": versions}), flush=True)
+    print(json.dumps({"processes": 1, **row, "versions": versions}), flush=True)

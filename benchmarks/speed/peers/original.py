@@ -126,7 +126,7 @@ def main() -> None:
     threads = "; one thread of torch" if chosen.learner == "torch" and training.learner.device == "cpu" else ""
     emit(
         ("mujoco", *training.learner.packages), peer=f"original-style, {chosen.learner}", task=DOOR,
-        device=training.learner.device, processes=1, lanes=1,
+        device=training.learner.device, lanes=1,
         lane_steps_per_s=chosen.steps / seconds, start_s=start, compile_s=compiled,
         note=f"MuJoCo C on one core, the original's geoms; batch of {BATCH} from a NumPy replay of {CAPACITY:,}; compile_s "
         f"includes {WARM_UP + chosen.steps} warm-up steps{threads}",

@@ -2,18 +2,18 @@
 
 import jax
 
-from benchmarks.speed.peers.common import BATCH, CAPACITY, emit, options, since_start
+from benchmarks.speed.peers import common
 from benchmarks.speed.training import measure
 
 
 def main() -> None:
-    chosen = options(__doc__, env={"required": True})
-    start = since_start()
+    chosen = common.options(__doc__, env={"required": True})
+    start = common.since_start()
     row = measure(chosen.env, "naive", chosen.lanes, chosen.steps, chosen.repeats)
-    emit(
+    common.emit(
         ("earl-jax", "jax", "jaxlib", "flax", "optax"), peer="earl_jax", task=chosen.env, device=jax.devices()[0].device_kind,
-        processes=1, lanes=chosen.lanes, lane_steps_per_s=row["lane_steps_per_s"], start_s=start, compile_s=row["compile_s"],
-        note=f"naive SAC, engine {row['engine']}, batch {BATCH}, {CAPACITY:,} replay rows per seed",
+        lanes=chosen.lanes, lane_steps_per_s=row["lane_steps_per_s"], start_s=start, compile_s=row["compile_s"],
+        note=f"naive SAC, engine {row['engine']}, batch {common.BATCH}, {common.CAPACITY:,} replay rows per seed",
     )  # fmt: skip
 
 

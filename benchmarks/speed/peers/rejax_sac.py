@@ -8,18 +8,7 @@ from flax import struct
 from gymnax.environments import environment, spaces
 from rejax import SAC
 
-from benchmarks.speed.peers.common import (
-    BATCH,
-    CAPACITY,
-    HIDDEN,
-    HORIZON,
-    LEARNING_RATE,
-    TABLETOP,
-    emit,
-    median_s,
-    options,
-    since_start,
-)
+from benchmarks.speed.peers import common
 from earl_jax.envs import State, make
 
 
@@ -34,7 +23,7 @@ class TimedState:
 class Tabletop(environment.Environment):
     """earl_jax's tabletop task with the interface of gymnax: it ends on success or after `HORIZON` steps and resets itself."""
 
-    task = make(TABLETOP)
+    task = make(common.TABLETOP)
 
     def reset_env(self, key, params):
         env_state = self.task.reset(key)
@@ -43,7 +32,7 @@ class Tabletop(environment.Environment):
     def step_env(self, key, state, action, params):
         env_state = self.task.step(state.env_state, action)
         after = TimedState(env_state, state.time + 1)
-        done = (env_state.metrics["success"] > 0) | (after.time >= HORIZON)
+        done = (env_state.metrics["success"] > 0) | (after.time >= common.HORIZON)
         return env_state.obs, after, env_state.reward, done, {}
 
     def action_space(self, params):
@@ -54,17 +43,17 @@ class Tabletop(environment.Environment):
 
 
 def main() -> None:
-    chosen = options(__doc__, capacity={"type": int, "default": CAPACITY})
+    chosen = common.options(__doc__, capacity={"type": int, "default": common.CAPACITY})
     learner = SAC.create(
-        env=Tabletop(), hidden_layer_sizes=HIDDEN, num_critics=2, num_envs=1, num_epochs=1, batch_size=BATCH,
-        buffer_size=chosen.capacity, fill_buffer=0, learning_rate=LEARNING_RATE, polyak=0.995,
+        env=Tabletop(), hidden_layer_sizes=common.HIDDEN, num_critics=2, num_envs=1, num_epochs=1, batch_size=common.BATCH,
+        buffer_size=chosen.capacity, fill_buffer=0, learning_rate=common.LEARNING_RATE, polyak=0.995,
     )  # fmt: skip
     states = jax.jit(jax.vmap(learner.init_state))(jax.random.split(jax.random.PRNGKey(0), chosen.lanes))
 
     def advance(state):
         return jax.lax.fori_loop(0, chosen.steps, lambda _, part: learner.train_iteration(part), state)
 
-    start, began = since_start(), time.perf_counter()
+    start, began = common.since_start(), time.perf_counter()
     program = jax.jit(jax.vmap(advance), donate_argnums=0).lower(states).compile()
     compiled = time.perf_counter() - began
 
@@ -73,10 +62,10 @@ def main() -> None:
         states = jax.block_until_ready(program(states))
 
     repeat()
-    seconds = median_s(repeat, chosen.repeats)
-    emit(
-        ("rejax", "gymnax", "distrax", "jax", "jaxlib", "flax", "optax"), peer="rejax", task=TABLETOP,
-        device=jax.devices()[0].device_kind, processes=1, lanes=chosen.lanes,
+    seconds = common.median_s(repeat, chosen.repeats)
+    common.emit(
+        ("rejax", "gymnax", "distrax", "jax", "jaxlib", "flax", "optax"), peer="rejax", task=common.TABLETOP,
+        device=jax.devices()[0].device_kind, lanes=chosen.lanes,
         lane_steps_per_s=chosen.steps * chosen.lanes / seconds, start_s=start, compile_s=compiled,
         note=f"its train_iteration in the loop of its train(), without the evaluations; {chosen.capacity:,} replay rows a seed, "
         "sampled without replacement, as rejax does; updates from the first step",

@@ -6,18 +6,7 @@ import jax
 from sbx import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from benchmarks.speed.peers import BEGAN
-from benchmarks.speed.peers.common import (
-    BATCH,
-    HIDDEN,
-    HORIZON,
-    LEARNING_RATE,
-    TABLETOP,
-    emit,
-    options,
-    since_start,
-    wait_for_others,
-)
+from benchmarks.speed.peers import common
 from benchmarks.speed.peers.numpy_tabletop import NumpyTabletop
 
 LEARNING_STARTS = 256
@@ -35,27 +24,27 @@ class Clock(BaseCallback):
     def _on_step(self) -> bool:
         steps = self.num_timesteps - WARM_UP
         if steps == 0:
-            wait_for_others(self.chosen)
+            common.wait_for_others(self.chosen)
         if steps >= 0 and steps % self.chosen.steps == 0:
             self.times.append(time.perf_counter())
         return True
 
 
 def main() -> None:
-    chosen = options(__doc__)
+    chosen = common.options(__doc__)
     model = SAC(
-        "MlpPolicy", NumpyTabletop(HORIZON), learning_rate=LEARNING_RATE, buffer_size=1_000_000, batch_size=BATCH,
-        learning_starts=LEARNING_STARTS, train_freq=1, gradient_steps=1, seed=chosen.number,
-        policy_kwargs={"net_arch": list(HIDDEN), "n_critics": 2},
+        "MlpPolicy", NumpyTabletop(common.HORIZON), learning_rate=common.LEARNING_RATE, buffer_size=1_000_000,
+        batch_size=common.BATCH, learning_starts=LEARNING_STARTS, train_freq=1, gradient_steps=1, seed=chosen.number,
+        policy_kwargs={"net_arch": list(common.HIDDEN), "n_critics": 2},
     )  # fmt: skip
-    start, clock = since_start(), Clock(chosen)
+    start, clock = common.since_start(), Clock(chosen)
     model.learn(WARM_UP + chosen.steps * chosen.repeats, callback=clock)
     durations = sorted(after - before for before, after in zip(clock.times, clock.times[1:], strict=False))
-    emit(
-        ("sbx-rl", "stable-baselines3", "jax", "jaxlib", "torch", "gymnasium"), peer="sbx", task=TABLETOP,
-        device=jax.devices()[0].device_kind, processes=1, lanes=1,
+    common.emit(
+        ("sbx-rl", "stable-baselines3", "jax", "jaxlib", "torch", "gymnasium"), peer="sbx", task=common.TABLETOP,
+        device=jax.devices()[0].device_kind, lanes=1,
         lane_steps_per_s=chosen.steps / durations[len(durations) // 2], start_s=start,
-        compile_s=clock.times[0] - BEGAN - start,
+        compile_s=clock.times[0] - common.BEGAN - start,
         note="replay of 1,000,000; compile_s includes the 512 steps before the clock starts",
     )  # fmt: skip
 

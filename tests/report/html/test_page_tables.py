@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from benchmarks import leaderboard as committed
+from benchmarks.paper import leaderboard as committed
 from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, difference_table, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows

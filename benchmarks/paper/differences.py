@@ -1,6 +1,6 @@
 """The ten differences that could separate our runs from the published ones, and how each is settled by the runs at hand.
 
-    python -m benchmarks.differences
+    python -m benchmarks.paper.differences
 
 Each difference has tests of two sets of runs in results/paper: `earl-jax compare`'s permutation test at the last step that
 both have, p adjusted by Holm over all tests here. A test without its runs is not made, and the table says `not run`.
@@ -15,19 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.paper_cells import FORMER_VAPRL, PAGES, PEG, ROOT, TABLETOP, cells, with_table
-from benchmarks.robustness.uniform_starts import RELEASED, SEEDS, read_seeds
+from benchmarks.output import DOCS, csv_text, with_tables, write_files
+from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells
+from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
 from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, table_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
-from earl_jax.report.tables import interval_text, markdown_table, millions, write
+from earl_jax.report.tables import interval_text, markdown_table, millions
 
 DOOR, CHEETAH = "sawyer_door", "cheetah_run"
-MARKS = "<!-- differences -->", "<!-- end of differences -->"
-NOT_RUN = "not run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
@@ -109,7 +108,7 @@ DIFFERENCES = (
 )  # fmt: skip
 
 
-def comparisons(root: Path = ROOT, seeds: Path = SEEDS) -> list[Row]:
+def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
     """Return the rows of all tests whose runs are there, each with the `number` of its difference, p adjusted by Holm."""
     rows = [{"number": "1", **row} for row in starts_rows(read_seeds(seeds))]
     for entry in DIFFERENCES:
@@ -215,28 +214,23 @@ def _interval(row: Row, *names: str) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def write_tables() -> None:
-    """Write the tests and the table in docs/results.md."""
-    rows = comparisons()
-    write(rows, ROOT / "pairs.csv")
-    (ROOT / "pairs.md").write_text(f"{table_text(rows)}\n")
-    page = PAGES / "docs" / "results.md"
-    page.write_text(with_table(page.read_text(), table(rows, cells()), *MARKS))
+def files() -> dict[Path, str]:
+    """Return the tests as files, and docs/results.md with the table."""
+    rows, page = comparisons(), DOCS / "results.md"
+    return {
+        RUNS / "pairs.csv": csv_text(rows),
+        RUNS / "pairs.md": f"{table_text(rows)}\n",
+        page: with_tables(page.read_text(), {"differences": table(rows, cells())}),
+    }
 
 
-def draw_horizons() -> None:
+def draw() -> None:
     """Draw the return of seeds 5 to 9 of difference 2, which trained longer than the first five, over their steps."""
-    folders = [ROOT / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
+    folders = [RUNS / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
     names = [f"H_T = {horizon:,}{update}" for update in ("", ", biased") for horizon in HORIZONS]
-    plot_runs(folders, ROOT / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
-
-
-def main() -> None:
-    """Write everything and print the tests."""
-    write_tables()
-    draw_horizons()
-    print((ROOT / "pairs.md").read_text())
+    plot_runs(folders, RUNS / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
 
 
 if __name__ == "__main__":
-    main()
+    write_files(files())
+    draw()

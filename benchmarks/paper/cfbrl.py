@@ -1,4 +1,4 @@
-"""CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.cfbrl`.
+"""CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.paper.cfbrl`.
 
 Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning
 (trials of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
@@ -11,8 +11,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.output import RESULTS
-from benchmarks.paper_cells import PAGES, with_table
+from benchmarks.output import DOCS, RESULTS, with_tables, write_files
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
@@ -23,7 +22,6 @@ from earl_jax.report.tables import interval_text, markdown_table, millions, step
 
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
 PAPER = RESULTS / "paper"
-PAGE = PAGES / "docs" / "cfbrl.md"
 DEPLOYED = "deployed/success"
 MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
 RUNS = {
@@ -211,7 +209,7 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
         yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
 
 
-def draw(path: Path) -> None:
+def draw() -> None:
     """Draw the curves of the long runs: a column a task, means with Student's 95 % bands over 100,000 steps."""
     figure, grid = plt.subplots(2, len(RUNS), figsize=(11, 5.5), sharex="col", sharey=True, layout="constrained")
     for column, (env, names) in zip(grid.T, RUNS.items(), strict=True):
@@ -223,7 +221,7 @@ def draw(path: Path) -> None:
     for axes, text in zip(grid[:, 0], ("deployed success", "success of phases"), strict=True):
         axes.set_ylabel(text)
         axes.legend(loc="lower right", fontsize=8)
-    figure.savefig(path, dpi=120)
+    figure.savefig(OPTIONS / "curves.png", dpi=120)
     plt.close(figure)
 
 
@@ -236,9 +234,9 @@ def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style:
     axes.set_ylim(0, 1.03)
 
 
-def tables() -> dict[str, str]:
-    """Return the tables of the page by the name of their place."""
-    return {
+def files() -> dict[Path, str]:
+    """Return docs/cfbrl.md with its tables."""
+    tables = {
         "goals": goals_text(),
         "lanes": lanes_text(),
         "learning": learning_text(),
@@ -246,20 +244,10 @@ def tables() -> dict[str, str]:
         **{f"learners of {env}": learners_text(env) for env in LEARNERS},
         "options": options_text(),
     }
-
-
-def page_text(page: str) -> str:
-    """Return the text of `page` with the tables of today's runs."""
-    for name, table in tables().items():
-        page = with_table(page, table, f"<!-- {name} -->", f"<!-- end of {name} -->")
-    return page
-
-
-def main() -> None:
-    """Write the page's tables and the picture."""
-    PAGE.write_text(page_text(PAGE.read_text()))
-    draw(OPTIONS / "curves.png")
+    page = DOCS / "cfbrl.md"
+    return {page: with_tables(page.read_text(), tables)}
 
 
 if __name__ == "__main__":
-    main()
+    write_files(files())
+    draw()

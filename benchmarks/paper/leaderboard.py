@@ -1,4 +1,4 @@
-"""The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.leaderboard`.
+"""The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.paper.leaderboard`.
 
 Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. The rows are also written to
 assets/published/leaderboard.csv, from which `earl-jax report` shows them beside a user's runs. `--add RUN` checks a run
@@ -6,31 +6,40 @@ folder, copies its config.json and metrics.csv into results/leaderboard, and wri
 """
 
 import argparse
-import csv
-import io
+import itertools
+import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import RESULTS
-from benchmarks.paper.published_rows import published_rows
-from benchmarks.paper_cells import PAGES, commit_of, with_table
+from scipy import stats
+
+from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
+from benchmarks.paper.cells import commit_of
+from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import CROSSING_WINDOW
+from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, score_text, values_of
+from earl_jax.report.published import (
+    LEVELS,
+    RECONSTRUCTED,
+    SEEDS,
+    published_crossings,
+    published_score,
+    published_steps,
+)
 from earl_jax.report.runs import MethodRuns, by_method, pooling_key, read
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import markdown_table, millions
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
-PAGE = PAGES / "docs" / "leaderboard.md"
-ROWS = PAGES / "assets" / "published" / "leaderboard.csv"
-SCORES = "<!-- scores -->", "<!-- end of scores -->"
-TESTS = "<!-- tests -->", "<!-- end of tests -->"
+PAPER = "EARL, 2022"
+ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 FILES = ("config.json", "metrics.csv")
 
@@ -59,13 +68,61 @@ def rows_of(runs: list[tuple[MethodRuns, str]]) -> list[Row]:
     return [row for env in PAPER_TASKS for row in by_task.get(env, [])]
 
 
+def published_rows() -> list[Row]:
+    """Return the rows of the paper and those of newer papers, without those of a task that is our reconstruction."""
+    cells = [(env, algo) for env in PAPER_TASKS if env not in RECONSTRUCTED for algo in methods_on(env)]
+    rows = [
+        _paper_row(env, algo) for env, algo in cells if (score := published_score("table1", env, algo)) and score.sample
+    ]
+    return rows + [_newer_row(row) for row in assets.published("newer")]
+
+
+def _paper_row(env: str, algo: str) -> Row:
+    score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
+    assert score is not None
+    crossings = published_crossings(env, algo)
+    low, high = score.interval or (math.nan, math.nan)
+    return Row(
+        env=env,
+        method=algo,
+        source=PAPER,
+        seeds=SEEDS,
+        steps=(published_steps(env) or (0, 0))[0],
+        deployed=score_text(env, score.value, low, high),
+        wide="-",
+        continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
+        alive="-",
+        crossings=tuple(millions(crossings.get(level)) for level in LEVELS),
+        commit="-",
+        score=score.value,
+    )
+
+
+def _newer_row(row: dict[str, str]) -> Row:
+    """Return a row of newer.csv, whose standard errors divide the population's deviation by sqrt(n)."""
+    mean, seeds = float(row["mean"]), int(row["seeds"])
+    half = math.nan
+    if row["stderr"]:
+        half = float(stats.t.ppf(0.975, seeds - 1)) * float(row["stderr"]) * math.sqrt(seeds / (seeds - 1))
+    return Row(
+        env=row["env"],
+        method=row["method"],
+        source=f"{row['source']}, {row['year']}",
+        seeds=seeds,
+        steps=int(row["steps"]),
+        deployed=score_text(row["env"], mean, mean - half, mean + half),
+        wide="-",
+        continuing="-",
+        alive="-",
+        crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS),
+        commit="-",
+        score=mean,
+    )
+
+
 def rows_text(rows: list[Row]) -> str:
     """Return the rows as the file that ships with the package."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(map(values_of, rows))
-    return text.getvalue()
+    return csv_text([{name: values[name] for name in COLUMNS} for values in map(values_of, rows)])
 
 
 def scores_text(rows: list[Row]) -> str:
@@ -85,12 +142,11 @@ def tests_text(runs: list[tuple[MethodRuns, str]]) -> str:
 
 
 def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
-    for number, first in enumerate(groups):
-        for second in groups[number + 1 :]:
-            seeds = min(first.curves.seeds, second.curves.seeds)
-            steps = min(first.curves.steps[-1], second.curves.steps[-1])
-            if second.env == first.env and seeds >= FEWEST_SEEDS and steps >= CROSSING_WINDOW:
-                yield first, second
+    for first, second in itertools.combinations(groups, 2):
+        seeds = min(first.curves.seeds, second.curves.seeds)
+        steps = min(first.curves.steps[-1], second.curves.steps[-1])
+        if second.env == first.env and seeds >= FEWEST_SEEDS and steps >= CROSSING_WINDOW:
+            yield first, second
 
 
 def _test_line(row: dict[str, Any]) -> list[str]:
@@ -99,12 +155,6 @@ def _test_line(row: dict[str, Any]) -> list[str]:
     sign, ends = (1, ("low", "high")) if above else (-1, ("high", "low"))
     difference = score_text(row["env"], sign * row["difference"], *(sign * row[end] for end in ends))
     return [row["env"], *names, f"{row['steps']:,}", difference, f"{row['p_holm']:.2g}"]
-
-
-def page_text(page: str, root: Path = RESULTS) -> str:
-    """Return the text of `page` with the tables of the runs under `root`."""
-    runs = entries(root)
-    return with_table(with_table(page, scores_text(rows_of(runs)), *SCORES), tests_text(runs), *TESTS)
 
 
 def add(run: Path, root: Path = RESULTS) -> Path:
@@ -141,10 +191,12 @@ def _require(condition: bool, rule: str) -> None:
         raise InputError(f"this run cannot be added: {rule}")
 
 
-def write_page() -> None:
-    """Write the page and the rows that ship, from the runs and the published scores."""
-    PAGE.write_text(page_text(PAGE.read_text()))
-    ROWS.write_text(rows_text(rows_of(entries())))
+def files() -> dict[Path, str]:
+    """Return the page and the rows that ship, from the runs and the published scores."""
+    runs, page = entries(), DOCS / "leaderboard.md"
+    rows = rows_of(runs)
+    tables = {"scores": scores_text(rows), "tests": tests_text(runs)}
+    return {page: with_tables(page.read_text(), tables), ROWS: rows_text(rows)}
 
 
 def main() -> None:
@@ -154,7 +206,7 @@ def main() -> None:
     run = parser.parse_args().add
     if run:
         print(add(run))
-    write_page()
+    write_files(files())
 
 
 if __name__ == "__main__":

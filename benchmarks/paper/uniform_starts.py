@@ -1,6 +1,6 @@
 """Figure 5 from the runs of tabletop in results/paper: success of final policies from uniform starts.
 
-    python -m benchmarks.robustness.uniform_starts [--evaluate]
+    python -m benchmarks.paper.uniform_starts [--evaluate]
 
 With --evaluate, the policies of every run of the published length that results/starts/paper_seeds.csv lacks run 100 episodes
 from each kind of start, and their success is added to it. Starts are the task's own, gripper and mug anywhere within 2.5 (as
@@ -9,7 +9,6 @@ between comments in docs/results.md is written, from that file.
 """
 
 import argparse
-import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import RESULTS
-from benchmarks.paper_cells import PAGES, ROOT, TABLETOP, commit_of, with_table
+from benchmarks.output import DOCS, RESULTS, csv_text, read_csv, with_tables, write_files
+from benchmarks.paper.cells import RUNS, TABLETOP, commit_of
 from earl_jax import assets
 from earl_jax.envs import Env, State
 from earl_jax.envs.tabletop import FREE
@@ -29,7 +28,7 @@ from earl_jax.metrics.statistics import relative_drop
 from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
 from earl_jax.report.runs import read
-from earl_jax.report.tables import interval_text, markdown_table, write
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 from earl_jax.training.loading import load_policies
@@ -39,7 +38,6 @@ EPISODES = 100
 KINDS = {"initial": None, "within_2.5": 2.5, "within_2.8": 2.8}
 """Kinds of starts by column: None is the task's own, else the largest coordinate of gripper and mug."""
 RELEASED = "within_2.5"
-MARKS = "<!-- starts -->", "<!-- end of starts -->"
 HEADER = ("run", "seeds", "from s0 [95 %]", "within 2.5 [95 %]", "drop, % [95 %]", "published drop, %",
           "within 2.8 [95 %]", "drop, % [95 %]")  # fmt: skip
 
@@ -58,7 +56,7 @@ def within(env: Env, limit: float) -> Callable[[jax.Array], State]:
     return start
 
 
-def evaluate(root: Path = ROOT / TABLETOP, episodes: int = EPISODES, known: Sequence[Row] = ()) -> list[Row]:
+def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequence[Row] = ()) -> list[Row]:
     """Return the `known` rows, and one for each seed of each other run of the published length with policies below `root`.
 
     The repository keeps the policies of R3L alone, so the rows of the other runs cannot be computed from it again.
@@ -89,15 +87,9 @@ def _run_rows(folder: Path, episodes: int) -> list[Row]:
     ]
 
 
-def read_rows(file: Path = SEEDS) -> list[Row]:
-    """Return the rows of `evaluate` in `file`, as text."""
-    with file.open() as handle:
-        return list(csv.DictReader(handle))
-
-
 def read_seeds(file: Path = SEEDS) -> dict[str, dict[str, np.ndarray]]:
-    """Return the success [seeds] by run and kind of start in `file`."""
-    rows = read_rows(file)
+    """Return the success [seeds] by run and kind of start from the rows of `evaluate` in `file`."""
+    rows = read_csv(file)
     return {
         run: {kind: np.array([float(row[kind]) for row in rows if row["run"] == run]) for kind in KINDS}
         for run in dict.fromkeys(row["run"] for row in rows)
@@ -118,10 +110,10 @@ def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
     return [run, str(len(own)), texts[0], texts[1], drops[0], published, texts[2], drops[1]]
 
 
-def write_table() -> None:
-    """Write the table in docs/results.md from the kept successes."""
-    page = PAGES / "docs" / "results.md"
-    page.write_text(with_table(page.read_text(), table(read_seeds()), *MARKS))
+def files() -> dict[Path, str]:
+    """Return docs/results.md with the table of the kept successes."""
+    page = DOCS / "results.md"
+    return {page: with_tables(page.read_text(), {"starts": table(read_seeds())})}
 
 
 def main() -> None:
@@ -129,9 +121,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--evaluate", action="store_true", help="evaluate the runs that are not in the file")
     if parser.parse_args().evaluate:
-        write(evaluate(known=read_rows()), SEEDS)
-    write_table()
-    print(table(read_seeds()))
+        SEEDS.write_text(csv_text(evaluate(known=read_csv(SEEDS))))
+    write_files(files())
 
 
 if __name__ == "__main__":

@@ -1,23 +1,55 @@
-"""The table of the ten differences follows from the runs, and says what was not run."""
+"""The tables of the pages follow from the kept runs, and say what was not run."""
 
+import json
 import shutil
 
 import jax
 import numpy as np
 import pytest
 
-from benchmarks import differences
-from benchmarks.paper_cells import PAGES, cells, with_table
-from benchmarks.robustness import uniform_starts
-from benchmarks.robustness.uniform_starts import within
+from benchmarks import redraw
+from benchmarks.output import with_tables
+from benchmarks.paper import cells, cfbrl, differences, uniform_starts
 from earl_jax.metrics.comparison import holm, permutation
-from tests.report.run_files import DOOR, constant, write_run
+from earl_jax.metrics.life import FORWARD
+from earl_jax.report.runs import read
+from tests.report.run_files import DOOR, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
-VARIANT = f"{DOOR}/vaprl/{differences.FORMER_VAPRL}"
+VARIANT = f"{DOOR}/vaprl/{cells.FORMER_VAPRL}"
 RNG = np.random.default_rng(0)
 TWO = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.1, 0.3, 5)}
 ONE = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.7, 0.9, 5)}
+
+
+@pytest.mark.parametrize("module", redraw.PAGES, ids=lambda module: module.__name__.rpartition(".")[2])
+def test_the_pages_are_those_of_the_kept_runs(module):
+    for path, text in module.files().items():
+        assert path.read_text() == text, f"run python -m {module.__name__}"
+
+
+def test_a_table_stands_between_its_comments():
+    page = "A <!-- x -->old<!-- end of x --> B <!-- y -->"
+    assert with_tables(page, {"x": "new"}) == "A <!-- x -->\n\nnew\n\n<!-- end of x --> B <!-- y -->"
+
+
+def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
+    """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figure 5."""
+    tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
+    assert len(tables) == 6
+    for path in tables:
+        assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path
+
+
+def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_says_so(tmp_path):
+    folder = tmp_path / VARIANT
+    write_run(folder, DOOR, "vaprl", rising(2, 3), metrics={"critic_loss": 2.0}, **FORMER)
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps({**config, "provenance": {"commit": "f" * 40}}))
+    rows = cells.cells(tmp_path)
+    assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
+    [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]
+    assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")
 
 
 @pytest.fixture
@@ -32,16 +64,6 @@ def lines(rows, own_cells=()):
     """Return the cells of the table's lines, of which the first is `#`."""
     text = differences.table(rows, list(own_cells)).splitlines()[2:]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in text]
-
-
-def test_the_tables_in_the_docs_are_those_of_the_runs():
-    page = (PAGES / "docs" / "results.md").read_text()
-    table = differences.table(differences.comparisons(), cells())
-    assert with_table(page, table, *differences.MARKS) == page, "run python -m benchmarks.differences"
-    starts = uniform_starts.table(uniform_starts.read_seeds())
-    assert with_table(page, starts, *uniform_starts.MARKS) == page, "run python -m benchmarks.robustness.uniform_starts"
-    kept = (differences.ROOT / "pairs.md").read_text()
-    assert kept == f"{differences.table_text(differences.comparisons())}\n"
 
 
 def test_without_runs_every_difference_is_not_run(tmp_path, no_starts):
@@ -104,7 +126,7 @@ def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(
     """R3L's five policies succeed from nearly all starts, those of a run that was cut are left out, known rows stay."""
     monkeypatch.setattr(uniform_starts, "KINDS", {"initial": None, "within_2.5": 2.5})
     for copy, length in (("r3l", None), ("cut", 101)):
-        shutil.copytree(differences.ROOT / differences.TABLETOP / "r3l", tmp_path / copy)
+        shutil.copytree(differences.RUNS / differences.TABLETOP / "r3l", tmp_path / copy)
         table = tmp_path / copy / "metrics.csv"
         table.write_text("".join(table.read_text().splitlines(keepends=True)[:length]))
     known = [{"run": "oracle", "seed": "0", "commit": "0", "initial": "0.5", "within_2.5": "0.5"}]
@@ -118,6 +140,30 @@ def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(
 
 
 def test_uniform_starts_fill_their_square(env):
-    obs = np.asarray(jax.vmap(within(env, 2.5))(jax.random.split(jax.random.key(0), 500)).obs[:, :4])
+    obs = np.asarray(jax.vmap(uniform_starts.within(env, 2.5))(jax.random.split(jax.random.key(0), 500)).obs[:, :4])
     assert np.abs(obs).max() <= 2.5
     assert (np.abs(obs).max(axis=0) > 2.4).all()
+
+
+@pytest.mark.parametrize(
+    ("goal", "run", "met"),
+    [
+        (cfbrl.Goal("sawyer_door", "deployed/success", 0.99), "cfbrl", "yes"),
+        (cfbrl.Goal("sawyer_door", "deployed/success", 1.01), "cfbrl", "no"),
+        (cfbrl.Goal("sawyer_peg", "deployed/success", 0.95, window=1_000_000), "cfbrl-learning", "so far"),
+        (cfbrl.Goal("sawyer_peg", "deployed/success", 1.01, window=1_000_000), "cfbrl-learning", "no"),
+    ],
+)
+def test_a_goal_is_met_missed_or_met_so_far_by_a_shorter_run(goal, run, met):
+    assert cfbrl._goal_line(goal, run)[-1] == met
+
+
+def test_a_window_is_the_mean_of_its_evaluations_with_a_value_or_the_goals_reached_in_it():
+    curves = read(cfbrl.LONG / "sawyer_door" / "cfbrl")
+    expected = np.nanmean(curves.metrics[FORWARD][:, -10:], axis=1)
+    np.testing.assert_allclose(cfbrl.window_scores(curves, FORWARD, 100_000), expected)
+    curves = read(cfbrl.LONG / "sawyer_peg" / "cfbrl-learning")
+    counts = curves.metrics[cfbrl.REACHED][:, [curves.steps.tolist().index(step) for step in (70_000, 170_000)]]
+    per_thousand = (counts[:, 1] - counts[:, 0]) / 100
+    np.testing.assert_allclose(cfbrl.window_scores(curves, cfbrl.REACHED, 100_000), per_thousand)
+    assert (per_thousand > 10).all()

@@ -1,4 +1,4 @@
-"""Measure programs that share a GPU through MPS: `python -m benchmarks.per_device --cases sawyer_door:fbrl:1,2,4 --out FILE`.
+"""Measure programs that share a GPU through MPS: `python -m benchmarks.speed.per_device --cases sawyer_door:fbrl:1,2,4`.
 
 A case is TASK:METHOD[,METHOD...]:K[,K...]. For each K, as many programs run at once, each with its own cores; with several
 methods, they take turns, and K = 1 measures each method alone. All programs of a case start and compile first, and rates are
@@ -6,12 +6,12 @@ those of the seconds in which all of a measurement run. `gain` is the throughput
 the other: the sum of each one's rate over its rate alone. `wall_gain` is the time of equally many steps of each, one after the
 other, over the time until the last of them is ready at the rates measured: the smaller of the two.
 
-Prints a line for each measurement, and rows for earl_jax/sweeps/slots.py; writes FILE.json and FILE.csv. Without a GPU,
+Prints a line for each measurement, and rows for earl_jax/sweeps/slots.py; writes OUT.json and OUT.csv. Without a GPU,
 programs share the cores.
 """
 
-import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import statistics
@@ -22,14 +22,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.output import save
+import tyro
+
+from benchmarks.output import RESULTS, save_rows
 from earl_jax.cli.xla_flags import helpful_flags
 from earl_jax.machine import FRACTION, own_cores
-from earl_jax.report.tables import write
 from earl_jax.sweeps.mps import mps
 from earl_jax.sweeps.slots import Slot, make_slots, visible_gpus
 
 WORKER = "benchmarks.speed.per_device_worker"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    cases: tuple[str, ...] = ("sawyer_door:fbrl:1,2,4",)
+    """TASK:METHODS:KS."""
+    lanes: int = 5
+    seconds: float = 5.0
+    """Seconds of each measurement."""
+    rounds: int = 2
+    """Rounds of all measurements of a case; rates are their means."""
+    chunk: int = 1000
+    """Steps in a call of the program."""
+    compile_at_once: int = 4
+    set: tuple[str, ...] = ("precision=bf16",)
+    """name=value options of the method."""
+    out: Path = RESULTS / "per_device" / "run"
 
 
 class Case(NamedTuple):
@@ -55,19 +75,9 @@ class Case(NamedTuple):
 class Program:
     """A worker that trains one method on one task when it is asked to."""
 
-    def __init__(self, env: str, algo: str, slot: Slot, variables: dict[str, str], options: argparse.Namespace):
-        command = [
-            sys.executable,
-            "-m",
-            WORKER,
-            env,
-            algo,
-            "--lanes",
-            str(options.lanes),
-            "--chunk",
-            str(options.chunk),
-        ]
-        command += ["--set", *options.set, "--cores", *map(str, slot.cores)]
+    def __init__(self, env: str, algo: str, slot: Slot, variables: dict[str, str], options: Options):
+        sizes = ["--lanes", str(options.lanes), "--chunk", str(options.chunk), "--cores", *map(str, slot.cores)]
+        command = [sys.executable, "-m", WORKER, env, algo, *sizes, "--set", *options.set]
         environment = slot.environment({**os.environ, **variables})
         flags = [os.environ.get("XLA_FLAGS", ""), *helpful_flags(os.environ)]
         environment |= {
@@ -100,7 +110,7 @@ class Program:
         self._process.wait()
 
 
-def compile_programs(cases: Sequence[Case], options: argparse.Namespace, gpus: list[str]) -> None:
+def compile_programs(cases: Sequence[Case], options: Options, gpus: list[str]) -> None:
     """Compile every program once, `--compile-at-once` at a time, so that all later processes load it."""
     waiting = list(dict.fromkeys((case.env, algo) for case in cases for algo in case.algos))
     slots = make_slots(options.compile_at_once, gpus, own_cores())
@@ -116,9 +126,7 @@ def compile_programs(cases: Sequence[Case], options: argparse.Namespace, gpus: l
             program.end()
 
 
-def measure(
-    case: Case, options: argparse.Namespace, gpus: list[str], variables: dict[str, str]
-) -> list[dict[str, Any]]:
+def measure(case: Case, options: Options, gpus: list[str], variables: dict[str, str]) -> list[dict[str, Any]]:
     """Return a row for each number of programs of `case`; all programs are ready before the first measurement."""
     groups: list[tuple[list[Program], Slot]] = []
     try:
@@ -171,25 +179,9 @@ def table_rows(rows: Sequence[dict[str, Any]]) -> list[str]:
     return [f'    "{env}": {gains},' for env, gains in tasks.items()]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", nargs="+", default=["sawyer_door:fbrl:1,2,4"], metavar="TASK:METHODS:KS")
-    parser.add_argument("--lanes", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each measurement")
-    parser.add_argument("--rounds", type=int, default=2, help="of all measurements of a case; rates are their means")
-    parser.add_argument("--chunk", type=int, default=1000, help="steps in a call of the program")
-    parser.add_argument("--compile-at-once", type=int, default=4)
-    parser.add_argument("--set", nargs="*", default=["precision=bf16"], help="name=value options of the method")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/per_device/run"))
-    return parser
-
-
-def main() -> None:
-    options = _parser().parse_args()
+def main(options: Options) -> None:
+    """Measure all cases."""
     cases, gpus = [Case.parse(text) for text in options.cases], visible_gpus(os.environ)[:1]
-    command = f"python -m benchmarks.per_device --cases {' '.join(options.cases)} --lanes {options.lanes}"
-    command += f" --seconds {options.seconds} --rounds {options.rounds} --chunk {options.chunk}"
-    command += f" --set {' '.join(options.set)}"
     began, rows = time.monotonic(), []
     with mps() if gpus else contextlib.nullcontext({}) as variables:
         print(
@@ -203,10 +195,9 @@ def main() -> None:
                 print(f"{case.env}: {error}", flush=True)
                 continue
             print(f"{time.monotonic() - began:.0f} s since the start", flush=True)
-            save(options.out.with_suffix(".json"), command, {"rows": rows})
-            write(rows, options.out.with_suffix(".csv"))
+            save_rows(options.out, rows)
     print("rows for earl_jax/sweeps/slots.py:", *table_rows(rows), sep="\n")
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

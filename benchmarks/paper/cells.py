@@ -1,0 +1,139 @@
+"""The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper.cells`.
+
+A cell is a task and a method, trained at the paper's settings. Its score is the mean over the evaluations of the last 100,000
+steps. Runs of the published length are tested against the published score, as `earl-jax compare` does. Writes cells.csv,
+cells.md, a figure of each task that was run, curves.png in its folder, and the tables between comments in docs/results.md and
+README.md.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper.artefact import methods_on, training_steps
+from earl_jax.report.comparison import RULE, published_rows, with_verdicts
+from earl_jax.report.plots import plot_runs
+from earl_jax.report.published import RECONSTRUCTED, published_score
+from earl_jax.report.runs import read_methods
+from earl_jax.report.tables import interval_text, markdown_table, millions
+from earl_jax.runs.provenance import short_commit
+
+RUNS = RESULTS / "paper"
+TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
+FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
+"""Variant of runs of VaPRL with the defaults that it had until 2026-11-23."""
+NOT_RUN = "not run"
+HEADER = (
+    "task", "method", "seeds", "steps", "of", "mean [95 %]", "published", "difference [95 %]", "adjusted p", "verdict",
+    "detectable", "largest critic loss", "commit",
+)  # fmt: skip
+SUMMARY = ("task", "method", "seeds", "success [95 %]", "published (s.e.)", "difference [95 %]", "adjusted p")
+COLUMNS = (
+    "env", "algo", "run", "of", "published", "seeds", "steps", "mean", "low", "high", "difference", "difference_low",
+    "difference_high", "p", "p_holm", "detectable", "largest_critic_loss", "commit", "verdict",
+)  # fmt: skip
+Row = dict[str, Any]
+
+
+def cells(root: Path = RUNS) -> list[Row]:
+    """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
+    names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env)]
+    folders = {name: folder for name in names if (folder := _folder(root.joinpath(*name)))}
+    runs = read_methods(list(folders.values()))
+    tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs))}
+    measured = {}
+    for run in runs:
+        test, folder = tests[run.env, run.label], folders[run.env, run.algo]
+        ends = {"low": "mean_low", "high": "mean_high", "difference_low": "low", "difference_high": "high"}
+        measured[run.env, run.algo] = {
+            **test,
+            **{name: test[end] for name, end in ends.items()},
+            "run": folder.relative_to(root / run.env).as_posix(),
+            "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
+            "commit": short_commit(commit_of(folder)),
+        }
+    return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
+
+
+def _folder(cell: Path) -> Path | None:
+    """Return the folder of the run of a cell, which is VaPRL's with its former defaults where it has no other; None without."""
+    return next((folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()), None)
+
+
+def _cell(env: str, algo: str, measured: Row) -> Row:
+    """Return the row of a cell from what was `measured`."""
+    score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
+    names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
+    return {**{name: measured.get(name) for name in COLUMNS}, **names}
+
+
+def commit_of(folder: Path) -> str:
+    """Return the commit that made the run of `folder`."""
+    return json.loads((folder / "config.json").read_text())["provenance"]["commit"]
+
+
+def cells_text(rows: list[Row]) -> str:
+    """Return the rows of `cells` as a markdown table."""
+    return markdown_table(HEADER, [_line(row) for row in rows])
+
+
+def _tested(row: Row) -> bool:
+    return row["p"] is not None and row["p"] == row["p"]
+
+
+def _difference(row: Row) -> str:
+    return interval_text(row["difference"], row["difference_low"], row["difference_high"])
+
+
+def _line(row: Row) -> list[str]:
+    names = [row["env"], row["algo"] + (", former defaults" if row["run"] not in (None, row["algo"]) else "")]
+    if row["seeds"] is None:
+        return [*names, *"--", millions(row["of"]), "-", row["published"] or "-", *"--", row["verdict"], *"---"]
+    tests = ["-", "-", row["verdict"], "-"]
+    if _tested(row):
+        tests = [_difference(row), f"{row['p_holm']:.2g}", row["verdict"], f"{row['detectable']:.2g}"]
+    return [
+        *names, str(row["seeds"]), millions(row["steps"]), millions(row["of"]),
+        interval_text(row["mean"], row["low"], row["high"]), row["published"] or "-", *tests,
+        f"{row['largest_critic_loss']:.2g}", row["commit"],
+    ]  # fmt: skip
+
+
+def _tested_line(row: Row) -> list[str]:
+    mean = interval_text(row["mean"], row["low"], row["high"])
+    return [
+        row["env"],
+        row["algo"],
+        str(row["seeds"]),
+        mean,
+        row["published"],
+        _difference(row),
+        f"{row['p_holm']:.2g}",
+    ]
+
+
+def files() -> dict[Path, str]:
+    """Return the tables as files, with the columns that docs/results.md has room for and the tested rows in README.md."""
+    rows, results, readme = cells(), DOCS / "results.md", ROOT / "README.md"
+    summary = markdown_table(HEADER[:-3], [_line(row)[:-3] for row in rows])
+    tested = markdown_table(SUMMARY, [_tested_line(row) for row in rows if _tested(row)])
+    return {
+        RUNS / "cells.csv": csv_text(rows),
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{RULE}\n",
+        results: with_tables(results.read_text(), {"cells": summary}),
+        readme: with_tables(readme.read_text(), {"cells": tested}),
+    }
+
+
+def draw() -> None:
+    """Draw the curves of each task."""
+    rows = [row for row in cells() if row["seeds"]]
+    for env in dict.fromkeys(row["env"] for row in rows):
+        plot_runs([RUNS / env / row["run"] for row in rows if row["env"] == env], RUNS / env / "curves.png", smooth=10)
+
+
+if __name__ == "__main__":
+    write_files(files())
+    draw()

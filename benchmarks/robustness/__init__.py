@@ -1,1 +1,0 @@
-"""Robustness of policies to starts that training never had."""
