@@ -1,0 +1,228 @@
+"""Tables, curves and figures on runs written by hand, against numbers computed by hand. Figure 4 has its own tests."""
+
+import math
+
+import pytest
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.paper import figure2, figure5
+from earl_jax.paper.reproduce import ARTEFACTS
+from earl_jax.protocol import Continuing, Deployment
+from earl_jax.report.published import INTERVAL_RULE, crossings_beside
+from earl_jax.report.runs import read_methods
+from earl_jax.report.style import COLOURS
+from tests.paper.written_runs import CHEETAH, FISH, RUNS, SCORES, numbers, rewards, write_runs
+from tests.report.run_files import KITCHEN, TABLETOP, constant, count_pixels, read_csv
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The files of every artefact: its csvs, text and picture."""
+    root = tmp_path_factory.mktemp("reports")
+    return {
+        name: ARTEFACTS[name].write(write_runs(root / name, runs), root / name / "new" / "out")
+        for name, runs in RUNS.items()
+    }
+
+
+TEXTS = {
+    "curves": [
+        "| tabletop_organization | fbrl | 2 | 200,000 | 0.20M [0.10M, -] | 0.86M | - [0.10M, -] | 2.07M | 0.550 (0.035) | "
+        "0.0040 (0.0000) | 0.005 | 0.800 (0.141) | 0.94 |",
+        "| - | - | - | - | 200.0 (0.0) | 0.0000 (0.0000) | - | 300.0 (0.0) | 1203.88 |",
+    ],
+    "table1": [
+        "| naive | 0.800 (0.071) / 0.32 (0.17) / at 0.0008 % of the steps | - / 0.00 (0.00) / - |",
+        "| -2700.00 (141.42) / -2705.21 (167.10) / at 0.0004 % of the steps |",
+        "No run has the published length",
+        "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published",
+        "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)",
+        INTERVAL_RULE,
+        "- sawyer_door: 0.94 of vaprl is one lucky evaluation",
+    ],
+    "table2": [
+        "In the published tables naive RL is the best on 2 of 6 (tabletop_organization, franka_kitchen), the best methods of "
+        "tables 1 and 2 differ on 4 of 6, and a pair of methods changes its order on 5 of 6.",
+        "In our runs naive RL is the best on 1 of 1 (tabletop_organization), the best methods of tables 1 and 2",
+        "changes its order on 1 of 1. The oracle is left out",
+    ],
+    "figure2": [
+        "biased update | 1,000 and 100,000 | 400.0 [380.0, 420.0] | degrades | degrades | agrees |",
+        "| -5.0 [-30.0, 20.0] | no clear difference | restored | agrees |",
+        "| cheetah_run | 100,000 | 395.0 [360.0, 430.0] | helps |",
+        "- cheetah_run, with the biased update: 2,000; 5,000; 10,000; 20,000; 200,000",
+        "- cheetah_run: 20 steps, one goal, temperature learnt from 1, reward scale 10",
+        "- fish_swim: 20 steps, another target every 1,000 steps",
+    ],
+    "tradeoff": [
+        "| naive | epsilon | 5 to 300 | 0.000 to 0.420 | 0.935 | <0.001 | <0.001 | help |",
+        "| naive | budget | 6 to 15 | 0.000 to 0.200 | 0.943 | 0.057 | 0.057 | cannot tell |",
+        "| naive | budget | 10 | 2 | 20 | 15.0 (0.0) | 0.200 (0.071) | 0.200 (0.071) | 0.50 |",
+    ],
+}
+ABSENT = {"table1": ["- minitaur_pen", "Claims of the paper"], "tradeoff": ["fbrl | epsilon | 5"], "curves": ["\n\n\n"]}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_the_text_has_our_numbers_beside_the_published_ones(files, name):
+    text = files[name][-2].read_text()
+    assert [part for part in TEXTS[name] if part not in text] == []
+    assert [part for part in ABSENT.get(name, ()) if part in text] == []
+
+
+SHORTEST, LONGEST = (to_hex(colour) for colour in colormaps["viridis"]([0.0, 0.92]))
+PICTURES = {
+    "curves": (["fbrl"], ["r3l"]),
+    "table1": (["naive", "oracle"], ["vaprl"]),
+    "figure2": (["#D55E00", "#0072B2", SHORTEST, LONGEST], []),
+    "tradeoff": (["naive", "fbrl"], ["r3l"]),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_picture_shows_what_was_run(files, name):
+    shown, absent = (
+        [count_pixels(files[name][-1], COLOURS.get(part, part)) for part in parts] for parts in PICTURES[name]
+    )
+    assert min(shown) > 20
+    assert sum(absent) == 0
+
+
+def test_curves_hold_means_and_students_intervals(files):
+    rows = {(row["env"], row["metric"], int(row["step"])): row for row in read_csv(files["curves"][0])}
+    half = 12.7062 * 0.2
+    last = numbers(rows[TABLETOP, "deployed/success", 200_000], "mean", "low", "high", "seeds")
+    assert last == pytest.approx([0.8, 0.8 - half, 0.8 + half, 2], abs=1e-4)
+    assert float(rows[TABLETOP, "deployed/success (trailing 10)", 200_000]["mean"]) == pytest.approx(0.55)
+    assert float(rows[KITCHEN, "deployed/return", 40]["mean"]) == 300
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"setting": Continuing()},
+        {"setting": Deployment(intervention_chance=0.01)},
+        {"env_options": {"wide": True}},
+        {"env_options": {"train_horizon": 1_000}},
+    ],
+)
+def test_published_crossings_are_drawn_only_beside_the_papers_task_and_setting(tmp_path, changed):
+    runs = [(TABLETOP, "fbrl", SCORES, rewards(0.004, **options)) for options in ({"layer_norm": True}, changed)]
+    marks = [crossings_beside(read_methods([path])[0].curves) for path in write_runs(tmp_path, runs)]
+    assert marks == [{0.5: 860_000, 0.9: 2_070_000}, {}]
+
+
+def test_table_1_scores_a_method_by_its_last_evaluation(files):
+    rows = {(row["env"], row["label"]): row for row in read_csv(files["table1"][0])}
+    assert list(dict.fromkeys(env for env, _ in rows)) == list(PAPER_TASKS)
+    naive = rows[TABLETOP, "naive"]
+    half = 12.7062 * 0.1  # Student's t of one degree, times the error of 0.7 and 0.9
+    expected = {"mean": 0.8, "stderr": 0.1 / math.sqrt(2), "low": 0.8 - half, "high": 0.8 + half}
+    expected |= {"recent": 0.5, "recent_stderr": 0.15 / math.sqrt(2)}
+    assert {name: float(naive[name]) for name in expected} == pytest.approx(expected, abs=1e-4)
+    assert (naive["verdict"], naive["seeds"], naive["steps"], naive["published_last10"]) == ("-", "2", "20", "0.33")
+    assert rows[TABLETOP, "fbrl (reward_scale=1.0)"]["mean"] == "0.5"
+    assert rows[KITCHEN, "r3l"]["mean"] == ""
+
+
+def test_each_point_of_figure_2_has_the_final_returns_of_its_lanes(files):
+    rows = {(row["env"], row["timeout_bootstrap"], row["train_horizon"]): row for row in read_csv(files["figure2"][0])}
+    assert len(rows) == 6
+    assert numbers(rows[CHEETAH, "True", "100000"], "return", "low", "high", "seeds") == [110, 100, 120, 2]
+    assert [float(rows[FISH, update, "1000"]["return"]) for update in ("True", "False")] == [8.5, 7]
+    curves = read_csv(files["figure2"][1])
+    assert len(curves) == 6 * 2
+    curve = [numbers(row, "step", "return", "low", "high") for row in curves if row["env"] == CHEETAH][:2]
+    assert curve == [[10, 510, 500, 520], [20, 510, 500, 520]]
+
+
+def test_figure_2_says_how_the_target_changes_and_what_the_learner_is(tmp_path):
+    tied = {"setting": Continuing(goal_change=2_000), "env_options": {"train_horizon": 2_000}}
+    runs = [(FISH, "naive", constant(1.0), {**tied, "fixed_temperature": True, "reward_scale": 0.1})]
+    text = ARTEFACTS["figure2"].report(write_runs(tmp_path, runs)).parts["runs"]
+    assert text == "- fish_swim: 20 steps, the target stays between resets, temperature fixed at 1, reward scale 0.1"
+
+
+@pytest.mark.parametrize(
+    ("finding", "effect", "published", "verdict"),
+    [
+        ("no clear difference", "helps", "degrades", "inconclusive"),
+        ("improves", "helps", "degrades", "differs"),
+        ("no clear difference", "no clear difference", "restored", "inconclusive"),
+        ("degrades", "helps", "restored", "differs"),
+        ("-", "helps", "restored", "-"),
+        ("degrades", "-", None, "-"),
+    ],
+)
+def test_verdicts_of_figure_2_need_a_clear_difference(finding, effect, published, verdict):
+    assert figure2.verdict(finding, effect, published) == verdict
+
+
+DIFFERENT = [{"reward_scale": 1.0}, {"reward_scale": 2.0}]
+REFUSED = {
+    "oracle": ("figure2", FISH, "oracle", [{}], "runs of naive, not of oracle"),
+    "figure2": ("figure2", FISH, "naive", DIFFERENT, r"H_T 100,000, with the biased update, differ in other options"),
+    "tradeoff": (
+        "tradeoff",
+        TABLETOP,
+        "naive",
+        DIFFERENT,
+        r"naive on tabletop_organization with epsilon 0 differ in other",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_runs_that_do_not_belong_to_a_figure_are_refused(tmp_path, case):
+    name, env, algo, options, message = REFUSED[case]
+    runs = [(env, algo, [[0.0, 1.0]], {"metrics": {"interventions": 1}, **own}) for own in options]
+    with pytest.raises(ValueError, match=message):
+        ARTEFACTS[name].report(write_runs(tmp_path, runs))
+
+
+def test_each_seed_of_the_trade_off_has_its_scores_at_the_last_step_that_its_line_has(files):
+    rows = {(row["algo"], row["kind"], row["value"], row["lane"]): row for row in read_csv(files["tradeoff"][0])}
+    assert len(rows) == 16
+    late, helped = rows["naive", "epsilon", "0.01", "1"], rows["naive", "budget", "10.0", "0"]
+    assert numbers(late, "interventions", "final", "deployed_area") == pytest.approx([300, 0.4, 0.4])
+    assert numbers(helped, "interventions", "final", "ended") == pytest.approx([15, 0.1, 1])
+    line = [row for name, row in rows.items() if name[:2] == ("naive", "epsilon")]
+    assert len({row["steps"] for row in line}) == 1
+    assert {row["final"] for row in line if row["value"] == "0.0"} == {"0.0"}  # its third evaluation comes later
+
+
+DROPS = {
+    "fbrl": ([1.0, 1.0], [0.5, 0.6], "larger"),
+    "r3l": ([0.0, 0.0], [0.0, 0.1], "-"),
+    "vaprl": ([1.0, 1.0], [1.0, 1.0], "smaller"),
+    "oracle": ([1.0, 0.8], [0.5, 0.5], "larger"),
+}
+"""Success from both kinds of starts and the verdict by method, in the paper's order."""
+
+
+def seed_rows(algo, *successes):
+    pairs = enumerate(zip(*successes, strict=True))
+    return [{"algo": algo, "seed": seed, "success_initial": a, "success_uniform": b} for seed, (a, b) in pairs]
+
+
+def test_drops_of_figure_5_are_compared_with_the_published_ones(tmp_path):
+    rows = [row for algo in reversed(DROPS) for row in seed_rows(algo, *DROPS[algo][:2])]
+    csv_file, seeds_file, text_file, picture = figure5.report_of(rows).write("figure5", tmp_path)
+    methods = {row["algo"]: row for row in read_csv(csv_file)}
+    assert [(algo, row["verdict"]) for algo, row in methods.items()] == [
+        (algo, part[2]) for algo, part in DROPS.items()
+    ]
+    oracle = numbers(methods["oracle"], "initial", "uniform", "drop", "drop_low", "drop_high", "published_drop")
+    assert oracle == pytest.approx([0.9, 0.5, 4 / 9, 0.375, 0.5, 0.374])
+    assert [{name: str(value) for name, value in row.items()} for row in rows] == read_csv(seeds_file)
+    line = "| oracle | 2 | 0.900 [0.800, 1.000] | 0.500 [0.500, 0.500] | 44.4 [37.5, 50.0] | 37.4 % | larger |"
+    assert line in text_file.read_text()
+    assert count_pixels(picture, COLOURS["fbrl"]) > 1000
+
+
+@pytest.mark.parametrize(("success", "verdict"), [(([1.0, 1.0], [0.5, 0.7]), "within"), (([1.0], [0.6]), "-")])
+def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict(success, verdict):
+    [row] = figure5.report_of(seed_rows("oracle", *success)).tables[""]
+    assert (row["verdict"], row["drop"]) == (verdict, pytest.approx(0.4))
