@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -48,8 +48,6 @@ SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "help", "below": "hurt"}
 """What more interventions do, by the verdict on the correlation."""
-
-
 Lines = dict[tuple[Any, ...], list[list[Row]]]
 """By task, method and kind: the rows of each value, from the fewest to the most interventions."""
 
@@ -121,20 +119,13 @@ def _rows(key: Row, run: Curves, last: int) -> list[Row]:
     ]
 
 
-class Finding(NamedTuple):
-    """The rank correlation of final scores with the interventions spent, and its two-sided p; nan where scores are equal."""
-
-    correlation: float
-    p: float
-
-
-def finding(rows: Sequence[Row]) -> Finding:
-    """Return the correlation over all seeds of one line."""
+def finding(rows: Sequence[Row]) -> tuple[float, float]:
+    """Return Spearman's correlation of final scores with the interventions of one line, and its p; nan if one is constant."""
     final, spent = column(rows, "final"), column(rows, "interventions")
     if np.ptp(final) == 0 or np.ptp(spent) == 0:
-        return Finding(math.nan, math.nan)
+        return math.nan, math.nan
     result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
-    return Finding(float(result.statistic), float(result.pvalue))
+    return float(result.statistic), float(result.pvalue)
 
 
 def _points_table(rows: Sequence[Row]) -> str:
@@ -154,13 +145,14 @@ def _findings_table(lines: Lines) -> str:
         return "No method has runs with two values, so there is no finding."
     results = [finding(list(itertools.chain(*line))) for line in lines.values()]
     rows = []
-    for (name, line), result, p in zip(lines.items(), results, holm([result.p for result in results]), strict=True):
+    adjusted = holm([p for _, p in results])
+    for (name, line), (correlation, own_p), p in zip(lines.items(), results, adjusted, strict=True):
         ends = [
             " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
             for score, style in (("interventions", ",.0f"), ("final", ".3f"))
         ]
-        numbers = [_number(result.correlation), *(_number(value, least=0.001) for value in (result.p, p))]
-        word = verdict(result.correlation, p)
+        numbers = [_number(correlation), *(_number(value, least=0.001) for value in (own_p, p))]
+        word = verdict(correlation, p)
         rows.append([*name, *ends, *numbers, WORDS.get(word, word)])
     header = ["env", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "more interventions"], rows)
