@@ -36,22 +36,18 @@ def measure(name: str, engine: str, lanes: int, substeps: int | None, repeats: i
 
         return jax.lax.scan(step, state, jax.random.split(key, steps))[0]
 
-    began = time.perf_counter()
-    steps = 10
     program = jax.jit(run, static_argnums=2, donate_argnums=0)
-    state = jax.block_until_ready(program(state, jax.random.key(1), steps))
-    compiled = time.perf_counter() - began
-    began = time.perf_counter()
-    state = jax.block_until_ready(program(state, jax.random.key(2), steps))
-    first_rate = steps / (time.perf_counter() - began)
-    steps = max(10, int(first_rate * MIN_SECONDS))
-    state = jax.block_until_ready(program(state, jax.random.key(3), steps))
-    rates = []
-    for repeat in range(repeats):
+
+    def seconds(steps):
+        nonlocal state
         began = time.perf_counter()
-        state = jax.block_until_ready(program(state, jax.random.key(4 + repeat), steps))
-        rates.append(steps / (time.perf_counter() - began))
-    rate = statistics.median(rates)
+        state = jax.block_until_ready(program(state, jax.random.key(1), steps))
+        return time.perf_counter() - began
+
+    compiled = seconds(10)
+    steps = max(10, int(10 / seconds(10) * MIN_SECONDS))
+    seconds(steps)
+    rate = statistics.median(steps / seconds(steps) for _ in range(repeats))
     return {
         "env": name, "engine": engine, "substeps": env.substeps, "lanes": lanes, "compile_s": round(compiled, 2),
         "ms_per_step": round(1e3 / rate, 4), "lane_steps_per_s": round(rate * lanes, 1),
