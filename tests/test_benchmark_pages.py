@@ -9,10 +9,8 @@ import pytest
 
 from benchmarks import redraw
 from benchmarks.output import with_tables
-from benchmarks.paper import cells, cfbrl, differences, uniform_starts
+from benchmarks.paper import cells, differences, uniform_starts
 from earl_jax.metrics.comparison import holm, permutation
-from earl_jax.metrics.life import FORWARD
-from earl_jax.report.runs import read
 from tests.report.run_files import DOOR, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
@@ -143,27 +141,3 @@ def test_uniform_starts_fill_their_square(env):
     obs = np.asarray(jax.vmap(uniform_starts.within(env, 2.5))(jax.random.split(jax.random.key(0), 500)).obs[:, :4])
     assert np.abs(obs).max() <= 2.5
     assert (np.abs(obs).max(axis=0) > 2.4).all()
-
-
-@pytest.mark.parametrize(
-    ("goal", "run", "met"),
-    [
-        (cfbrl.Goal("sawyer_door", "deployed/success", 0.99), "cfbrl", "yes"),
-        (cfbrl.Goal("sawyer_door", "deployed/success", 1.01), "cfbrl", "no"),
-        (cfbrl.Goal("sawyer_peg", "deployed/success", 0.95, window=1_000_000), "cfbrl-learning", "so far"),
-        (cfbrl.Goal("sawyer_peg", "deployed/success", 1.01, window=1_000_000), "cfbrl-learning", "no"),
-    ],
-)
-def test_a_goal_is_met_missed_or_met_so_far_by_a_shorter_run(goal, run, met):
-    assert cfbrl._goal_line(goal, run)[-1] == met
-
-
-def test_a_window_is_the_mean_of_its_evaluations_with_a_value_or_the_goals_reached_in_it():
-    curves = read(cfbrl.LONG / "sawyer_door" / "cfbrl")
-    expected = np.nanmean(curves.metrics[FORWARD][:, -10:], axis=1)
-    np.testing.assert_allclose(cfbrl.window_scores(curves, FORWARD, 100_000), expected)
-    curves = read(cfbrl.LONG / "sawyer_peg" / "cfbrl-learning")
-    counts = curves.metrics[cfbrl.REACHED][:, [curves.steps.tolist().index(step) for step in (70_000, 170_000)]]
-    per_thousand = (counts[:, 1] - counts[:, 0]) / 100
-    np.testing.assert_allclose(cfbrl.window_scores(curves, cfbrl.REACHED, 100_000), per_thousand)
-    assert (per_thousand > 10).all()
