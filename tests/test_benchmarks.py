@@ -1,4 +1,4 @@
-"""Speed: equal tasks of the peers, the plan and ratios of the suite, programs on one device, costs."""
+"""Speed: equal tasks of the peers, the plan and ratios of the suite, programs on one device, costs, kernels."""
 
 import dataclasses
 import importlib.util
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.speed import budget, method_cost, per_device, suite
+from benchmarks.speed import budget, kernels, method_cost, per_device, suite
 from benchmarks.speed.peers.common import DOOR, TABLETOP
 from benchmarks.speed.peers.learners import LEARNERS, Batch
 from benchmarks.speed.peers.numpy_tabletop import NumpyTabletop
@@ -192,6 +192,17 @@ def test_the_budget_multiplies_the_papers_steps_by_measured_rates():
     assert budget.budget(rates, overhead=0.5)[-1]["hours"] == pytest.approx(2 * rows[-1]["hours"], abs=0.05)
     with pytest.raises(ValueError, match="no rate of one program on sawyer_peg"):
         budget.budget([row for row in rates if row["env"] != "sawyer_peg"])
+
+
+def test_the_kernels_of_a_step_are_those_of_the_body_of_the_scan():
+    def step(x, _):
+        return jnp.sin(x @ x), None
+
+    program = jax.jit(lambda x: jnp.cos(jax.lax.scan(step, x, length=5)[0])).lower(jnp.ones((8, 8))).compile()
+    found = kernels.step_kernels(program.as_text())
+    depths = {kernel.place.rpartition("/")[2]: kernel.depth for kernel in found}
+    assert depths["dot_general"] < depths["sin"], "the sine waits for the product"
+    assert not any("cos" in kernel.name + kernel.place for kernel in found), "the cosine is outside the loop"
 
 
 class FakeChunks:
