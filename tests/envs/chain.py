@@ -8,8 +8,6 @@ import numpy as np
 
 from earl_jax.envs import Env
 
-LEFT, RIGHT = np.array([[-1.0], [1.0]], np.float32)
-
 
 @dataclasses.dataclass(frozen=True)
 class Chain(Env):

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
-from earl_jax.envs import HelpBudget, env_class, list_envs, make, register_env
+from earl_jax.envs import env_class, list_envs, make, register_env
 from earl_jax.envs.dhand.observation import TABLE
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.programs import first_state, program, starts
@@ -207,14 +207,10 @@ def test_a_task_has_the_names_of_brax_and_gymnasium(name):
         assert (space.low == -bound).all()
 
 
-def test_the_names_belong_to_the_task_with_a_budget_too_and_spaces_need_gymnasium(env, monkeypatch):
-    helped = HelpBudget(task=env, budget=5.0)
-    assert helped.observation_space.shape == (helped.observation_size,) == (env.obs_size + 1,)
-    assert helped.action_space.shape == (env.action_size + 1,)
+def test_spaces_need_gymnasium(env, monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium.spaces", None)
     with pytest.raises(ValueError, match="pip install gymnasium"):
         _ = env.action_space
-    assert env.observation_size == 12
 
 
 def test_unknown_names_and_options_are_errors_that_list_the_choices():

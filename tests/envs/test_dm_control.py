@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib.util
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -172,26 +171,6 @@ def test_the_compiled_model_is_the_suites(suite, name):
         np.testing.assert_array_equal(ours.jnt_range, original.jnt_range)
     else:
         assert not original.jnt_limited.any(), "ranges of joints without limits have no effect, so ours has none"
-
-
-def test_the_same_geoms_of_the_cheetah_touch_with_the_same_friction(suite):
-    """Compare with all pairs of the suite that pass MuJoCo's own filter, each with the larger friction."""
-    original, ours = load_original(suite, "cheetah_run", 0).physics.model.ptr, physics.load_model("cheetah_run")
-    solid = sorted(set(ours.pair_geom1) | set(ours.pair_geom2))
-    geom_fields = ["geom_type", "geom_size", "geom_pos", "geom_quat"]
-    assert_equal_fields(ours, original, geom_fields, solid[1:], slice(1, None))
-    body, parent, friction = original.geom_bodyid, original.body_parentid, original.geom_friction
-    assert set(original.geom_contype) | set(original.geom_conaffinity) == {1}
-    expected = {}
-    for a, b in itertools.combinations(range(original.ngeom), 2):
-        related = body[a] == body[b] or (body[a] and (parent[body[a]] == body[b] or parent[body[b]] == body[a]))
-        if not related:
-            expected[a, b] = np.maximum(friction[a], friction[b]).tolist()
-    pairs = zip(ours.pair_geom1, ours.pair_geom2, ours.pair_friction, strict=True)
-    assert {(solid.index(a), solid.index(b)): slip[[0, 2, 3]].tolist() for a, b, slip in pairs} == expected
-    for field in ("solref", "solimp", "margin", "gap"):
-        pair, geom = getattr(ours, f"pair_{field}"), getattr(original, f"geom_{field}")
-        np.testing.assert_array_equal(np.unique(pair, axis=0), np.unique(geom, axis=0))
 
 
 @EVERY_TASK

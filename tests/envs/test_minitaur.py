@@ -165,14 +165,6 @@ def test_bodies_differ_from_reset_to_reset_within_the_released_ranges():
     assert 0.8 <= sliding.min() < 0.82 < 1.48 < sliding.max() <= 1.5
 
 
-def test_every_lane_is_simulated_with_its_own_body():
-    states, actions = starts(ENV, count=3), np.tile(np.eye(8, dtype=np.float32)[4], (20, 3, 1))
-    other_way = jax.tree.map(lambda leaf: leaf[::-1], states)
-    obs, reversed_obs = (np.asarray(run_actions(ENV, lanes, actions).obs)[-1] for lanes in (states, other_way))
-    np.testing.assert_array_equal(obs[::-1, :30], reversed_obs[:, :30])
-    assert np.abs(obs[0, :8] - obs[1, :8]).max() > 1e-3
-
-
 def test_closed_walls_stop_a_crouching_robot_and_floating_ones_do_not():
     crouched = np.float32(minitaur_trots.trot([0.5, 0.3, 2.0, 0.5, np.pi / 2], 1000))[:, None]
     reached = {}

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.physics import replay_demos
 from earl_jax import assets, physics
 from earl_jax.envs import make
+from earl_jax.envs.mujoco_env import leashed_target
 from earl_jax.envs.sawyer.base import _pulled_target
 from earl_jax.envs.sawyer.door import handle_at
 from earl_jax.envs.sawyer.peg import HEADS
@@ -123,33 +124,6 @@ def test_peg_dense_reward_rises_along_a_demonstration_ends_at_ten_and_is_that_of
     assert goal_reward(last, last.obs[:7]) == 10.0
 
 
-def test_the_door_expert_closes_and_opens_again_without_a_reset():
-    """The task of a reset-free agent, ten times in a row."""
-
-    def phase(state, goal):
-        def step(carry, _):
-            state, success = carry
-            state = DOOR.step(state, DOOR.expert(state.obs))
-            return (state, success | DOOR.success(state.obs)), None
-
-        return jax.lax.scan(step, (DOOR.with_goal(state, goal), jnp.zeros((), bool)), length=DOOR.eval_horizon)[0]
-
-    goals = jnp.asarray([DOOR.goal_states[0], DOOR.initial_states[0]])
-    run = jax.jit(lambda state: jax.lax.scan(phase, state, jnp.tile(goals, (5, 1))))
-    assert np.asarray(run(first_state(DOOR))[1]).sum() >= 9
-
-
-@EVERY_TASK
-def test_replayed_demonstrations_on_c_reach_their_goals(name, tmp_path):
-    demos = assets.demos(name, "forward")
-    observations, following = (np.hstack([states, demos.goals]) for states in (demos.states, demos.next_states))
-    arrays = {"observations": observations, "next_observations": following, "terminals": demos.ends}
-    np.savez(tmp_path / "own.npz", actions=demos.actions, rewards=demos.rewards, **arrays)
-    own = replay_demos.replay(name, tmp_path / "own.npz", "c")
-    assert own["successes_within_hold"] == own["episodes"]
-    assert own["mean_object_error_mm"] < 1.0
-
-
 @pytest.mark.skipif(not RECORDED.is_dir(), reason="the authors' recordings are not part of the project")
 @pytest.mark.parametrize(("name", "episodes", "error"), [("sawyer_door", 5, 10), ("sawyer_peg", 10, 4)])
 def test_the_authors_recordings_replayed_on_c_reach_their_goals(name, episodes, error):
@@ -158,6 +132,18 @@ def test_the_authors_recordings_replayed_on_c_reach_their_goals(name, episodes, 
     assert theirs["mean_object_error_mm"] <= error
     assert theirs["reward_agreement"] >= 0.97
     assert theirs["reset_arm_error"] <= 1e-6
+
+
+SPEEDS, LENGTHS = np.array([1.0, 4.0], np.float32), np.array([0.2, 0.08], np.float32)
+
+
+@pytest.mark.parametrize("fastest", [0.0, 2.5, 9.0])
+def test_a_target_leads_the_hand_by_a_length_that_depends_on_the_fastest_joint(fastest):
+    hand, length = np.array([0.1, 0.5, 0.0], np.float32), np.interp(fastest, SPEEDS, LENGTHS)
+    far, near = hand + np.float32([0.9, 0, 0]), hand + np.float32([0.5 * length, 0, 0])
+    pulled, left = (leashed_target(target, hand, np.float32(fastest), SPEEDS, LENGTHS) for target in (far, near))
+    np.testing.assert_allclose(pulled, hand + np.array([length, 0, 0]), atol=1e-6)
+    np.testing.assert_array_equal(left, near)
 
 
 def test_a_hand_that_slips_off_does_not_get_too_fast():

@@ -39,22 +39,15 @@ def test_the_map_position_is_that_of_the_body_and_lies_within_the_bounds(name):
     np.testing.assert_array_equal(env.map_position(np.stack([state.obs] * 2)), [position, position])
 
 
-def test_the_papers_variant_of_the_peg_has_the_same_map_position():
-    released, paper = (make("sawyer_peg", variant=variant) for variant in ("released", "paper"))
-    np.testing.assert_array_equal(*(env.map_position(first_state(env).obs) for env in (released, paper)))
-    assert not paper.irreversible(first_state(paper))
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [("tabletop_organization", {}), ("minitaur_pen", {}), *[("sawyer_peg", options) for options in PEG_OPTIONS]],
 )
-def test_starts_lie_near_the_listed_positions_of_the_map_and_none_is_irreversible(name, options):
+def test_starts_lie_near_the_listed_positions_of_the_map(name, options):
     env = make(name, **options)
     assert nearest(env.map_position(starts(env).obs), env.map_starts).max() < 0.03
     assert (env.map_bounds[0] <= env.map_goals).all()
     assert (env.map_goals <= env.map_bounds[1]).all()
-    assert not jax.jit(jax.vmap(env.irreversible))(starts(env)).any()
     if env.goal_size == env.state_size:
         goals = np.asarray(env.map_position(jnp.asarray(np.tile(env.goal_states, 2))))
         assert options.get("reset_at_goal") or nearest(goals, env.map_goals).max() < 1e-6

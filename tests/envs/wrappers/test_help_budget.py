@@ -1,14 +1,15 @@
-"""Help, budgets and the absorbing end: on a chain whose every answer is known by hand, and on real tasks."""
+"""Help, budgets, the absorbing end, and evaluation without help: on a chain with known answers, and on real tasks."""
 
 import dataclasses
-import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import HelpBudget, make
+from earl_jax.adapters._session import Session
+from earl_jax.envs import HelpBudget, make, plain_task
+from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.protocol import Deployment, Protocol
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem
@@ -16,7 +17,6 @@ from tests.conftest import assert_all_finite, assert_equal_trees, make_train_sta
 from tests.envs.chain import Chain
 
 LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
-DISCOUNT = 0.9
 
 
 def start_state(env, position=None, asked=0, enforced=0):
@@ -70,49 +70,6 @@ def test_an_exactly_spent_budget_ends_the_lifetime_in_float32_too(budget, cost, 
     env = HelpBudget(Chain(), budget=budget, help_cost=cost)
     states = run_actions(env, np.tile(HELP, (3, 1)), asked=last - 2)
     assert states.done.tolist() == [0, 0, 1, 1]
-
-
-def expected_quality(chain, budget, help_cost, enforced_cost, absorbed):
-    """Return the values [cliff, budget + 1, 3] of all actions in the augmented MDP, from its definition."""
-    quality = np.zeros((chain.cliff, budget + 1, 3))
-    for _, position, left, action in itertools.product(range(200), range(chain.cliff), range(1, budget + 1), range(3)):
-        after, cost = [max(position - 1, 0), position + 1, chain.start][action], [0, 0, help_cost][action]
-        if after == chain.cliff:
-            after, cost = chain.start, enforced_cost
-        reward = -abs(after - chain.goal) if chain.reward_type == "dense" else float(after == chain.goal)
-        future = reward + DISCOUNT * quality[after, left - cost].max()
-        quality[position, left, action] = absorbed / (1 - DISCOUNT) if cost > 0 and left - cost <= 0 else future
-    return quality
-
-
-def computed_quality(env):
-    """Return the same values by value iteration over the transitions of `env` from every position, budget and action."""
-    chain, budget = env.task, int(env.budget)
-    positions, lefts, moves = map(np.ravel, np.meshgrid(range(chain.cliff), range(1, budget + 1), range(3)))
-    kind = "asked" if env.help_cost == 1 else "enforced"
-    step = jax.jit(jax.vmap(lambda p, left, a: env.step(start_state(env, p, **{kind: budget - left}), a)))
-    after = jax.device_get(step(positions, lefts, np.stack([LEFT, RIGHT, HELP])[moves]))
-    following, rest = np.rint(after.obs[:, 0]).astype(int), np.rint(after.info["budget"]).astype(int)
-    quality = np.zeros((chain.cliff, budget + 1, 3))
-    for _ in range(400):
-        value = quality.max(axis=-1)
-        value[:, 0] = env.absorbed_reward / (1 - DISCOUNT)
-        quality[positions, lefts, moves] = after.reward + DISCOUNT * value[following, rest]
-    return quality
-
-
-@pytest.mark.parametrize(
-    ("chain", "costs", "absorbed"),
-    [
-        (Chain(cliff=6, start=0, goal=1), (1, 2), 0.0),
-        (Chain(cliff=6, start=4, goal=5), (2, 1), 0.0),
-        (Chain(cliff=5, start=1, goal=4, reward_type="dense"), (1, 1), -10.0),
-    ],
-)
-def test_value_iteration_over_the_wrapper_gives_the_values_of_the_augmented_mdp(chain, costs, absorbed):
-    env = HelpBudget(chain, 4, *map(float, costs), absorbed_reward=absorbed)
-    expected = expected_quality(chain, 4, *costs, absorbed)
-    np.testing.assert_allclose(computed_quality(env)[:, 1:], expected[:, 1:], rtol=1e-5, atol=1e-5)
 
 
 def test_help_discards_the_move_and_has_its_own_cost_even_beside_the_cliff():
@@ -209,11 +166,6 @@ def test_the_wrapper_keeps_the_contract_of_an_env_and_moves_like_its_task(task):
         assert_equal_trees((ours.data, ours.reward), (theirs, theirs.reward))
         np.testing.assert_array_equal(np.delete(ours.obs, task.state_size), theirs.obs)
         assert rewards[0][lane] == rewards[1][lane]
-    alone = [jax.eval_shape(lambda tree: jax.tree.map(lambda leaf: leaf[0], tree), tree) for tree in state]
-    pending = jax.eval_shape(env.start_step, alone[0], actions[0, 0])
-    inner_pending = jax.eval_shape(task.start_step, alone[1], actions[0, 0, :-1])
-    assert pending.ticket is inner_pending.ticket is None
-    assert describe(pending.payload) == (((), bool, False), describe(inner_pending.payload))
     assert hash(env) == hash(dataclasses.replace(env)) != hash(dataclasses.replace(env, budget=3.0))
 
 
@@ -294,3 +246,35 @@ def test_demonstrations_have_a_full_budget_and_never_request_help():
         np.testing.assert_array_equal(demos.next_states[:, 6], 1)
         np.testing.assert_array_equal(demos.actions, np.pad(task_demos.actions, ((0, 0), (0, 1)), constant_values=-1))
         assert demos.goals is task_demos.goals
+
+
+def test_without_help_an_agent_falls_once_and_its_requests_move_like_other_actions():
+    chain = Chain(start=1)
+    helped = HelpBudget(chain, budget=2.0)
+    assert plain_task(helped) is plain_task(chain) is without_help(chain) is chain
+    env = without_help(helped)
+    assert (env.obs_size, env.action_size) == (helped.obs_size, helped.action_size)
+    state = env.with_goal(env.reset(jax.random.key(0)), jnp.array([3.0]))
+    positions = []
+    for action in (HELP, RIGHT, HELP, RIGHT):
+        state = env.step(state, action)
+        positions.append(float(state.obs[0]))
+        assert (float(state.obs[1]), float(state.done), int(state.info["asked"] + state.info["enforced"])) == (1, 0, 0)
+    assert positions == [2, 3, 4, 4]
+
+
+def test_without_help_a_fault_stays_a_fault():
+    env = without_help(HelpBudget(Chain(fragile=True), budget=2.0))
+    state = env.step(env.reset(jax.random.key(0)), jnp.array([-1.0, -1.0]))
+    assert env.fault(state)
+
+
+def test_episodes_of_the_adapters_have_the_spaces_of_the_lifetime_and_no_help():
+    setting = Deployment(budget=1.0)
+    train, episodes = (Session.of(Chain(start=1), mode=mode, setting=setting) for mode in ("train", "eval"))
+    assert (episodes.env.obs_size, episodes.env.action_size) == (train.env.obs_size, train.env.action_size)
+    state = episodes.start(np.uint32(0))
+    state, result = episodes.step(state, HELP)
+    assert (float(result.obs[0]), float(result.obs[1]), bool(result.terminated)) == (2, 1, False)
+    assert bool(train.step(train.start(np.uint32(0)), HELP)[1].terminated)
+    assert train.protocol == episodes.protocol
