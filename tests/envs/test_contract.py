@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
-from earl_jax.envs import env_class, list_envs, make, register_env
+from earl_jax.envs import HelpBudget, env_class, list_envs, make, register_env
 from earl_jax.envs.dhand.observation import TABLE
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.programs import first_state, program, starts
@@ -18,6 +18,8 @@ from tests.envs.programs import first_state, program, starts
 EVERY_TASK = pytest.mark.parametrize("name", list_envs())
 VARIANTS = [(name, {"variant": "paper"}) for name in list_envs() if "variant" in env_class(name).__dataclass_fields__]
 OPTIONS = [*[(name, {"reward_type": reward}) for name in list_envs() for reward in ("sparse", "dense")], *VARIANTS]
+ENVS = [make(name, **options) for name, options in OPTIONS]
+HELPED = [HelpBudget(make(name, reward_type="dense"), 2.0) for name in ("tabletop_organization", "sawyer_peg")]
 STEPS, LANES = 200, 4
 NUMBERS = {
     "cheetah_run": (17, 0, 6, 100_000, 1000, 1000, None, "dense", 0.01, 1, 1),
@@ -91,26 +93,28 @@ KEPT = {
 """What long random use must not violate, although it is no fault: the bulb's height, joint limits, closed legs."""
 
 
-@pytest.mark.parametrize(("name", "options"), OPTIONS)
-def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(name, options):
-    env = make(name, **options)
-
+@pytest.mark.parametrize("env", [*ENVS, *HELPED], ids=lambda env: env.name)
+def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     def states(key, action, goal):
         state = env.reset(key)
         after = env.step(state, action)
-        return state, after, env.with_goal(after, goal)
+        wide = [env.reset_wide(key)] if env.reset_wide else []
+        return state, after, env.with_goal(after, goal), env.intervene(key, after), *wide
 
     example = jnp.zeros(env.action_size), jnp.asarray(env.initial_states[0])
     trees = jax.eval_shape(states, jax.random.key(0), *example)
     described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), tree) for tree in trees]
-    assert described[0] == described[1] == described[2]
+    assert all(other == described[0] for other in described)
     state = trees[0]
     assert state.obs.shape == (env.obs_size,)
     assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
     assert env.goal_states.shape[1:] == env.initial_states.shape[1:] == (env.goal_size,)
-    assert hash(env) == hash(make(name, **options))
-    assert dataclasses.replace(env, eval_horizon=7).eval_horizon == 7
-    assert all(repr(value) in repr(env) for value in options.values())
+    same, other = (
+        dataclasses.replace(env),
+        dataclasses.replace(env, **{"budget" if env in HELPED else "eval_horizon": 7}),
+    )
+    assert hash(env) == hash(same) != hash(other)
+    assert repr(env) == repr(same) != repr(other)
 
 
 @pytest.mark.parametrize("name", NUMBERS)

@@ -85,26 +85,6 @@ def test_a_motor_that_is_hot_for_a_second_shuts_down_until_the_next_reset():
     assert (np.abs(controls[:3]) > 2.45).all()
 
 
-@pytest.mark.parametrize("overheat", [True, False])
-def test_bound_motors_equal_the_actuator_in_every_substep(overheat):
-    motors, lanes, rng = MinitaurMotors(overheat=overheat), 6, np.random.default_rng(0)
-    qpos, qvel, ctrl = np.zeros((lanes, 23)), np.zeros((lanes, 22)), np.zeros((lanes, 8))
-    command = rng.uniform(-2, 2, (lanes, 8))
-    hot = rng.choice([0.0, 1.0, 498.0, 499.0, 500.0, 501.0], (lanes, 8))
-    battery = rng.uniform([14.8, 0.0], [16.8, 0.01], (lanes, 2))
-    start = memory = np.hstack([hot, np.zeros((lanes, 8)), battery])
-    bound = motors.bind(qpos, qvel, ctrl)
-    bound.start(command, memory)
-    for _ in range(5):
-        qpos[:], qvel[:] = rng.uniform(-3, 3, qpos.shape), rng.uniform(-60, 60, qvel.shape)
-        bound.apply()
-        controls, memory = motors(np, qpos, qvel, command, memory)
-        np.testing.assert_allclose(ctrl, controls, atol=1e-12)
-        np.testing.assert_allclose(bound.finish(), memory, atol=1e-12)
-    assert (memory[:, :8] > 500).sum() > (start[:, :8] > 500).sum(), "some motors shut down"
-    assert (ctrl == 0).any() == overheat
-
-
 def test_legs_are_mapped_to_motors_as_released():
     np.testing.assert_allclose(legs_to_motors(np, np.zeros(8)), np.pi - np.pi / 4 * 1.5)
     swung = legs_to_motors(np, np.eye(8)[0])

@@ -78,16 +78,6 @@ def test_uniform_starts_cover_the_table_with_a_free_mug_and_every_goal(env):
     np.testing.assert_array_equal(starts(env, "reset_uniform").data.qpos, obs[:, :4])
 
 
-@pytest.mark.parametrize(
-    ("name", "other"), [*[(name, "reset_wide") for name in SPARSE], ("tabletop_organization", "reset_uniform")]
-)
-def test_other_starts_have_the_layout_of_ordinary_ones(name, other):
-    env = make(name)
-    trees = [jax.eval_shape(start, jax.random.key(0)) for start in (env.reset, getattr(env, other))]
-    described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), tree) for tree in trees]
-    assert described[0] == described[1]
-
-
 @pytest.mark.parametrize("name", SPARSE)
 def test_hardly_a_wide_start_is_a_success_and_half_of_the_arms_lie_off_the_demonstrations(name):
     env = make(name)
