@@ -9,10 +9,8 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.envs import make
-from earl_jax.training import lifetime
 from earl_jax.training.init import demonstrations
 from earl_jax.training.plan import prepare
-from earl_jax.training.state import seed_keys
 from tests.algos.lives import OPTIONS, lived
 from tests.conftest import assert_equal_trees, make_problem, make_train_state, take_lane, tiny_method
 
@@ -86,9 +84,3 @@ def test_cloning_needs_demonstrations(algo, options):
     problem = make_problem(make("minitaur_pen"), eval_every=40)
     with pytest.raises(InputError, match=f"{algo} needs demonstrations to clone, and minitaur_pen has none"):
         prepare(problem, tiny_method(algo, **options), 2, 120)
-
-
-def test_a_lifetime_without_random_steps_is_one_program(problem):
-    method = make_algo("bc", hidden_sizes=[16], batch_size=16, pretrain_steps=1)
-    _, metrics = jax.eval_shape(lambda keys: lifetime(problem, method, keys, 120), seed_keys([0, 1]))
-    assert {value.shape for value in metrics.values()} == {(2, 3)}

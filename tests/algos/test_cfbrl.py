@@ -6,19 +6,17 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from earl_jax.algos import cfbrl, make_algo
 from earl_jax.algos.cfbrl import Steps
 from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import sac
-from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
-from earl_jax.envs.sawyer.experts import peg_grasp
 from earl_jax.training.init import demonstrations
 from tests.algos.lives import lived
-from tests.conftest import CHUNK, make_problem, tiny_train
+from tests.algos.transitions import make_batch
+from tests.conftest import CHUNK, assert_equal_trees, make_problem
 
 KEY = jax.random.key(3)
 PEG = make("sawyer_peg")
@@ -48,40 +46,16 @@ def transformed(allowed=True, demonstrated=False, **shares):
     return jax.device_get(transform(method, ROWS, *flags))
 
 
-def corrected_steps():
-    return transformed(demonstrated=True, corrected=1.0)
+def corrections(state, action, change):
+    """Return 500 corrections of a step from `state [7]` that moves hand and peg by `change [7]`, as NumPy arrays."""
+    state, change = np.float32(state), np.float32(change)
+    draw = jax.jit(jax.vmap(lambda key: PEG.correction(key, state, np.float32(action), state + change)))
+    return jax.device_get(draw(jax.random.split(KEY, 500)))
 
 
-def assert_clear_of_the_block(steps, moved):
-    """Assert that heads keep 2.5 cm and hands 6 cm from the block's sides, where they are not in front of it."""
-    states = np.concatenate([steps.state, steps.next_state])[np.tile(moved, 2)]
-    for points, margin in ((states[:, HEAD], 0.025), (states[:, :3], 0.06)):
-        assert not ((points[:, 0] < -0.17 - 0.01) & (np.abs(points[:, 1] - 0.6) < 0.1 + margin - 0.01)).any()
-
-
-def make_batch(row, state, next_state, later, no_successor):
-    """Return transitions with the first goal, no action and no reward."""
-    size = len(row)
-    no = np.zeros(size, bool)
-    flags = TransitionFlags(np.zeros(size, int), no, no, no_successor, no)
-    action, reward = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
-    return TransitionBatch(row, state, action, next_state, reward, flags, no, later)
-
-
-def held_rows():
-    """Return the steps, bool [B], in which the hand holds the peg outside of the hole."""
-    held = (ROWS.state[:, GRIPPER] < 0.5) & (ROWS.action[:, 3] > 0) & (ROWS.next_state[:, 4] > -0.15)
-    grasps = np.asarray(jax.jit(jax.vmap(peg_grasp))(ROWS.state[:, HEAD]))
-    return held & (np.linalg.norm(ROWS.state[:, :3] - grasps, axis=1) < 0.03)
-
-
-CARRIED = held_rows()
-
-
-def is_around(steps):
-    """Return which approaches, bool [B], a correction has moved to a peg beside the block."""
-    head, before = steps.state[:, HEAD], ROWS.state[:, HEAD]
-    return (head[:, :2] != before[:, :2]).any(axis=1) & ~CARRIED & (before[:, 0] > -0.2)
+def is_clear(points, margin):
+    """Return which `points [B, 3]` are in front of the block or keep `margin` [m] from its sides."""
+    return (points[:, 0] > -0.18) | (np.abs(points[:, 1] - 0.6) > 0.1 + margin - 0.01)
 
 
 def distance(first, second):
@@ -95,6 +69,17 @@ def test_without_shares_and_where_it_is_not_allowed_nothing_changes():
         for new, old in zip(steps[:3], ROWS[:3], strict=True):
             np.testing.assert_array_equal(new, old)
         np.testing.assert_array_equal(steps.goal, ROWS.goal)
+
+
+def test_a_task_without_translations_and_corrections_keeps_its_steps():
+    door, method = make("sawyer_door"), make_algo("cfbrl", hindsight=0.0)
+    demos = door.demos("forward")
+    steps = Steps(demos.states, demos.actions, demos.next_states, demos.next_states, demos.goals)
+    every = np.ones(len(demos.ends), bool)
+    new, changed, to_clone = jax.jit(lambda: method.transform(KEY, door, steps, every, every))()
+    assert_equal_trees(new, steps)
+    assert not changed.any()
+    assert to_clone.all()
 
 
 def test_a_hindsight_goal_is_the_object_of_a_later_state():
@@ -115,113 +100,64 @@ def test_a_move_shifts_hand_and_object_alike_and_stays_clear_of_the_block():
     np.testing.assert_array_equal(np.delete(offset, [0, 1, 4, 5], axis=1), 0.0)
     np.testing.assert_array_equal(changed, (offset != 0).any(axis=1))
     assert 0.2 < changed.mean() < 0.9
-    assert_clear_of_the_block(steps, changed)
+    for part in (steps.state[changed], steps.next_state[changed]):
+        assert (is_clear(part[:, HEAD], 0.025) & is_clear(part[:, :3], 0.06)).all()
     inserted = ROWS.next_state[:, 4] < -0.2
     assert inserted.any()
     assert not changed[inserted].any(), "the block takes part in an insertion"
     np.testing.assert_array_equal(to_clone, ~changed)
 
 
-def test_a_corrected_step_leads_back_to_the_demonstrated_one():
-    steps, changed, to_clone = corrected_steps()
-    still = (distance(ROWS.state, ROWS.next_state) < 0.001) & ~CARRIED & ~is_around(steps)
+def test_corrected_approaches_serve_every_goal():
+    steps, changed, to_clone = transformed(demonstrated=True, corrected=1.0)
     assert changed.all()
-    lying = (ROWS.state[:, 4] > -0.2) & (steps.state[:, HEAD] == ROWS.state[:, HEAD]).all(1)
-    assert lying[still].all()
-    for new, old in zip(steps, ROWS, strict=True):
-        np.testing.assert_array_equal(new[lying & ~still], old[lying & ~still])
-    back = (ROWS.state - steps.state)[:, :3]
-    far = (np.linalg.norm(back, axis=1) > 0.1) & lying
-    assert 0.2 < far[still].mean() < 0.9
-    action = steps.action
-    along = (action[far, :3] * back[far]).sum(axis=1) / np.linalg.norm(back[far], axis=1)
-    assert (along > 0.8).all()
-    assert np.abs(action).max() <= 1.0
-    closed = steps.state[:, GRIPPER] < ROWS.state[:, GRIPPER]
-    assert closed[far].any()
-    assert (action[closed, GRIPPER] < 0).all(), "a hand that is closed far from the peg opens"
-    goals = {tuple(goal) for goal in steps.goal[still].round(4)}
-    assert len(goals) > 2, "an approach serves every goal"
+    assert np.abs(steps.action).max() <= 1.0
+    approach = (distance(ROWS.state, ROWS.next_state) < 0.001) & (ROWS.state[:, 4] > -0.2)
+    assert len({tuple(goal) for goal in steps.goal[approach].round(4)}) > 2
     at_goal = np.asarray(success(np.concatenate([steps.state, steps.goal], axis=-1)))
-    np.testing.assert_array_equal(to_clone[still], ~at_goal[still])
+    np.testing.assert_array_equal(to_clone[approach], ~at_goal[approach])
 
 
-def test_the_next_state_of_a_corrected_step_is_near_the_simulated_one():
-    steps, _, _ = corrected_steps()
-    still = distance(ROWS.state, ROWS.next_state) < 0.001
-    moved = (steps.next_state - steps.state)[:, :3]
-    assert np.abs(moved[still]).max() < 0.03
-    speed = np.linalg.norm(steps.action[:, :3], axis=1)
-    heading = (moved * steps.action[:, :3]).sum(axis=1)[still & (speed > 0.9)]
-    assert (heading > 0).mean() > 0.95
+def test_a_free_hand_is_led_back_and_opens_and_to_a_peg_beside_the_block_around_it():
+    state = [0.0, 0.65, 0.2, 1.0, 0.1, 0.6, 0.02]
+    steps = corrections(state, [0.0, 0.0, 0.0, -1.0], np.zeros(7))
+    assert steps.approach.all()
+    around = (steps.state[:, HEAD] != np.float32(state[4:])).any(axis=1)
+    assert 0.15 < around.mean() < 0.35
+    offset, action = np.float32(state[:3]) - steps.state[:, :3], steps.action
+    np.testing.assert_allclose((steps.next_state - steps.state)[:, :3], 0.008 * action[:, :3], atol=1e-6)
+    far = ~around & (np.linalg.norm(offset, axis=1) > 0.1)
+    assert 0.2 < far.mean() < 0.9
+    along = (action[far, :3] * offset[far]).sum(axis=1) / np.linalg.norm(offset[far], axis=1)
+    assert (along > 0.8).all()
+    assert (steps.state[:, GRIPPER] < 0.9).any()
+    assert (action[:, GRIPPER] == -1).all()
+    hand, head, action = steps.state[around, :3], steps.state[around, HEAD], action[around]
+    side = np.sign(head[:, 1] - 0.6)
+    assert ((head[:, 0] < -0.3) & (side * (head[:, 1] - 0.6) > 0.12)).all()
+    beside = side * (hand[:, 1] - 0.6) >= 0.16
+    assert 0.1 < beside.mean() < 0.9
+    assert (hand[~beside, 0] + 0.01 * action[~beside, 0] > -0.18).all(), "it does not move against the block"
+    assert (action[~beside, 1] * side[~beside] > 0).all(), "it moves to the side on which the peg lies"
 
 
-def test_an_inserted_peg_is_also_tried_deeper_in_the_hole():
-    steps, _, _ = corrected_steps()
-    depth = (ROWS.state - steps.state)[:, 4]
-    inside = ROWS.state[:, 4] < -0.2
-    assert depth[inside].max() > 0.03
-    assert not depth[~inside & ~CARRIED & ~is_around(steps)].any()
-    np.testing.assert_allclose((ROWS.next_state - steps.next_state)[inside, 4], depth[inside], atol=1e-6)
-
-
-def test_a_carried_peg_is_tried_elsewhere_and_led_back_around_the_block():
-    steps, _, _ = corrected_steps()
-    offset = steps.state - ROWS.state
-    moved = np.abs(offset[:, HEAD]).max(axis=1) > 0
-    moved &= (ROWS.state[:, 4] > -0.15) & ~is_around(steps)
-    assert moved[CARRIED].mean() > 0.6
-    assert not moved[~CARRIED].any()
-    np.testing.assert_allclose(offset[moved, :3], offset[moved, HEAD], atol=1e-6)
-    assert_clear_of_the_block(steps, moved)
-    head, action = steps.state[:, HEAD], steps.action
-    np.testing.assert_array_equal(action[moved, GRIPPER], ROWS.action[moved, GRIPPER])
-    beside = moved & (head[:, 0] < -0.14) & (np.abs(head[:, 1] - 0.6) > 0.12)
+def test_a_carried_peg_is_led_back_along_x_first_from_beside_the_block():
+    state = [0.24, 0.6, 0.125, 0.3, 0.1, 0.6, 0.1]
+    steps = corrections(state, [0.0, 0.0, 0.0, 1.0], np.zeros(7))
+    moved = ~steps.approach
+    assert moved.mean() > 0.6
+    offset = (steps.state - np.float32(state))[moved]
+    np.testing.assert_allclose(offset[:, :3], offset[:, HEAD], atol=1e-6)
+    head, action = steps.state[moved, HEAD], steps.action[moved]
+    assert (is_clear(head, 0.025) & is_clear(steps.state[moved, :3], 0.06)).all()
+    assert (action[:, GRIPPER] == 1).all()
+    beside = (head[:, 0] < -0.14) & (np.abs(head[:, 1] - 0.6) > 0.12)
     assert beside.sum() > 5
     np.testing.assert_allclose(action[beside, 1], 0.0, atol=1e-6)
     assert (action[beside, 0] > 0).all()
-    far = moved & ~beside & (head[:, 0] > -0.08) & (np.linalg.norm(offset[:, :3], axis=1) > 0.1)
+    far = (head[:, 0] > -0.13) & (np.linalg.norm(offset[:, :3], axis=1) > 0.1)
     along = -(action[far, :3] * offset[far, :3]).sum(axis=1) / np.linalg.norm(offset[far, :3], axis=1)
     assert (along > 0.8).all()
-    against = (offset[:, HEAD] * ROWS.action[:, :3]).sum(axis=1)
-    assert (against[moved & (head[:, 0] > -0.12)] < 0.03 + 1e-6).all(), "a peg is not led back against its way"
-    change = steps.next_state - steps.state
-    assert np.abs(change[moved][:, HEAD]).max() < 0.03
-
-
-def test_an_approach_to_a_peg_beside_the_block_goes_around_it():
-    steps, _, to_clone = corrected_steps()
-    around = is_around(steps)
-    lying = (distance(ROWS.state, ROWS.next_state) < 0.001) & (ROWS.state[:, 6] < 0.05) & ~CARRIED
-    assert 0.1 < around[lying].mean() < 0.4
-    assert not around[~lying].any()
-    assert to_clone[around].all(), "an approach serves every goal"
-    hand, head = steps.state[around, :3], steps.state[around, HEAD]
-    action = steps.action[around]
-    assert (head[:, 0] < -0.3).all()
-    assert (np.abs(head[:, 1] - 0.6) > 0.12).all()
-    side = np.sign(head[:, 1] - 0.6)
-    clear = side * (hand[:, 1] - 0.6) >= 0.16
-    assert 0.1 < clear.mean() < 0.9
-    assert (hand[~clear, 0] > -0.18).all(), "a hand that is not beside the block is in front of it"
-    assert (action[~clear, 1] * side[~clear] > 0).all(), "it moves to the side on which the peg lies"
-    assert (hand[~clear, 0] + 0.01 * action[~clear, 0] > -0.18).all(), "and not against the block"
-    ahead = clear & (hand[:, 0] > head[:, 0] + 0.2) & (hand[:, 2] > 0.2)
-    assert ahead.any()
-    assert (action[ahead, 0] < 0).all(), "then it moves to the peg"
-    assert (action[:, GRIPPER] == -1).all()
-
-
-def test_a_peg_beside_the_block_is_not_moved_and_none_is_moved_behind_it():
-    state, following = ROWS.state.copy(), ROWS.next_state.copy()
-    state[:, HEAD] = following[:, HEAD] = [-0.3, 0.8, 0.02]
-    method, every = make_algo("cfbrl", hindsight=0.0, translated=1.0, corrected=0.0), np.ones(len(state), bool)
-    assert not transform(method, ROWS._replace(state=state, next_state=following), every, ~every)[1].any()
-    steps = transformed(translated=1.0)[0]
-    hand, head = steps.state[:, :3], steps.state[:, HEAD]
-    outside = ROWS.state[:, 4] > -0.15
-    behind = (head[:, 0] < -0.31) & (np.abs(hand[:, 1] - 0.6) < 0.16) & outside
-    assert not behind.any(), "the straight way of the demonstration would lead into the block"
 
 
 def test_the_dynamics_of_tabletop_are_the_same_after_a_move(env):
@@ -250,7 +186,7 @@ def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
     assert (goals.ends[:end] == end).all()
     other = goals.candidates[goals.ends[end + 1]]
     later, no = np.broadcast_to(other, (len(row), 7)), np.zeros(len(row), bool)
-    batch = make_batch(row, goals.candidates[row], goals.candidates[row + 1], later, no)
+    batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row=row, action_size=4, later=later)
     demonstrated = np.asarray(relabel(method, batch._replace(demonstrated=~no)).goal)[:, HEAD]
     own = goals.candidates[: end + 1, HEAD]
     places = np.abs(demonstrated[:, None] - own[None]).max(axis=-1).argmin(axis=1)
@@ -263,7 +199,7 @@ def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
 def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal():
     method, goals, size = make_algo("cfbrl", hindsight=0.7, translated=0.7), goal_table(PEG), len(ROWS.state)
     kept = np.arange(size) % 5 == 0
-    batch = make_batch(np.arange(size), ROWS.state, ROWS.next_state, ROWS.later, kept)
+    batch = make_batch(ROWS.state, ROWS.next_state, action_size=4, no_successor=kept, later=ROWS.later)
     batch = batch._replace(demonstrated=np.arange(size) % 2 == 0)
     new = jax.device_get(relabel(method, batch))
     reached = success(np.concatenate([new.next_state, new.goal], axis=-1))
@@ -320,10 +256,3 @@ def test_a_phase_explores_after_its_patience_with_actions_that_are_held(problem)
     blocks = actions.reshape(CHUNK // always.explore_hold, always.explore_hold, -1)
     np.testing.assert_array_equal(blocks, np.broadcast_to(blocks[:, :1], blocks.shape))
     assert (blocks[0] != blocks[1]).any()
-
-
-@pytest.mark.slow
-def test_it_trains_on_a_task_without_translations_and_on_a_dense_one():
-    for task in (make("sawyer_door"), make("tabletop_organization", reward_type="dense")):
-        result = tiny_train("cfbrl", task, pretrain_steps=2, warmup=0.0)
-        assert np.isfinite(result.metrics["critic_loss"]).all()

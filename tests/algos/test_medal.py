@@ -5,16 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import resume
 from earl_jax.algos import make_algo
 from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import replay as replay_lib
-from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.init import demo_rows, demonstrations
 from tests.algos.lives import PHASE, lived
-from tests.conftest import CHUNK, take_lane, tiny_method, tiny_train, without_shares
+from tests.algos.transitions import make_batch
+from tests.conftest import take_lane, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 300)
 sample_own = jax.jit(replay_lib.sample_own, static_argnums=(2, 3))
@@ -32,15 +31,6 @@ def reward(env, medal):
     """Return the method's rewards as a program of batch, phase and classifier."""
     method, goals, _ = medal
     return jax.jit(lambda *arguments: method.reward(env, goals, *arguments))
-
-
-def make_batch(states, goal, demonstrated=False, no_successor=False):
-    size = len(states)
-    no = np.zeros(size, bool)
-    flags = TransitionFlags(np.broadcast_to(goal, size), no, no, no | no_successor, no)
-    states, rewards = np.asarray(states, np.float32), np.full(size, 0.25, np.float32)
-    action = np.zeros((size, 3), np.float32)
-    return TransitionBatch(np.arange(size), states, action, states + 1, rewards, flags, no | demonstrated)
 
 
 def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(medal):
@@ -75,7 +65,7 @@ def test_mixup_takes_rows_and_labels_in_the_same_shares():
 
 def test_the_backward_reward_is_the_released_formula(medal, reward):
     _, goals, classifier = medal
-    batch = make_batch(goals.table[:3], 0)
+    batch = make_batch(goals.table[:3], goals.table[:3], reward=np.full(3, 0.25, np.float32))
     blank = jax.tree.map(np.zeros_like, classifier.params["params"])
     for logit in (-3.0, 0.0, 2.0, 40.0):
         last = {**blank["hidden_1"], "bias": np.float32([logit])}
@@ -90,21 +80,8 @@ def test_the_reward_is_that_of_the_next_state_unless_a_reset_overwrote_it(medal,
     states, goal = goals.table[5:8], np.tile(goals.table[2], (3, 1))
     for lost, state in ((False, states + 1), (True, states)):
         logits = np.asarray(classifier.logits(classifier.params, np.concatenate([state, goal], axis=1)))
-        rewards = reward(make_batch(states, 2, no_successor=lost), RETURN, classifier)
+        rewards = reward(make_batch(states, states + 1, 2, no_successor=lost), RETURN, classifier)
         np.testing.assert_allclose(rewards, np.logaddexp(0, logits), rtol=1e-4)
-
-
-def test_phases_in_the_loop_keep_their_goals_and_lists(problem):
-    """The lanes live a phase forward, one back and a half forward."""
-    _, start, end = lived("medal")
-    first = int(start.replay.row)
-    flags = replay_lib.unpack(end.replay.flags[first : first + CHUNK])
-    goals = np.asarray(flags.goal)
-    assert (goals < problem.goals.tasks).all()
-    assert (goals[:PHASE] == goals[0]).all()
-    assert (goals[PHASE:] == goals[PHASE]).all(), "an attempt keeps the goal of the way back before it"
-    np.testing.assert_array_equal(np.asarray(flags.timeout)[:, 0], np.arange(1, CHUNK + 1) % PHASE == 0)
-    np.testing.assert_array_equal(end.replay.counts - start.replay.counts, [[CHUNK - PHASE, PHASE]] * 2)
 
 
 def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_one(problem, medal):
@@ -136,7 +113,7 @@ def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_
 def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_own(medal, env):
     method, goals, _ = medal
     demonstrated, backward = np.arange(400) % 2 == 0, np.arange(400) >= 200
-    batch = make_batch(np.zeros((400, 6)), np.where(backward, goals.tasks, 1), demonstrated)
+    batch = make_batch(*np.zeros((2, 400, 6)), np.where(backward, goals.tasks, 1), demonstrated=demonstrated)
     relabel = jax.jit(lambda phase: method.relabel(KEYS[0], env, goals, batch, phase))
     back = relabel(RETURN)
     goal = np.asarray(back.flags.goal)
@@ -152,6 +129,9 @@ def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem
     demos = demos_to_clone(env, demonstrations(problem, tiny_method("medal")))
     forward, backward = env.demos("forward"), env.demos("backward")
     assert len(demos.of(TASK).obs) == len(forward.ends)
+    demonstrated = demonstrated_obs(env)
+    assert demonstrated.shape == (len(forward.ends) + 12, 12)
+    assert env.success(demonstrated[-12:]).all()
     own = demos.of(RETURN)
     assert len(own.obs) == 4 * len(backward.ends)
     np.testing.assert_array_equal(
@@ -159,23 +139,3 @@ def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem
     )
     np.testing.assert_array_equal(own.obs[: len(backward.ends), :6], backward.states)
     np.testing.assert_array_equal(own.action, np.tile(backward.actions, (4, 1)))
-
-
-def test_the_demonstrated_states_are_those_of_whole_demonstrations(env):
-    obs, forward = demonstrated_obs(env), env.demos("forward")
-    assert obs.shape == (len(forward.ends) + 12, 12)
-    assert env.success(obs[-12:]).all()
-
-
-@pytest.mark.slow
-def test_medal_writes_its_own_columns_and_resumes_with_them(tmp_path):
-    tiny_train("medal", phase_steps=PHASE, steps=80, out=tmp_path / "run", checkpoint_every=40)
-    result = resume(tmp_path / "run", steps=120)
-    header, *rows = (tmp_path / "run" / "metrics.csv").read_text().splitlines()
-    names = {"medal/classifier_loss", "medal/classifier_accuracy"}
-    assert names < set(header.split(","))
-    assert len(rows) == 2 * 3
-    for name in names:
-        assert result.metrics[name].shape == (2, 3)
-        assert (result.metrics[name][:, -1] > 0).all()
-    assert all(np.isfinite(values).all() for values in without_shares(result.metrics).values())

@@ -8,10 +8,11 @@ import pytest
 from earl_jax import assets
 from earl_jax.algos import Method, list_algos, make_algo, register_algo
 from earl_jax.algos.goals import GoalIndices, goal_table
-from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags, unpack
+from earl_jax.algos.learner.replay import unpack
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.init import demo_rows
 from tests.algos.lives import OPTIONS, lived
+from tests.algos.transitions import make_batch
 from tests.conftest import (
     CHUNK,
     assert_all_finite,
@@ -45,20 +46,6 @@ goals with which a task phase begins, and a return phase, if the goal was 2 and 
 def next_goals(method, goals, phase, method_state=()):
     """Return the goal indices [300] of a new `phase` for 300 keys."""
     return jax.jit(jax.vmap(lambda key: method.next_goal(key, goals, jnp.asarray(phase), CURRENT, method_state)))(KEYS)
-
-
-def make_batch(states, next_states, row, goal):
-    """Return transitions with the index `goal`, no reward and no flag."""
-    size = len(states)
-    no = jnp.zeros(size, bool)
-    return TransitionBatch(
-        row=jnp.asarray(row),
-        state=jnp.asarray(states),
-        action=jnp.zeros((size, 3)),
-        next_state=jnp.asarray(next_states),
-        reward=jnp.zeros(size),
-        flags=TransitionFlags(goal=jnp.full(size, goal), reached=no, timeout=no, no_successor=no, absorbed=no),
-    )
 
 
 def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
@@ -109,7 +96,7 @@ def test_a_method_beyond_the_papers_trains_by_name(algo):
     result = tiny_train(algo, **OPTIONS[algo])
     assert all(np.isfinite(values).all() for values in without_shares(result.metrics).values())
     assert (result.metrics["critic_loss"][:, -1] > 0).all() == (algo != "bc")
-    assert jnp.isfinite(result.policy(0)(jnp.zeros(12))).all()
+    assert ("medal/classifier_loss" in result.metrics) == (algo == "medal")
 
 
 def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):
@@ -158,7 +145,7 @@ def test_fbrl_gives_each_controller_its_own_demonstrations(problem):
 def test_rnd_reward_and_scale_are_the_released_formulas(env):
     method, goals = make_algo("r3l"), goal_table(env)
     state = jax.jit(lambda key: method.init_state(key, env, goals))(KEYS[0]).replace(sigma=jnp.asarray(0.5))
-    batch = make_batch(goals.candidates[:64], goals.candidates[:64], np.arange(64), 0)
+    batch = make_batch(goals.candidates[:64], goals.candidates[:64])
     rewards = jax.jit(lambda state, phase: method.reward(env, goals, batch, phase, state))
     update = jax.jit(lambda state, phase: method.update_state(KEYS[0], env, goals, batch, phase, state))
     errors = jax.jit(lambda state: state.error(state.predictor, batch.state))
@@ -241,7 +228,7 @@ def relabel(env):
 def batch(env):
     """4000 transitions that were not demonstrated, at the second goal."""
     states, goals = np.tile(env.goal_states[1], (4000, 1)), goal_table(env)
-    return make_batch(states, states, np.full(4000, len(goals.candidates) + 5), 0)
+    return make_batch(states, states, row=np.full(4000, len(goals.candidates) + 5))
 
 
 def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env, relabel, batch):
@@ -265,7 +252,7 @@ def test_vaprl_keeps_the_goal_of_a_state_that_meets_the_new_one(relabel, batch):
 
 def test_vaprl_relabels_demonstrations_with_their_own_later_states(env, relabel):
     goals, row = goal_table(env), np.repeat(np.arange(100), 40)
-    batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row, 0)
+    batch = make_batch(goals.candidates[row], goals.candidates[row + 1], row=row)
     later = np.asarray(relabel(RELABELLING[False], batch).flags.goal) - 5
     assert (later > row).all()
     assert (later <= goals.ends[row]).all()
@@ -273,7 +260,7 @@ def test_vaprl_relabels_demonstrations_with_their_own_later_states(env, relabel)
 
 
 def test_time_outs_are_terminal_unless_bootstrapped():
-    batch = make_batch(*np.zeros((2, 4, 6)), np.arange(4), 0)
+    batch = make_batch(*np.zeros((2, 4, 6)))
     flags = batch.flags._replace(reached=np.array([1, 0, 1, 0], bool), timeout=np.array([0, 1, 0, 0], bool))
     for bootstrap, expected in ((False, [True, True, True, False]), (True, [True, False, True, False])):
         terminal = make_algo("naive", timeout_bootstrap=bootstrap).terminal(batch._replace(flags=flags), TASK)

@@ -14,7 +14,7 @@ from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner import sac
 from earl_jax.algos.method import TASK
 from earl_jax.training.plan import per_lane
-from tests.conftest import make_train_state, run_whole, tiny_method, tiny_train
+from tests.conftest import make_train_state, run_whole, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 4000)
 OBS = jnp.zeros(12)
@@ -89,14 +89,3 @@ def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env, s
 )
 def test_the_chance_of_a_switch_is_share_p_and_one_minus_k_to_the_c(switch_share, options, value, count, expected):
     assert switch_share(value, count, **options) == pytest.approx(expected, abs=0.03)
-
-
-@pytest.mark.slow
-def test_risc_fills_one_replay_from_both_phases(env):
-    short = dataclasses.replace(env, eval_horizon=20)
-    state = tiny_train("risc", short, conservative_factor=0.5, earliest_switch=0.1).train_state
-    flags = replay_lib.unpack(state.replay.flags[int(state.replay.first_row) : int(state.replay.row), 0])
-    is_task = np.asarray(flags.goal) < 4
-    assert is_task.any()
-    assert not is_task.all()
-    assert int(state.replay.counts[0, 1]) == 0

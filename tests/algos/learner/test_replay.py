@@ -26,15 +26,12 @@ def make_transition(step, lanes=2):
     """Return a transition whose every field shows its step and lane."""
     number = (np.arange(lanes) + 10.0 * step).astype(np.float32)
     no = np.zeros(lanes, bool)
-    reached = np.append(step % 2 == 0, no[1:])
-    flags = TransitionFlags(
-        goal=np.full(lanes, step, np.int32), reached=reached, timeout=no, no_successor=no, absorbed=no
-    )
+    flags = TransitionFlags(np.full(lanes, step, np.int32), no, no, no, no)
     return Transition(action=number[:, None], next_state=number[:, None] + 1000, reward=number, flags=flags)
 
 
-def fill_replay(controllers, valid, sparse=False, buffer=None):
-    buffer = replay.create(len(controllers), 2, 1, 1, sparse) if buffer is None else buffer
+def fill_replay(controllers, valid, buffer=None):
+    buffer = replay.create(len(controllers), 2, 1, 1, False) if buffer is None else buffer
     for step, (controller, keep) in enumerate(zip(controllers, valid, strict=True)):
         buffer = write(buffer, make_transition(step), np.array(keep), np.array(controller, np.int32))
     return buffer
@@ -68,13 +65,6 @@ def test_a_controller_without_rows_samples_those_of_the_other():
     buffer = fill_replay([(0, 1), (0, 1)], [(True, True)] * 2)
     batch = sample(buffer, KEYS, np.array([1, 0], np.int32), DRAWS, NO_DEMO_SHARE)
     assert [set(rows.tolist()) for rows in batch.row] == [{0, 1}] * 2
-
-
-def test_a_sparse_reward_is_the_success_bit():
-    buffer = fill_replay([(0, 0)] * 4, [(True, True)] * 4, sparse=True)
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, NO_DEMO_SHARE)
-    np.testing.assert_array_equal(batch.reward[0], batch.row[0] % 2 == 0)
-    assert not batch.reward[1].any()
 
 
 def test_sampling_is_uniform_but_for_a_share_of_demonstrations():
@@ -141,10 +131,6 @@ def ring(own):
     return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
 
 
-def test_a_capacity_that_is_never_reached_changes_no_sample():
-    assert_equal_samples(fill_replay(*LONG), fill_replay(*LONG, buffer=ring(30)))
-
-
 def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_is_full():
     full = fill_replay(*LONG, buffer=ring(4))
     assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], ring(4)), full)
@@ -158,12 +144,6 @@ def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_i
 
 def total_bytes(tree):
     return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))
-
-
-@pytest.mark.parametrize("sparse", [True, False])
-def test_bytes_per_transition_are_those_of_the_arrays(sparse):
-    small, large = (replay.create(size, 3, 6, 3, sparse) for size in (100, 300))
-    assert total_bytes(large) - total_bytes(small) == 200 * 3 * replay.bytes_per_transition(6, 3, sparse)
 
 
 @pytest.mark.parametrize("capacity", [None, pytest.param(100_000, marks=pytest.mark.slow)])

@@ -1,6 +1,7 @@
 """The learner against closed forms: targets, densities, precisions, and a problem of known value."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from scipy import stats
 
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.cloning import cloning_term, cloning_weight
 from earl_jax.algos.learner.networks import TanhNormal, apply, mlp
 from earl_jax.algos.learner.sac import SAC, Batch
 
@@ -18,9 +20,7 @@ SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
 # Each is one program; called eagerly, every operation would be one.
 init = jax.jit(sac_lib.init, static_argnames=("obs_size", "action_size", "critics"))
-td_target = jax.jit(sac_lib.td_target)
 q_values = jax.jit(sac_lib.q_values)
-act_with_log_prob = jax.jit(sac_lib.act_with_log_prob, static_argnums=4)
 
 
 def make_batch(size=64):
@@ -28,20 +28,6 @@ def make_batch(size=64):
     obs, next_obs = rng.normal(size=(2, size, 4)).astype(np.float32)
     action, reward = rng.uniform(-1, 1, (size, 2)).astype(np.float32), rng.normal(size=size).astype(np.float32)
     return Batch(obs, action, reward, np.zeros(size, bool), next_obs)
-
-
-def test_targets_are_the_documented_formula_and_the_scaled_reward_where_terminal():
-    sac = SMALL.replace(initial_temperature=0.3, reward_scale=10.0)
-    agent, key = init(jax.random.key(0), sac, 4, 2, critics=4), jax.random.key(1)
-    batch = make_batch()._replace(terminal=np.arange(64) < 4)
-    action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, 2)
-    q = np.asarray(q_values(sac, agent.targets, batch.next_obs, action))
-    soft = 10.0 * batch.reward + 0.99 * (q[:2].min(axis=0) - 0.3 * log_prob)
-    plain = 10.0 * batch.reward + 0.99 * q[2:].min(axis=0)
-    targets = td_target(sac, agent, batch, key)
-    np.testing.assert_allclose(targets[:, 4:], np.stack([soft, soft, plain, plain])[:, 4:], rtol=1e-5)
-    np.testing.assert_array_equal(targets[:, :4], np.tile(10.0 * batch.reward[:4], (4, 1)))
-    assert (np.abs(targets[:, 4:] - 10.0 * batch.reward[4:]) > 1e-4).all()
 
 
 def test_tanh_normal_has_the_paper_s_density():
@@ -62,15 +48,6 @@ def test_networks_start_glorot_uniform_with_zero_biases():
     assert jax.tree.map(np.shape, params)["hidden_2"]["kernel"] == (256, 3)
 
 
-def lower_update(precision, critics=2, layer_norm=False):
-    """Return the lowered update of the agents of two lanes, and its arguments."""
-    sac, keys = SMALL.replace(precision=precision, layer_norm=layer_norm), jax.random.split(jax.random.key(0), 2)
-    agents = jax.jit(jax.vmap(lambda key: sac_lib.init(key, sac, 4, 2, critics)))(keys)
-    update = jax.jit(jax.vmap(functools.partial(sac_lib.update, sac), (0, None, 0)))
-    arguments = agents, make_batch(), keys
-    return update.lower(*arguments), arguments
-
-
 def relative_errors(actual, exact):
     """Return the relative distance of every leaf from `exact`."""
     return [
@@ -79,30 +56,35 @@ def relative_errors(actual, exact):
     ]
 
 
-@pytest.mark.parametrize(("critics", "layer_norm"), [(4, False), (2, True)])
-def test_bf16_differs_from_float32_only_by_rounding(critics, layer_norm):
-    after = {}
-    for precision in ("float32", "bf16"):
-        lowered, arguments = lower_update(precision, critics, layer_norm)
-        after[precision] = lowered.compile()(*arguments)[0]
+def test_an_update_in_bf16_differs_from_float32_only_by_rounding():
+    agent, after = init(jax.random.key(0), SMALL, 4, 2, critics=4), []
+    for precision in ("bf16", "float32"):
+        update = jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
+        after.append(update(agent, make_batch(), jax.random.key(1))[0])
     for network in ("critics", "actor"):
-        exact, coarse = (after[name].moments[network].mu for name in ("float32", "bf16"))
+        coarse, exact = (state.moments[network].mu for state in after)
         assert 0 < max(relative_errors(coarse, exact)) < 0.15
-    assert {leaf.dtype for leaf in jax.tree.leaves(after["bf16"])} <= {jnp.dtype("float32"), jnp.dtype("int32")}
+    assert {leaf.dtype for leaf in jax.tree.leaves(after[0])} <= {jnp.dtype("float32"), jnp.dtype("int32")}
 
 
 def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not():
-    texts = {precision: lower_update(precision)[0].as_text() for precision in ("float32", "tf32")}
+    agent, texts = init(jax.random.key(0), SMALL, 4, 2), {}
+    for precision in ("float32", "tf32"):
+        update = jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
+        texts[precision] = update.lower(agent, make_batch(), jax.random.key(1)).as_text()
     products = [line for line in texts["float32"].splitlines() if "dot_general" in line]
     assert len(products) > 15
     assert all("HIGHEST" in line for line in products)
     assert "HIGHEST" not in texts["tf32"]
 
 
-@pytest.mark.parametrize(("hidden_sizes", "outputs"), [((), 5), ((16,), 1), ((32, 16), 5), ((24, 24, 24), 1)])
-def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs):
+@pytest.mark.parametrize(
+    ("hidden_sizes", "outputs", "layer_norm"),
+    [((), 5, False), ((16,), 1, False), ((32, 16), 5, False), ((24, 24, 24), 1, False), ((32, 16), 5, True)],
+)
+def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, layer_norm):
     """Biases keep every unit far from the kink of its ReLU, so that the two differ by rounding alone."""
-    network = mlp(hidden_sizes, outputs)
+    network = mlp(hidden_sizes, outputs, layer_norm)
     keys = jax.random.split(jax.random.key(0), 2)
     blank = jax.jit(network.init)(keys[0], jnp.zeros(7))
     params = jax.tree.map(lambda leaf: 4.0 * (-1.0) ** np.arange(len(leaf)) if leaf.ndim == 1 else leaf, blank)
@@ -174,3 +156,129 @@ def test_sac_solves_a_chain_of_known_value():
     for action, expected in ((best, [0.9, 1.0]), (-np.full((2, 1), 0.6, np.float32), [0.2, 0.0])):
         values = q_values(sac, agent.critics, states, action)[2:]
         np.testing.assert_allclose(values.mean(axis=0), expected, atol=0.1)
+
+
+SHALLOW = SAC(hidden_sizes=(16,), batch_size=8, reward_scale=2.0, initial_temperature=0.3)
+"""A learner for its options beyond EARL's: ensembles, several critic updates a step, and the cloning term."""
+ROWS, SIZE = 8, 2
+td_targets = jax.jit(jax.vmap(sac_lib.td_target, (None, None, None, 0)))
+act_with_log_prob = jax.jit(sac_lib.act_with_log_prob, static_argnums=4)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng, rows = np.random.default_rng(0), np.arange(ROWS)
+    obs, next_obs = rng.normal(size=(2, ROWS, 4)).astype(np.float32)
+    action, reward = rng.uniform(-1, 1, (ROWS, SIZE)).astype(np.float32), rng.normal(size=ROWS).astype(np.float32)
+    return Batch(obs, action, reward, rows == 0, next_obs, demonstrated=rows % 4 == 1, step=np.int32(0))
+
+
+@pytest.mark.parametrize(
+    ("ensemble", "subset", "entropy", "critics"), [(2, 2, True, 4), (5, 2, True, 2), (5, 1, False, 4), (5, 5, True, 2)]
+)
+def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, ensemble, subset, entropy, critics):
+    sac = SHALLOW.replace(ensemble=ensemble, target_subset=subset, backup_entropy=entropy)
+    agent, keys = init(jax.random.key(1), sac, 4, SIZE, critics=critics), jax.random.split(jax.random.key(2), 12)
+    targets, used = np.asarray(td_targets(sac, agent, batch, keys)), set()
+    for key, target in zip(keys, targets, strict=True):
+        action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, SIZE)
+        q = np.asarray(q_values(sac, agent.targets, batch.next_obs, action))
+        live = ~np.asarray(batch.terminal)
+        expected = {
+            pair: 2.0 * batch.reward + live * 0.99 * (q[list(pair)].min(axis=0) - entropy * 0.3 * log_prob)
+            for pair in itertools.combinations(range(ensemble), subset)
+        }
+        matches = [
+            pair for pair, values in expected.items() if np.allclose(target[:ensemble], values, rtol=1e-4, atol=1e-5)
+        ]
+        assert len(matches) == 1
+        used.add(matches[0])
+        free = [2.0 * batch.reward + live * 0.99 * q[ensemble:].min(axis=0)] * 2 if critics > 2 else np.zeros((0, ROWS))
+        np.testing.assert_allclose(target[ensemble:], free, rtol=1e-4)
+    assert len(used) > 2 or subset == ensemble
+
+
+@pytest.mark.parametrize(("ensemble", "lowest", "cloning"), [(2, True, 0.0), (4, False, 0.0), (2, True, 3.0)])
+def test_the_actor_climbs_the_minimum_of_two_and_the_mean_of_more_beside_the_cloning_term(
+    batch, ensemble, lowest, cloning
+):
+    method = make_algo("naive", hidden_sizes=[16], reward_scale=2.0, cloning=cloning, ensemble=ensemble)
+    sac, key = method.sac.replace(initial_temperature=0.3), jax.random.key(3)
+    agent = init(jax.random.key(1), sac, 4, SIZE, critics=4)
+    after, _ = jax.jit(lambda a: sac_lib._update_actor(sac, a, batch, key, method.actor_term))(agent)
+
+    @jax.jit
+    @jax.grad
+    def expected(actor):
+        action, log_prob = sac_lib.act_with_log_prob(sac, actor, batch.obs, key, SIZE)
+        q = sac_lib.q_values(sac, agent.critics, batch.obs, action)[:ensemble]
+        mode = TanhNormal(SIZE).mode(sac_lib._policy(sac, actor, batch.obs, SIZE))
+        errors = jnp.square(mode - batch.action)[batch.demonstrated]
+        value = q.min(axis=0) if lowest else q.mean(axis=0)
+        return (0.3 * log_prob - value).mean() + 2.0 * cloning * errors.mean()
+
+    grads = expected(agent.actor)
+    for moment, grad in zip(jax.tree.leaves(after.moments["actor"].mu), jax.tree.leaves(grads), strict=True):
+        np.testing.assert_allclose(10 * np.asarray(moment), grad, rtol=1e-3, atol=1e-5)
+
+
+def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
+    sac, agent = SHALLOW.replace(utd=4), init(jax.random.key(1), SHALLOW, 4, SIZE)
+    whole = jax.tree.map(lambda leaf: np.concatenate([leaf] * 4), batch._replace(step=None))
+    whole = whole._replace(
+        reward=np.arange(4, dtype=np.float32).repeat(ROWS), terminal=np.ones(4 * ROWS, bool), step=batch.step
+    )
+    after, _ = jax.jit(lambda a, b: sac_lib.update(sac, a, b, jax.random.key(4)))(agent, whole)
+    counts = {name: int(moments.count) for name, moments in after.moments.items()}
+    assert counts == {"critics": 4, "actor": 1, "temperature": 1}
+
+    @jax.jit
+    def update_critics(agent, number):
+        part = batch._replace(reward=jnp.full(ROWS, number), terminal=np.ones(ROWS, bool))
+        agent, _ = sac_lib._update_critics(sac, agent, part, jax.random.key(0))  # terminal: no action is drawn
+        slow = jax.tree.map(lambda s, f: s + 0.005 * (f - s), agent.targets, agent.critics)
+        return agent.replace(targets=slow)
+
+    by_hand = agent
+    for number in range(4):
+        by_hand = update_critics(by_hand, float(number))
+    for field in ("critics", "targets"):
+        for actual, expected in zip(*[jax.tree.leaves(getattr(a, field)) for a in (after, by_hand)], strict=True):
+            np.testing.assert_allclose(actual, expected, atol=1e-6)
+
+
+def test_the_averaged_actor_follows_the_actor_is_deployed_and_changes_no_learning(batch):
+    update, key = jax.jit(sac_lib.update), jax.random.key(4)
+    averaging = SHALLOW.replace(actor_average_rate=0.25)
+    first, plain = init(jax.random.key(1), averaging, 4, SIZE), init(jax.random.key(1), SHALLOW, 4, SIZE)
+    agent = first.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, first.actor))
+    after, without = update(averaging, agent, batch, key)[0], update(SHALLOW, plain, batch, key)[0]
+    for slow, old, new in zip(*map(jax.tree.leaves, (after.averaged, agent.averaged, after.actor)), strict=True):
+        np.testing.assert_allclose(slow, 0.75 * old + 0.25 * new, atol=1e-6)
+    assert after.deployed_actor is after.averaged
+    other = after.with_actor(agent.actor)
+    assert other.actor is other.averaged is agent.actor
+    assert without.averaged is None
+    assert without.deployed_actor is without.actor
+    for beside, alone in zip(*map(jax.tree.leaves, (after.actor, without.actor)), strict=True):
+        np.testing.assert_allclose(beside, alone, rtol=1e-6)
+
+
+def test_without_demonstrated_rows_or_a_weight_there_is_no_cloning_term(batch):
+    parameters, none = np.ones((ROWS, 2 * SIZE), np.float32), batch._replace(demonstrated=np.zeros(ROWS, bool))
+    assert float(cloning_term(SHALLOW.replace(cloning=0.5), parameters, none)) == 0.0
+    assert cloning_term(SHALLOW, parameters, batch) is None
+
+
+def test_the_weight_of_the_cloning_term_follows_its_schedule():
+    sac = SHALLOW.replace(cloning=1.0, cloning_final=0.1, cloning_start=100, cloning_steps=200)
+    weights = [float(cloning_weight(sac, jnp.asarray(step))) for step in (0, 100, 200, 300, 10_000)]
+    np.testing.assert_allclose(weights, [1.0, 1.0, 0.55, 0.1, 0.1], rtol=1e-5)
+    held = SHALLOW.replace(cloning=0.4, cloning_steps=200)
+    assert float(cloning_weight(held, jnp.asarray(10_000))) == pytest.approx(0.4)
+
+
+def test_a_subset_larger_than_the_ensemble_is_an_error():
+    with pytest.raises(ValueError, match="target_subset 3 is larger than the ensemble of 2 critics"):
+        make_algo("naive", target_subset=3)
+    assert make_algo("naive", ensemble=3, target_subset=3).sac.ensemble == 3
