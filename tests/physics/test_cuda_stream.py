@@ -18,10 +18,10 @@ DRIVERS = []
 
 
 class Driver:
-    """The functions of libcuda that a stream of jobs calls; `calls` lists their names."""
+    """The functions of libcuda that a stream of jobs calls."""
 
     def __init__(self):
-        self.calls, self.memory = [], []
+        self.memory = []
         self.functions = {
             "cuMemHostAlloc": self.allocate,
             "cuMemcpyDtoHAsync_v2": self.copy,
@@ -32,7 +32,6 @@ class Driver:
         DRIVERS.append(self)
 
     def __getattr__(self, name):
-        self.calls.append(name)
         return self.functions.get(name, lambda *_: 0)
 
     def allocate(self, address, size, _):

@@ -21,29 +21,29 @@ def test_engines_are_chosen_by_name_and_a_missing_one_is_an_error_that_names_its
         make("sawyer_door", engine="warp")
 
 
-def test_auto_takes_mjx_on_a_gpu_when_the_lanes_are_too_many_for_the_cores(monkeypatch):
-    minitaur, door = make("minitaur_pen").engine_cost, make("sawyer_door").engine_cost
-    assert fastest_engine(minitaur, 10_000) == "c"
+@pytest.mark.parametrize(
+    ("task", "cores", "warp", "lanes", "engine"),
+    [
+        ("minitaur_pen", 16, False, 50, "c"),
+        ("minitaur_pen", 16, False, 400, "c"),
+        ("minitaur_pen", 16, False, 600, "mjx"),
+        ("minitaur_pen", 4, False, 200, "mjx"),
+        ("sawyer_door", 16, True, 500, "c"),
+        ("sawyer_door", 16, True, 1000, "warp"),
+        ("sawyer_door", 16, False, 1000, "c"),
+    ],
+)
+def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
+    monkeypatch, task, cores, warp, lanes, engine
+):
+    cost = make(task).engine_cost
+    assert fastest_engine(cost, lanes) == "c", "on a CPU"
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(16))
-    assert [fastest_engine(minitaur, lanes) for lanes in (50, 400, 600)] == ["c", "c", "mjx"]
-    assert fastest_engine(door, 500) == "c"
-    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(4))
-    assert fastest_engine(minitaur, 200) == "mjx"
-    assert make("minitaur_pen").for_lanes(200).engine == "mjx"
-    assert make("minitaur_pen", walls="floating").for_lanes(200).engine == "mjx"
-    assert make("minitaur_pen", engine="c").for_lanes(200).engine == "c"
-
-
-def test_auto_takes_warp_where_it_is_installed_and_was_measured_to_be_faster(monkeypatch):
-    door = make("sawyer_door").engine_cost
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(16))
-    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: True)
-    assert [fastest_engine(door, lanes) for lanes in (50, 500, 1000)] == ["c", "c", "warp"]
-    assert fastest_engine(door, 1001) != "warp", "more lanes can have more contacts than warp has room for"
-    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: engine != "warp")
-    assert fastest_engine(door, 1000) == "c"
+    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(cores))
+    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: warp or engine != "warp")
+    assert fastest_engine(cost, lanes) == make(task).for_lanes(lanes).engine == engine
+    assert fastest_engine(cost, 1001) != "warp", "more lanes can have more contacts than warp has room for"
+    assert make(task, engine="c").for_lanes(lanes).engine == "c"
 
 
 @pytest.mark.parametrize("cost", [None, EngineCost(host=1.0)])

@@ -14,7 +14,7 @@ from earl_jax.envs.minitaur.motors import MinitaurMotors
 from earl_jax.physics.engines import c
 from tests.envs.programs import first_state, program, run_actions, starts
 
-EVERY_SAWYER = pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])
+SAWYER = "sawyer_door", "sawyer_peg"
 NEEDS_WARP = pytest.mark.skipif(
     importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed"
 )
@@ -22,11 +22,6 @@ FREE_STEPS = 5
 """Control steps of a demonstration in which nothing touches the hand."""
 FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
 """For MJX, whose programs compile for half a minute; the door's is compiled with the suite's own options."""
-
-
-def slow_but(fast, names):
-    """Return the parameters `names`, all slow but `fast`, because MJX compiles a program for each."""
-    return [pytest.param(name, marks=() if name == fast else pytest.mark.slow) for name in names]
 
 
 def play(name, env, states, actions, observe):
@@ -41,7 +36,7 @@ def play(name, env, states, actions, observe):
     return np.asarray(jax.jit(lanes, compiler_options=FAST_TO_COMPILE if fast else {})(states, actions))
 
 
-def observe_demonstrations(name, engine, episodes=2, steps=60):
+def observe_demonstrations(name, engine, steps, episodes=2):
     """Return the observed states [episodes, steps, 7] when `engine` plays the first shipped demonstrations."""
     env, demos = make(name, engine=engine), assets.demos(name, "forward")
     firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
@@ -50,31 +45,28 @@ def observe_demonstrations(name, engine, episodes=2, steps=60):
     return play(name, env, states, actions, lambda state: state.obs[:7])
 
 
-def assert_demonstrations_agree(actual, expected, contact_mm):
-    """Compare hands before contact, and objects over all steps."""
+NEEDS_ACCELERATOR = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator"),
+]
+"""Marks of what shows that MJX computes in full float32 there."""
+
+
+@pytest.mark.parametrize(
+    ("engine", "name", "steps"),
+    [
+        ("mjx", "sawyer_door", 60),
+        pytest.param("mjx", "sawyer_peg", 60, marks=pytest.mark.slow),
+        *[pytest.param("mjx", name, 60, marks=NEEDS_ACCELERATOR) for name in SAWYER],
+        *[pytest.param("warp", name, 20, marks=NEEDS_WARP) for name in SAWYER],
+    ],
+)
+def test_engines_agree_tightly_before_contact_and_on_average_in_contact(engine, name, steps):
+    actual, expected = (observe_demonstrations(name, each, steps) for each in (engine, "c"))
     hands = np.abs(actual[:, :FREE_STEPS, :3] - expected[:, :FREE_STEPS, :3])
     assert hands.max() < 5e-4, "metres: the weld of MuJoCo's C engine has had a term since 3.7 that MJX lacks"
     assert np.median(hands) < 5e-5
-    assert 1e3 * np.linalg.norm(actual[..., 4:] - expected[..., 4:], axis=-1).mean() < contact_mm
-
-
-@pytest.mark.parametrize("name", slow_but("sawyer_door", ["sawyer_door", "sawyer_peg"]))
-def test_mjx_and_c_agree_tightly_before_contact_and_on_average_in_contact(name):
-    assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
-
-
-@NEEDS_WARP
-@EVERY_SAWYER
-def test_warp_and_c_agree_before_and_in_contact(name):
-    actual, expected = (observe_demonstrations(name, engine, steps=20) for engine in ("warp", "c"))
-    assert_demonstrations_agree(actual, expected, contact_mm=2.0)
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator")
-@EVERY_SAWYER
-def test_mjx_on_an_accelerator_computes_in_full_float32(name):
-    assert_demonstrations_agree(observe_demonstrations(name, "mjx"), observe_demonstrations(name, "c"), contact_mm=2.0)
+    assert 1e3 * np.linalg.norm(actual[..., 4:] - expected[..., 4:], axis=-1).mean() < 2.0, "millimetres"
 
 
 TOLERANCES = {
@@ -93,26 +85,18 @@ def joint_positions(name, engine, lanes=2):
     return play(name, env, starts(env, count=lanes), np.stack([actions] * lanes), lambda state: state.data.qpos)
 
 
-def assert_joints_agree(name, actual, expected):
+@pytest.mark.parametrize(
+    "engine", [pytest.param("mjx", marks=pytest.mark.slow), pytest.param("warp", marks=NEEDS_WARP)]
+)
+@pytest.mark.parametrize("name", TOLERANCES)
+def test_engines_move_the_joints_of_the_other_tasks_alike(name, engine):
+    actual, expected = joint_positions(name, engine), joint_positions(name, "c")
+    assert np.ptp(expected, axis=1).max() > 0.05, "something moves"
     np.testing.assert_allclose(actual, expected, atol=TOLERANCES[name])
     np.testing.assert_allclose(actual[:, :EARLY_STEPS], expected[:, :EARLY_STEPS], atol=EARLY_TOLERANCE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TOLERANCES)
-def test_mjx_and_c_move_the_joints_of_the_other_tasks_alike(name):
-    actual, expected = joint_positions(name, "mjx"), joint_positions(name, "c")
-    assert np.ptp(expected, axis=1).max() > 0.05, "something moves"
-    assert_joints_agree(name, actual, expected)
-
-
-@NEEDS_WARP
-@pytest.mark.parametrize("name", TOLERANCES)
-def test_warp_and_c_move_the_joints_of_the_other_tasks_alike(name):
-    assert_joints_agree(name, joint_positions(name, "warp"), joint_positions(name, "c"))
-
-
-@EVERY_SAWYER
+@pytest.mark.parametrize("name", SAWYER)
 def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
     env = make(name, engine="c")
     host, row_counts = c.host_of(env.simulator, 0), []
@@ -158,9 +142,12 @@ class Unbound:
         return self.motors(xp, qpos, qvel, command, memory)
 
 
-def test_c_calls_an_actuator_that_cannot_be_bound_before_every_substep():
-    env = make("minitaur_pen", engine="c")
+@pytest.mark.parametrize("overheat", [True, False])
+def test_bound_motors_move_the_robot_as_an_actuator_that_c_calls_before_every_substep(overheat):
+    env = make("minitaur_pen", engine="c", overheat=overheat)
     state, command = first_state(env).data, jnp.linspace(0, 2, 8)
+    hot = jnp.array([0.0, 1.0, 498.0, 499.0, 500.0, 501.0, 0.0, 0.0])
+    state = state.replace(memory=state.memory.at[:8].set(hot))
     unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
     (actual, _), (expected, _) = jax.jit(unbound.step)(state, command), jax.jit(env.simulator.step)(state, command)
     assert np.abs(np.asarray(expected.qvel - state.qvel)).max() > 0.1

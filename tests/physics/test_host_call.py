@@ -33,11 +33,6 @@ def start_and_finish(name, row):
     return service.finish(name, service.start(name, row), 2)
 
 
-def test_a_step_answers_every_lane(double_service):
-    answer = jax.jit(jax.vmap(lambda row: service.step(double_service, row, 2)))(ROWS)
-    np.testing.assert_array_equal(answer, 2 * ROWS[:, :2])
-
-
 def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
     def run(row):
         first, second = service.start(double_service, row), service.start(double_service, row + 1.0)
@@ -47,14 +42,6 @@ def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
     first_answer, second_answer = jax.jit(jax.vmap(run))(ROWS)
     np.testing.assert_array_equal(first_answer, 2 * ROWS[:, :2])
     np.testing.assert_array_equal(second_answer, 2 * (ROWS + 1)[:, :2])
-
-
-def test_a_scan_keeps_the_jobs_of_its_steps_separate(double_service):
-    def step(row, _):
-        return start_and_finish(double_service, row), None
-
-    answer = jax.jit(lambda row: jax.lax.scan(step, row[:2], length=5)[0])(ROWS[1])
-    np.testing.assert_array_equal(answer, 32 * ROWS[1, :2])
 
 
 def test_an_error_on_the_host_is_raised_by_the_program():

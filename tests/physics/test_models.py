@@ -77,9 +77,3 @@ def test_a_longer_time_step_keeps_the_stiffness_of_constraints(name, reference):
     gained = longer.dof_armature - original.dof_armature
     assert (gained[:7] > 0).all()
     np.testing.assert_array_equal(gained[23:], 0.0)
-
-
-def test_a_model_without_a_reference_keeps_its_constants_at_any_time_step():
-    short, long = physics.load_model("sawyer_door", 0.0025), physics.load_model("sawyer_door", 0.0125)
-    np.testing.assert_array_equal(short.pair_solref, long.pair_solref)
-    np.testing.assert_array_equal(short.dof_armature, long.dof_armature)
