@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from earl_jax.metrics.visitation import bin_centres, mean_distance, measure, share_in_corners, share_near
+from earl_jax.metrics.visitation import mean_distance, measure, share_in_corners, share_near
 
 BOUNDS = np.array([[0.0, 10.0], [20.0, 30.0]])
 """A map with bins of one unit, if it has twenty a side."""
@@ -26,12 +26,6 @@ def test_measures_of_an_even_map_a_single_bin_two_bins_and_no_visit():
     assert list(measure(single).values()) == pytest.approx([1 / 400, 0, 1])
     assert list(measure(two).values()) == pytest.approx([2 / 400, math.log(2) / math.log(400), 1])
     assert list(measure(0 * two).values()) == [0, 0, 0]
-
-
-def test_bins_have_their_centres_with_x_first():
-    centres = bin_centres(BOUNDS, 20)
-    np.testing.assert_allclose(centres[0, 0], [0.5, 10.5])
-    np.testing.assert_allclose(centres[19, 0], [19.5, 10.5])
 
 
 def test_the_distance_is_to_the_nearest_place_weighted_by_visits():

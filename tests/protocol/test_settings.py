@@ -18,13 +18,6 @@ def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
     )
 
 
-@pytest.mark.parametrize("setting", [Deployment, Continuing])
-def test_full_autonomy_is_a_task_without_h_t_and_the_other_extreme_a_reset_at_every_step(setting):
-    never = setting().protocol(make("sawyer_peg", engine="c", train_horizon=0)).rules
-    assert (int(never.horizon), float(never.chance)) == (0, 0.0)
-    assert float(setting(intervention_chance=1.0).protocol(make("tabletop_organization")).rules.chance) == 1.0
-
-
 def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
     peg = make("sawyer_peg", engine="c")
     assert Continuing().protocol(peg).train_horizon == 50_000
