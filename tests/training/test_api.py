@@ -45,12 +45,6 @@ def test_a_seed_is_selected_and_its_policy_can_be_called(env):
         policy(obs[:6])
 
 
-def test_a_seed_gives_the_same_metrics_in_any_order_of_seeds():
-    forward, reversed_ = tiny_train("naive", seeds=[3, 1]), tiny_train("naive", seeds=[1, 3])
-    for name, values in forward.metrics.items():
-        np.testing.assert_array_equal(values[::-1], reversed_.metrics[name], err_msg=name)
-
-
 def test_a_list_gives_each_lane_its_own_hyper_parameter():
     mixed = tiny_train("naive", seeds=[5, 6], reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
     same = tiny_train("naive", seeds=[5, 6], reward_scale=5.0, learning_rate=1e-4)
@@ -69,7 +63,6 @@ def test_a_list_gives_each_lane_its_own_hyper_parameter():
         ({"seeds": [-1]}, r"seeds must lie in \[0, 4294967295\], not \[-1\]"),
         ({"steps": 0}, r"steps must lie in \[1, 2147483647\], not 0"),
         ({"eval_episodes": 0}, r"eval_episodes must lie in \[1, 100000\], not 0"),
-        ({"gamma": 0.9}, "no option 'gamma'"),
     ],
 )
 def test_invalid_numbers_are_refused(changed, message):

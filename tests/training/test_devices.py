@@ -51,36 +51,24 @@ except ValueError as error:
 """
 
 
-def run_on_four_devices(script):
-    """Return the lines of JSON that `script` prints in a process with four CPU devices."""
-    command = [sys.executable, "-c", SETUP + script, str(CACHE)]
+@pytest.mark.slow
+def test_four_devices_train_as_one_does_without_a_collective_and_three_are_refused():
+    command = [sys.executable, "-c", SETUP + COMPARE + TOO_MANY_DEVICES, str(CACHE)]
     result = subprocess.run(command, env=FOUR_DEVICES, cwd=TESTS.parent, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr[-2000:]
-    return [json.loads(line) for line in result.stdout.splitlines()]
-
-
-@pytest.fixture(scope="module")
-def reports():
-    """The outputs of both scripts, in one process."""
-    return run_on_four_devices(COMPARE + TOO_MANY_DEVICES)
-
-
-@pytest.mark.slow
-def test_four_devices_train_as_one_does_without_a_collective(reports):
-    report, _ = reports
+    report, refusal = map(json.loads, result.stdout.splitlines())
     assert report["devices"] == 4
     assert report["collectives"] == []
     assert report["characters"] > 10_000
     assert report["smallest_loss"] > 0
     assert report["error"] < 1e-4, "products over other numbers of lanes round differently"
+    assert refusal == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
 
 
-@pytest.mark.slow
-def test_an_impossible_number_of_devices_is_an_error_that_names_possible_ones(reports):
+def test_more_devices_than_there_are_is_an_error():
     with pytest.raises(ValueError, match=r"2 devices requested, but 1 available \(cpu\)"):
         lane_mesh(2, 8)
     assert lane_mesh(None, 8) is None
-    assert reports[1] == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
 
 
 def free_port():

@@ -40,20 +40,6 @@ def test_a_lifetime_and_its_metrics_under_a_bare_jit_equal_training(problem):
     np.testing.assert_allclose(spread["entropy"], [measure(lane)["entropy"] for lane in visits], rtol=1e-5)
 
 
-def test_a_problem_is_a_static_argument_of_bare_jit(problem):
-    traces = []
-
-    @jax.jit
-    def horizon(given):
-        traces.append(given)
-        return given.protocol.eval_horizon + 0 * jax.numpy.ones(())
-
-    assert jax.tree.leaves(problem) == []
-    same, other = dataclasses.replace(problem), dataclasses.replace(problem, steps=40)
-    assert [float(horizon(given)) for given in (problem, same, other)] == [problem.protocol.eval_horizon] * 3
-    assert traces == [problem, other], "an equal problem is the same program"
-
-
 def test_steps_that_are_missing_or_traced_are_refused(problem):
     method, keys = make_algo("naive"), seed_keys(range(2))
     with pytest.raises(ValueError, match="needs a number of steps"):

@@ -30,52 +30,42 @@ def actions_of(folder):
     return [np.asarray(select_seed(policy, lane)(jnp.full(policy.obs_size, 0.3))) for lane in range(2)]
 
 
-def test_policies_need_no_checkpoint(trained, folder):
+def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
     result = trained[1]
+    env, visits = load_visits(folder)
+    assert env == result.env
+    np.testing.assert_array_equal(visits, load_lanes(folder)[2].visits)
+    assert visits.sum(axis=(1, 2)).tolist() == [120, 120]
     shutil.rmtree(folder.checkpoints)
+    np.testing.assert_array_equal(load_visits(folder)[1], visits)
     expected = [result.policy(lane)(jnp.full(result.env.obs_size, 0.3)) for lane in range(2)]
     np.testing.assert_array_equal(actions_of(folder), expected)
     assert evaluate(folder.path, episodes=2)["deployed/success"].shape == (2,)
 
 
 def test_the_newer_of_policies_and_checkpoint_is_taken(trained, folder):
-    expected = actions_of(folder)
+    expected, visits = actions_of(folder), load_visits(folder)[1]
     folder.policies.unlink()
     np.testing.assert_array_equal(actions_of(folder), expected)
     actor = trained[1].policy(0).actor
     zeros = jax.tree.map(lambda leaf: np.zeros((2, *leaf.shape), leaf.dtype), actor)
-    for step, zero in [(119, False), (120, True)]:
-        policies.save_policies(folder.policies, zeros, step=step, seeds=[3, 7], obs_size=12, action_size=3)
-        assert np.all(np.asarray(actions_of(folder)) == 0) == zero
+    for step, newer in [(119, False), (120, True)]:
+        policies.save_policies(
+            folder.policies, zeros, step=step, seeds=[3, 7], obs_size=12, action_size=3, visits=visits + 1
+        )
+        assert np.all(np.asarray(actions_of(folder)) == 0) == newer
+        np.testing.assert_array_equal(load_visits(folder)[1], visits + newer)
 
 
-def test_a_folder_without_both_says_how_to_go_on(folder):
-    folder.policies.unlink()
-    shutil.rmtree(folder.checkpoints)
-    with pytest.raises(ValueError, match="has no checkpoint yet; continue the run with"):
-        load_policies(folder)
-
-
-def test_maps_of_visits_need_no_checkpoint(trained, folder):
-    env, visits = load_visits(folder)
-    np.testing.assert_array_equal(visits, load_lanes(folder)[2].visits)
-    assert visits.sum(axis=(1, 2)).tolist() == [120, 120]
-    assert env == trained[1].env
-    shutil.rmtree(folder.checkpoints)
-    np.testing.assert_array_equal(load_visits(folder)[1], visits)
-
-
-def test_the_maps_of_a_newer_checkpoint_or_beside_an_older_file_are_those_of_the_checkpoint(trained, folder):
+def test_what_a_folder_lacks_is_named(trained, folder):
     visits, actor = load_visits(folder)[1], trained[1].policy(0).actor
     actors = jax.tree.map(lambda leaf: np.zeros((2, *leaf.shape), leaf.dtype), actor)
-    others = {"seeds": [3, 7], "obs_size": 12, "action_size": 3}
-    policies.save_policies(folder.policies, actors, step=80, visits=visits + 1, **others)
-    np.testing.assert_array_equal(load_visits(folder)[1], visits)
-    policies.save_policies(folder.policies, actors, step=120, **others)
-    np.testing.assert_array_equal(load_visits(folder)[1], visits)
+    policies.save_policies(folder.policies, actors, step=120, seeds=[3, 7], obs_size=12, action_size=3)
+    np.testing.assert_array_equal(load_visits(folder)[1], visits, "those of the checkpoint")
     shutil.rmtree(folder.checkpoints)
     with pytest.raises(ValueError, match=r"policies\.npz has no map of visits"):
         load_visits(folder)
     folder.policies.unlink()
-    with pytest.raises(ValueError, match="has no checkpoint yet"):
-        load_visits(folder)
+    for load in (load_visits, load_policies):
+        with pytest.raises(ValueError, match="has no checkpoint yet; continue the run with"):
+            load(folder)

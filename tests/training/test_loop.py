@@ -1,4 +1,4 @@
-"""The training step: pure, deterministic, independent of the number of lanes, with correct phases and batches."""
+"""The training step and its evaluations: deterministic, independent of the number of lanes, with correct phases and batches."""
 
 import functools
 
@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import SAC, Method, make_algo
+from earl_jax.algos import SAC, Method
 from earl_jax.algos.method import RETURN
+from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
 from earl_jax.training.ordering import UNLIKELY, after
@@ -18,6 +19,7 @@ from tests.conftest import (
     advance,
     assert_all_finite,
     assert_equal_trees,
+    evaluate,
     lane_rules,
     make_problem,
     make_train_state,
@@ -98,25 +100,6 @@ def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expe
     assert 16 < float(state.lanes.counters.window_reward.sum()) < 80
 
 
-@pytest.mark.parametrize(
-    ("algo", "length"), [("naive", 1000), ("oracle", 200), ("fbrl", 200), ("r3l", 200), ("vaprl", 200)]
-)
-def test_an_attempt_lasts_as_long_as_published(env, algo, length):
-    method = make_algo(algo)
-    assert {int(method.phase_length(env, jnp.asarray(phase))) for phase in range(method.phases)} == {length}
-
-
-def test_an_unreached_goal_times_out_and_the_next_phase_begins(problem, monkeypatch):
-    monkeypatch.setattr(loop, "_act", lambda *_: jnp.zeros(3))
-    state = explore(problem, tiny_method("fbrl", 4), 500)
-    flags = stored_flags(state, 500)
-    np.testing.assert_array_equal(np.flatnonzero(flags.timeout[:, 0])[:1], 199)
-    assert not flags.reached[:199].any()
-    is_return = flags.goal >= len(problem.env.goal_states)
-    assert not is_return[:200].any()
-    assert is_return[200].all()
-
-
 class Recorder(Method):
     """Counts its refreshes and remembers the latest row of the batch that it learnt from."""
 
@@ -184,3 +167,53 @@ def test_an_order_is_a_dependency_on_every_array_that_the_compiler_keeps_and_tha
     np.testing.assert_array_equal(jax.jit(after)(value, first, None), value)
     assert after(value, first).dtype == value.dtype
     assert after(value, None) is value
+
+
+def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem):
+    method = tiny_method("naive")
+    state = make_train_state(problem, method, [0, 1])
+    counters = state.lanes.counters.replace(window_reward=jnp.array([3.0, 0.0]))
+    state = state.replace(lanes=state.lanes.replace(counters=counters), step=jnp.asarray(40, jnp.int32))
+    after, metrics = evaluate(problem, method, state)
+    assert metrics["continuing/reward"].tolist() == pytest.approx([3 / 40, 0.0])
+    closed = counters.replace(window_reward=jnp.zeros(2), total_reward=jnp.array([3.0, 0.0]))
+    assert_equal_trees(after, state.replace(lanes=state.lanes.replace(counters=closed)))
+    again = evaluate(problem, method, after)[1]
+    assert again["deployed/success"].tolist() == metrics["deployed/success"].tolist()
+    assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
+
+
+def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
+    """A lane that stands on its task goal while the backward controller acts goes on earning."""
+    method = tiny_method("fbrl")
+    state = make_train_state(problem, method, [0, 1])
+    goal = jnp.asarray(env.goal_states[1])
+    env_state = state.lanes.env_state
+    env_state = env_state.replace(
+        data=env_state.data.replace(qpos=jnp.tile(goal[:4], (2, 1))), obs=jnp.tile(goal, (2, 2))
+    )
+    goal_indices = state.lanes.goal_indices._replace(goal=jnp.array([4, 4]), task=jnp.array([1, 1]))
+    lanes = state.lanes.replace(env_state=env_state, goal_indices=goal_indices, phase=jnp.array([RETURN, RETURN]))
+    after = advance(problem, method, state.replace(lanes=lanes), 1, explore=True)
+    assert after.lanes.counters.window_reward.tolist() == [1.0, 1.0]
+    assert after.lanes.counters.reached.tolist() == [0, 0]
+    assert after.lanes.phase.tolist() == [RETURN, RETURN]
+
+
+def test_a_return_to_the_start_is_rewarded_for_its_own_goal():
+    """It is the only phase whose reward the task computes again; the others learn from that of the step."""
+    problem = make_problem(make("minitaur_pen", engine="c", eval_horizon=6), eval_every=40, eval_episodes=2)
+    method = tiny_method("fbrl")
+    step = jax.jit(lambda method, state: scan.run_steps(problem, method, state, 1))
+    goal_reward = jax.jit(jax.vmap(problem.env.goal_reward))
+    after, returns = make_train_state(problem, method, [0, 1], 24), 0
+    for _ in range(24):
+        before, after = after, step(method, after)
+        goal = before.lanes.env_state.info["goal"]
+        returning = (np.asarray(before.lanes.phase) == RETURN) & (np.asarray(after.lanes.phase_step) > 0)
+        stored = np.asarray(after.replay.reward[int(before.replay.row)])
+        expected = np.asarray(goal_reward(after.lanes.env_state, goal))
+        np.testing.assert_allclose(stored[returning], expected[returning], rtol=1e-4, atol=1e-5)
+        returns += returning.sum()
+    assert returns >= 20
+    assert np.asarray(after.lanes.counters.reached).tolist() == [0, 0], "a dense reward ends no phase"

@@ -10,7 +10,7 @@ import earl_jax
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.training import memory
-from tests.conftest import make_problem, make_train_state, tiny_method, tiny_train
+from tests.conftest import make_problem, make_train_state, tiny_method
 
 CARD_BYTES = 141e9
 
@@ -62,10 +62,3 @@ def test_programs_on_a_cpu_have_equal_shares_of_its_memory(monkeypatch):
     whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     monkeypatch.setenv(memory.PER_DEVICE, "1000")
     assert memory.free_bytes(jax.devices("cpu")[0]) <= whole / 1000
-
-
-def test_a_run_prints_its_memory_before_its_progress(capsys):
-    tiny_train("naive", progress=True)
-    err = " ".join(capsys.readouterr().err.split())
-    assert "2 lanes take" in err
-    assert err.index("of replay") < err.index("step 120/120")

@@ -1,4 +1,4 @@
-"""MJX inside the learner's scan: every method on a pendulum, and one on a Sawyer task."""
+"""MJX inside the learner's scan: on a pendulum, and on a Sawyer task."""
 
 import dataclasses
 import functools
@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import method_for
-from earl_jax.assets import Demos
 from earl_jax.envs import make
 from earl_jax.physics.engines import mjx
 from earl_jax.training import train
 from tests.conftest import (
-    ALGOS,
     assert_all_finite,
     make_problem,
     make_train_state,
@@ -32,52 +30,37 @@ STEPS = 16
 
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
-    """The MuJoCo task of docs/extending.md, with demonstrations for VaPRL: one joint, and the cheapest to compile on MJX."""
+    """The MuJoCo task of docs/extending.md, with one joint: the cheapest to compile on MJX."""
     folder = tmp_path_factory.mktemp("pendulum")
     write_files(PENDULUM, folder)
     file = folder / "src" / "earl_pendulum" / "hold.py"
     spec = importlib.util.spec_from_file_location("earl_pendulum_hold", file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-
-    @dataclasses.dataclass(frozen=True)
-    class Demonstrated(module.PendulumHold):
-        has_demos = True
-        demo_directions = ("forward", "backward")
-
-        def demos(self, direction):
-            goals = np.repeat(self.goal_states[:1], 2, axis=0)
-            states, ends = np.stack([0 * goals[0], 0.5 * goals[0]]), np.array([False, True])
-            following = np.stack([states[1], goals[0]])
-            return Demos(states, goals, np.ones((2, 1), np.float32), following, np.array([0.0, 1.0], np.float32), ends)
-
-    return Demonstrated(engine="mjx", eval_horizon=6)
+    return module.PendulumHold(engine="mjx", eval_horizon=6)
 
 
 @functools.cache
-def trained(env, algo, steps=STEPS):
-    """Return the first and the last state of two lanes after `steps` steps with updates, in one scan."""
-    problem, method = make_problem(env), tiny_method(algo)
-    first = make_train_state(problem, method, [0, 1], steps)
-    return first, run_whole(problem, method, first, steps)
+def trained(env):
+    """Return the first and the last state of two lanes after `STEPS` steps with updates, in one scan."""
+    problem, method = make_problem(env), tiny_method("fbrl")
+    first = make_train_state(problem, method, [0, 1], STEPS)
+    return first, run_whole(problem, method, first, STEPS)
 
 
-def assert_learns(first, last, steps=STEPS):
+def assert_learns(first, last):
     """Check that the last state is finite, that its actors have learnt, and that every step was stored."""
     assert_all_finite((last.replay, last.lanes.agent, last.lanes.counters))
     moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), first.lanes.agent.actor, last.lanes.agent.actor)
     assert min(jax.tree.leaves(moved)) > 1e-5
-    assert int(last.step) == steps
+    assert int(last.step) == STEPS
     assert np.asarray(last.lanes.counters.faults).tolist() == [0, 0]
-    stored = np.asarray(last.replay.state[int(last.replay.row) - steps : int(last.replay.row)])
+    stored = np.asarray(last.replay.state[int(last.replay.row) - STEPS : int(last.replay.row)])
     assert np.abs(np.diff(stored, axis=0)).max(axis=(0, 2)).min() > 1e-3, "the simulation moves"
 
 
-@pytest.mark.parametrize(
-    "algo", [pytest.param(algo, marks=() if algo == "fbrl" else pytest.mark.slow) for algo in ALGOS]
-)
-def test_every_method_learns_in_one_scan_with_mjx(pendulum, algo):
-    assert_learns(*trained(pendulum, algo))
+def test_fbrl_learns_in_one_scan_with_mjx(pendulum):
+    assert_learns(*trained(pendulum))
 
 
 def test_a_step_on_mjx_calls_nothing_outside_the_program(pendulum):
@@ -101,12 +84,12 @@ def test_training_agrees_with_the_engine_that_auto_takes_and_names_it(pendulum, 
     assert (result.env.engine, result.engine) == ("auto", "c")
     assert "physics engine: c, which auto takes for 2 lanes on this cpu machine\n" in capfd.readouterr().err
     assert json.loads((tmp_path / "run" / "config.json").read_text())["engine"] == "c"
-    np.testing.assert_allclose(trained(pendulum, "fbrl")[1].replay.state, result.train_state.replay.state, atol=1e-3)
+    np.testing.assert_allclose(trained(pendulum)[1].replay.state, result.train_state.replay.state, atol=1e-3)
 
 
 @pytest.mark.slow
 def test_fbrl_learns_in_one_scan_with_the_sawyer_door_on_mjx():
-    assert_learns(*trained(make("sawyer_door", engine="mjx"), "fbrl", 8), 8)
+    assert_learns(*trained(make("sawyer_door", engine="mjx")))
 
 
 def test_python_traces_mjx_once_for_all_programs(pendulum, monkeypatch):

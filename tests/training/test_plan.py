@@ -3,7 +3,6 @@
 import dataclasses
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
@@ -28,21 +27,11 @@ def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_
     assert prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every).chunk == chunk
 
 
-def test_steps_must_be_a_multiple_of_eval_every(problem):
-    with pytest.raises(ValueError, match="steps 100 is not a multiple of eval_every 40"):
-        prepare(problem, tiny_method("naive"), lanes=2, steps=100)
-
-
 def test_integer_leaves_become_floats_and_flags_stay_flags():
     method = per_lane(make_algo("naive", reward_scale=3, timeout_bootstrap=True), 3)
     assert method.sac.reward_scale.dtype == jnp.float32
     assert method.sac.timeout_bootstrap.dtype == bool
     assert method.sac.discount.shape == (3,)
-
-
-def test_lanes_of_one_method_are_joined_in_their_order():
-    joined = join_lanes([tiny_method("vaprl", epsilon=0.1), tiny_method("vaprl", lanes=1, epsilon=0.3)])
-    np.testing.assert_allclose(joined.epsilon, [0.1, 0.1, 0.3])
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from earl_jax.training import program_cache
 from tests.conftest import CACHE, TESTS
 
 TRAIN = """
-import sys, time, warnings
-began = time.perf_counter()
+import sys, warnings
 import jax
 events = []
 jax.monitoring.register_event_listener(lambda name, **_: events.append(name.rsplit("/", 1)[-1]))
@@ -22,28 +21,26 @@ warnings.filterwarnings("error", message=".*compilation cache")
 small = dict(hidden_sizes=[16], batch_size=16, random_steps=40)
 earl_jax.train("tabletop_organization", "naive", seeds=2, steps=40, eval_every=40, **small)
 assert not {"brax", "mujoco", "trimesh"} & set(sys.modules), "they take longer to import than jax"
-print(events.count("cache_hits"), events.count("cache_misses"), time.perf_counter() - began)
+print(events.count("cache_hits"), events.count("cache_misses"))
 """
 
 
 def train_with_cache(folder):
-    """Return cache hits, misses and seconds of a training process whose programs are all cached in `folder`."""
+    """Return cache hits and misses of a training process whose programs are all cached in `folder`."""
     env = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
     env |= {"EARL_JAX_CACHE": str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     output = subprocess.check_output([sys.executable, "-c", TRAIN], env=env, cwd=TESTS.parent, text=True)
-    return [float(word) for word in output.split()]
+    return [int(word) for word in output.split()]
 
 
-def test_a_second_process_compiles_only_what_a_kill_truncated_and_starts_within_a_minute(tmp_path):
-    hits, stored, _ = train_with_cache(tmp_path)
+def test_a_second_process_compiles_only_what_a_kill_truncated(tmp_path):
+    hits, stored = train_with_cache(tmp_path)
     assert hits == 0
     truncated = min(tmp_path.glob("*-cache"), key=lambda path: path.stat().st_size)
     whole = truncated.read_bytes()
     truncated.write_bytes(whole[: len(whole) // 2])
-    hits, missed, seconds = train_with_cache(tmp_path)
-    assert (hits, missed) == (stored - 1, 1)
+    assert train_with_cache(tmp_path) == [stored - 1, 1]
     assert truncated.stat().st_size > len(whole) // 2, "it is stored anew"
-    assert seconds < 60, "10 s on a quiet machine; the suite's is busy"
 
 
 class Files:
