@@ -44,7 +44,7 @@ TINY_RUN = {"seeds": 2, "steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2
 LONGEST = [
     "physics/test_engines.py", "training/test_api.py", "training/test_loop.py", "paper/test_reproduce.py",
     "training/test_mjx.py", "cli/test_cli.py", "training/test_rules.py", "algos/learner/test_sac.py",
-    "training/test_resume.py", "sweeps/test_worker.py", "training/test_program_cache.py", "training/test_dense_tasks.py",
+    "training/test_resume.py", "sweeps/test_worker.py", "training/test_program_cache.py",
     "training/test_lifetime.py", "sweeps/test_launcher.py", "adapters/test_gymnasium.py", "runs/test_checkpoint.py",
 ]  # fmt: skip
 """The files that take longest, relative to this folder; those that compile programs of others stand before them."""
@@ -90,6 +90,17 @@ def problem(env):
 @pytest.fixture(scope="session")
 def door():
     return make_problem(make("sawyer_door", engine="c"), eval_every=40, eval_episodes=2)
+
+
+@pytest.fixture(scope="session")
+def graphics(env):
+    """Skip tests that draw on a machine that cannot."""
+    from earl_jax.rendering.scenes import Scene
+
+    try:
+        Scene(env, (8, 8)).close()
+    except ValueError as error:
+        pytest.skip(str(error))
 
 
 def make_problem(env, **protocol):

@@ -3,26 +3,11 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
 
 from earl_jax.adapters.gymnasium import ResetFreeEnv, ResetFreeVectorEnv, env_id
 from earl_jax.envs.tabletop import COASTERS
-from tests.adapters.test_gymnasium import EPISODE, LIFETIME, STAY, TABLETOP
-
-
-def assert_equal(first, second):
-    """Assert equal values, types and names in nested results, with None in the same places."""
-    if isinstance(first, dict):
-        assert first.keys() == second.keys()
-        for name in first:
-            assert_equal(first[name], second[name])
-    elif isinstance(first, tuple) or (isinstance(first, np.ndarray) and first.dtype == object):
-        for a, b in zip(first, second, strict=True):
-            assert_equal(a, b)
-    elif first is None:
-        assert second is None
-    else:
-        assert first.dtype == second.dtype
-        np.testing.assert_array_equal(first, second)
+from tests.adapters.test_gymnasium import EPISODE, LIFETIME, PICTURES, STAY, TABLETOP
 
 
 @pytest.mark.parametrize(
@@ -37,14 +22,14 @@ def test_lanes_equal_single_environments(autoreset, options):
     assert isinstance(lanes, ResetFreeVectorEnv)
     assert lanes.metadata["autoreset_mode"] == singles.metadata["autoreset_mode"]
     assert (lanes.observation_space, lanes.action_space) == (singles.observation_space, singles.action_space)
-    assert_equal(lanes.reset(seed=4), singles.reset(seed=4))
+    assert data_equivalence(lanes.reset(seed=4), singles.reset(seed=4), exact=True)
     lanes.action_space.seed(0)
     for _ in range(4 if autoreset == "Disabled" else 17):
         actions = lanes.action_space.sample()
-        assert_equal(lanes.step(actions), singles.step(actions))
+        assert data_equivalence(lanes.step(actions), singles.step(actions), exact=True)
     some = {"reset_mask": np.array([True, False, True])}
-    assert_equal(lanes.reset(options=dict(some)), singles.reset(options=dict(some)))
-    assert_equal(lanes.step(actions), singles.step(actions))
+    assert data_equivalence(lanes.reset(options=dict(some)), singles.reset(options=dict(some)), exact=True)
+    assert data_equivalence(lanes.step(actions), singles.step(actions), exact=True)
 
 
 @pytest.mark.slow
@@ -60,8 +45,8 @@ def test_lanes_have_goals_of_their_own():
 
 
 @pytest.mark.slow
-def test_render_returns_a_picture_of_each_lane(pictures):
-    env, lanes = ResetFreeEnv(TABLETOP, **pictures), ResetFreeVectorEnv(TABLETOP, 2, **pictures)
+def test_render_returns_a_picture_of_each_lane(graphics):
+    env, lanes = ResetFreeEnv(TABLETOP, **PICTURES), ResetFreeVectorEnv(TABLETOP, 2, **PICTURES)
     env.reset(seed=0)
     lanes.reset(seed=0)
     for _ in range(10):
