@@ -1,4 +1,4 @@
-"""Tests of the shipped files: demonstrations that the demos command reproduces, and the paper's tables."""
+"""Tests of the shipped files: demonstrations that the demos command reproduces."""
 
 import dataclasses
 
@@ -27,11 +27,6 @@ def test_shipped_demonstrations_end_in_success(name, direction):
     assert np.abs(demos.actions).max() <= 1.0
     with pytest.raises(ValueError, match="read-only"):
         demos.states[0] = 0
-    if name == "tabletop_organization":
-        lengths = np.diff(np.flatnonzero(np.append(True, demos.ends)))
-        assert 80 <= lengths.min() <= lengths.max() <= 130
-        ends = demos.goals[demos.ends]
-        assert {(ends == goal).all(axis=1).sum() for goal in targets} == {12 // len(targets)}
 
 
 @pytest.mark.parametrize("name", COUNTS)
@@ -76,14 +71,3 @@ def test_missing_files_and_directions_are_refused_with_the_choices():
         assets.demos("cheetah", "forward")
     with pytest.raises(ValueError, match=r"no mjcf for 'cheetah'"):
         assets.mjcf("cheetah")
-
-
-def test_published_tables_contain_the_numbers_of_the_paper():
-    first = {(row["env"], row["algo"]): row for row in assets.published("table1")}
-    assert len(first) == 27
-    assert first["tabletop_organization", "vaprl"]["mean"] == "0.98"
-    assert first["minitaur_pen", "oracle"]["stderr"] == "3.40"
-    assert len(assets.published("table2")) == 21
-    assert assets.published_row("table1", env="sawyer_door", algo="r3l")["mean"] == "0.54"
-    assert assets.published_row("steps", env="sawyer_door")["low"] == "4000000"
-    assert assets.published_row("table1", env="sawyer_door", algo="nobody") == {}

@@ -44,9 +44,6 @@ def test_the_page_of_algorithms_has_every_hyper_parameter(name):
     assert defaults == {field.name: repr(field.default) for field in dataclasses.fields(cls) if field.name != "sac"}
 
 
-TOPICS = ["state", "action", "start", "goal", "sparse reward", "dense reward", "horizons", "demonstrations", "engine"]
-
-
 def test_the_page_of_environments_has_the_numbers_of_every_task():
     page = (DOCS / "environments.md").read_text()
     tasks = {name: envs.make(name) for name in envs.list_envs()}
@@ -58,20 +55,6 @@ def test_the_page_of_environments_has_the_numbers_of_every_task():
         ]
         for name, env in tasks.items()
     }
-
-
-def test_the_page_of_environments_has_a_section_with_every_topic_for_each_task():
-    page = (DOCS / "environments.md").read_text()
-    sections = dict(re.findall(r"^## (\S.*?)\n(.*?)(?=^## |\Z)", page, flags=re.MULTILINE | re.DOTALL))
-    for name in envs.list_envs():
-        env, section = envs.make(name), sections[name]
-        shared = sections["The Sawyer arm"] if name.startswith("sawyer") else ""
-        first_cells = " ".join(re.findall(r"^\| ([^|]*) \|", shared + section, flags=re.MULTILINE))
-        for topic in TOPICS:
-            assert topic in first_cells, (name, topic)
-        assert f"H_T {env.train_horizon:,}" in section
-        assert f"H_E {env.eval_horizon:,}" in section
-        assert ("none" in section.split("| demonstrations |")[1].split("\n")[0]) == (not env.has_demos)
 
 
 CODE = {
@@ -124,7 +107,3 @@ def test_the_method_of_the_readme_trains_one_controller(problem, monkeypatch):
     state = advance(problem, method, start, CHUNK)
     assert_all_finite(state.lanes.agent)
     assert (np.asarray(state.replay.counts) - np.asarray(start.replay.counts)).tolist() == [[CHUNK, 0]] * 2
-
-
-def test_the_first_lines_of_the_readme_name_both_commands():
-    assert {"make quickstart", "make test"} <= set(re.findall("make [a-z]+", (ROOT / "README.md").read_text()[:1200]))

@@ -1,19 +1,14 @@
 """The two packages of docs/extending.md, installed and used as the page says."""
 
-import importlib
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import jax
-import numpy as np
 import pytest
 
 from earl_jax import algos, envs
-from earl_jax.algos.goals import goal_table
-from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
 from tests.conftest import CACHE, write_files
 
 ROOT = Path(__file__).parents[1]
@@ -106,27 +101,6 @@ def importable(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for registry in (algos._ALGOS, envs._ENVS):
         monkeypatch.setattr(registry, "_table", dict(registry._table))
-
-
-@pytest.mark.parametrize("reward_type", ["sparse", "dense"])
-def test_a_sum_of_rewards_over_subsets_is_the_reward_of_the_subset_of_each_state(importable, reward_type):
-    pasture, subsets = (importlib.import_module(f"earl_pasture.{name}") for name in ("pasture", "subsets"))
-    env = pasture.Pasture(reward_type=reward_type)
-    goals = goal_table(env)
-    near_home, near_left, near_right = env.initial_states[0] + 0.1, env.goal_states[0] - 0.1, env.goal_states[1] - 0.1
-    states = np.stack([near_home, near_home, near_left, near_right, near_right])
-    following = np.stack([env.goal_states[0], near_home, env.initial_states[0], near_right, near_right])
-    stored = np.array([0, 2, 0, 1, 1])  # under the left corner, home, the left and twice the right corner
-    none = np.zeros(5, bool)
-    flags = TransitionFlags(stored, none, none, np.array([0, 0, 0, 0, 1], bool), none)
-    batch = TransitionBatch(np.arange(5), states, np.zeros((5, 2)), following, np.full(5, 7.0), flags)
-    learnt = subsets.Subsets().relabel(jax.random.key(0), env, goals, batch, 0)
-    goal = np.asarray(learnt.flags.goal)
-    assert goal[[0, 2, 3, 4]].tolist() == [0, 2, 2, 1]
-    assert goal[1] in (0, 1)
-    expected = env.reward(np.concatenate([following, goals.table[goal]], axis=1))
-    np.testing.assert_allclose(learnt.reward, np.where(goal == stored, 7.0, expected), rtol=1e-6)
-    assert learnt.flags.reached.tolist() == [False, False, env.sparse, False, False]
 
 
 @pytest.mark.slow

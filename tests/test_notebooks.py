@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 from pathlib import Path
 
 import pytest
@@ -16,21 +15,6 @@ PICTURES = {
     "01_train_five_seeds": 3, "02_compare_two_methods": 3, "03_write_a_method": 1, "04_run_on_a_gpu": 3,
     "05_mjx_in_one_program": 2,
 }  # fmt: skip
-
-
-@EVERY_NOTEBOOK
-def test_a_notebook_has_instructions_and_a_cell_of_parameters(path):
-    jupytext = pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
-    cells = jupytext.read(path).cells
-    assert cells[0].cell_type == "markdown"
-    assert re.search(r"pip install -e '.\[(cuda,)?notebook\]'", cells[0].source)
-    assert path.name in cells[0].source
-    assert f"/{path.stem}.ipynb)" in cells[0].source  # Colab's badge
-    assert cells[1].metadata["tags"] == ["install"]
-    assert re.search(r'"earl-jax\[(cuda,)?notebook\] @ git\+https://', cells[1].source)
-    (parameters,) = [cell for cell in cells if "parameters" in cell.metadata.get("tags", [])]
-    assert "EARL_JAX_NOTEBOOK" in parameters.source
-    assert "tempfile.mkdtemp" in parameters.source
 
 
 @EVERY_NOTEBOOK

@@ -134,13 +134,6 @@ def test_other_seeds_are_refused(seeds):
         seed_list(seeds)
 
 
-def test_train_takes_a_range_as_text():
-    with pytest.raises(InputError, match=r"seeds takes a count \(5\), a range \(5:10, without 10\)"):
-        train("tabletop_organization", seeds="10:5")
-    with pytest.raises(InputError, match="steps 100 is not a multiple"):  # the seeds were read
-        train("tabletop_organization", seeds="5:10", steps=100, eval_every=30)
-
-
 def test_a_limit_counts_from_its_construction(monkeypatch):
     now = 1000.0
     monkeypatch.setattr(time, "time", lambda: now)
