@@ -27,6 +27,11 @@ def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_
     assert prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every).chunk == chunk
 
 
+def test_steps_must_be_a_multiple_of_eval_every(problem):
+    with pytest.raises(ValueError, match="steps 100 is not a multiple of eval_every 40"):
+        prepare(problem, tiny_method("naive"), lanes=2, steps=100)
+
+
 def test_integer_leaves_become_floats_and_flags_stay_flags():
     method = per_lane(make_algo("naive", reward_scale=3, timeout_bootstrap=True), 3)
     assert method.sac.reward_scale.dtype == jnp.float32
