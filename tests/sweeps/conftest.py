@@ -84,31 +84,6 @@ def workers(tmp_path, monkeypatch):
     return replace
 
 
-class FakeGpus:
-    """The folder `bin`, on PATH, of a host with two GPUs, and what its MPS daemon did."""
-
-    def __init__(self, bin_):
-        self.bin = bin_
-        bin_.mkdir()
-        self.control = bin_ / "nvidia-cuda-mps-control"
-        write_executable(bin_ / "nvidia-smi", '#!/bin/sh\nprintf "GPU 0: NVIDIA H200\\nGPU 1: NVIDIA H200\\n"\n')
-        write_executable(self.control, MPS_CONTROL.replace("BIN", str(bin_)))
-
-    @property
-    def log(self):
-        """The starts and ends of the daemon, in order."""
-        path = self.bin / "log"
-        return path.read_text().splitlines() if path.exists() else []
-
-    def break_mps(self):
-        (self.bin / "broken").touch()
-
-    def run_daemon(self):
-        """Let the daemon of the user answer."""
-        (self.bin / "default").mkdir()
-        (self.bin / "default/nvidia-cuda-mps-control.pid").write_text("0")
-
-
 def write_executable(path, text):
     path.write_text(text)
     path.chmod(0o755)
@@ -116,11 +91,18 @@ def write_executable(path, text):
 
 @pytest.fixture
 def gpus(tmp_path, monkeypatch):
-    """A host with two GPUs, eight cores and MPS, all of them fakes, and jax's CUDA plugin."""
-    fake = FakeGpus(tmp_path / "bin")
-    monkeypatch.setenv("PATH", f"{fake.bin}:{os.environ['PATH']}")
+    """The programs of a host with two GPUs, eight cores, MPS and jax's CUDA plugin, all of them fakes.
+
+    `log` has the starts and ends of the MPS daemon. With a file `broken` it does not start; in `default` is the user's.
+    """
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    (folder / "log").touch()
+    write_executable(folder / "nvidia-smi", '#!/bin/sh\nprintf "GPU 0: NVIDIA H200\\nGPU 1: NVIDIA H200\\n"\n')
+    write_executable(folder / "nvidia-cuda-mps-control", MPS_CONTROL.replace("BIN", str(folder)))
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
     for name in ("CUDA_VISIBLE_DEVICES", "CUDA_MPS_PIPE_DIRECTORY", "JAX_PLATFORMS", slots.FRACTION):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(slots, "cuda_plugin", lambda: tmp_path)
     monkeypatch.setattr(slots, "own_cores", lambda: list(range(8)))
-    return fake
+    return folder

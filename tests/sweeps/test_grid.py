@@ -11,7 +11,6 @@ algos = ["naive", "oracle"]
 seeds = "0:2"
 steps = 400
 """
-MANY = f"options.x = {list(range(9999))}\n"
 
 
 def read(tmp_path, text):
@@ -86,16 +85,13 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         ("envs = [", r"grid\.toml can't be read"),
         (f"seeds = {'9' * 5000}", "can't be read"),
         (f"seeds = {'[' * 5000}", "can't be read"),
+        ("\x00\x01", "can't be read"),
         (f"{RUN}step = 3", "unknown key 'step'; choose from preset, envs, algos"),
-        (f"[[runs]]\n{RUN}step = 3", "unknown key 'step'"),
         (f"{RUN}preset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
         (f"{RUN}steps = 1.5", "steps must be a whole number, not 1.5"),
-        (f"{RUN}eval_every = '40'", "eval_every must be a whole number, not '40'"),
         (f"{RUN}seeds = true", "seeds must be a whole number, not True"),
-        (f"{RUN}seeds = [0.5]", "seeds must be whole numbers"),
-        (f"{RUN}seeds = '10:5'", r"seeds takes a count \(5\), a range \(5:10, without 10\)"),
         (f"{RUN}runs = 3", r"\[\[runs\]\]"),
         (f"{RUN}options = 3", r"\[options\]"),
         (f"{RUN}options.x = []", "option x"),
@@ -103,14 +99,8 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         (f"{RUN}options.x = {{ uniform = [0, 1] }}", "x is for a search: earl-jax search draws"),
         (f"{RUN}options.hidden_sizes = [16, 32]", r"write it as \[\[256, 256\]\]"),
         (RUN + "".join(f"options.x{n} = {list(range(9))}\n" for n in range(9)), "more than 10000 runs"),
-        ("".join(f"[[runs]]\nenvs = '{env}'\nalgos = 'a'\n{MANY}" for env in "ef"), "more than 10000 runs"),
     ],
 )
 def test_invalid_grids_are_refused(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         read(tmp_path, text)
-
-
-def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"nowhere\.toml can't be read"):
-        grid.read(tmp_path / "nowhere.toml")

@@ -24,8 +24,8 @@ def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch)
         pipe, log = (Path(variables[name]) for name in ("CUDA_MPS_PIPE_DIRECTORY", "CUDA_MPS_LOG_DIRECTORY"))
         assert pipe.is_dir()
         assert log.is_dir()
-        assert gpus.log == ["start devices="], "the daemon would number the visible GPUs anew"
-    assert gpus.log == ["start devices=", "quit"]
+        assert (gpus / "log").read_text() == "start devices=\n", "the daemon would number the visible GPUs anew"
+    assert (gpus / "log").read_text().endswith("\nquit\n")
     assert not pipe.parent.exists()
 
 
@@ -42,14 +42,15 @@ def test_a_daemon_that_does_not_start_gives_its_cause(gpus, monkeypatch, tmp_pat
     if control is None:
         monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     else:
-        gpus.control.write_text(control)
+        (gpus / "nvidia-cuda-mps-control").write_text(control)
     with pytest.raises(MpsError, match=message), mps():
         pass
 
 
 def test_a_daemon_that_ignores_quit_is_ended_by_its_process_id(gpus, monkeypatch):
     monkeypatch.setattr("earl_jax.sweeps.mps.PATIENCE", 1)
-    gpus.control.write_text(gpus.control.read_text().replace("kill $(cat", "true $(cat").replace('rm "$pid_file"', ""))
+    control = gpus / "nvidia-cuda-mps-control"
+    control.write_text(control.read_text().replace("kill $(cat", "true $(cat").replace('rm "$pid_file"', ""))
     with mps() as variables:
         pid = int(Path(variables["CUDA_MPS_PIPE_DIRECTORY"], "nvidia-cuda-mps-control.pid").read_text())
         command = Path(f"/proc/{pid}/cmdline")
@@ -64,4 +65,4 @@ def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
     folder = Path(eval(process.stdout.readline())["CUDA_MPS_PIPE_DIRECTORY"]).parent
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    wait_until(lambda: gpus.log[-1] == "quit" and not folder.exists())
+    wait_until(lambda: (gpus / "log").read_text().endswith("quit\n") and not folder.exists())

@@ -75,7 +75,9 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
     space.write_text(f"sampler = '{sampler}'\n" + SPACE)
     arguments = {"batch": 4, "rungs": 2, "emit": lambda line: None}
     whole = search(space, tmp_path / "whole", trials=8, **arguments)
-    assert len({trial.options["discount"] for trial in whole}) == 8
+    discounts = {trial.options["discount"] for trial in whole}
+    assert len(discounts) == 8
+    assert discounts == {float(f"{discount:.4g}") for discount in discounts}
     train, calls = module.work, []
 
     def killed(*positional, **options):
@@ -93,17 +95,6 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
         search(space, tmp_path / "out", trials=8, **{**arguments, "rungs": 3})
     others = search(space, tmp_path / "other", trials=4, seed=1, **arguments)
     assert [trial.options for trial in others] != [trial.options for trial in whole[:4]]
-
-
-@pytest.mark.parametrize("sampler", ["random", "qmc"])
-def test_samples_follow_their_distributions(space, tmp_path, batches, monkeypatch, sampler):
-    monkeypatch.setattr(module, "work", lambda *arguments, **options: None)
-    space.write_text(f"sampler = '{sampler}'\n" + SPACE)
-    drawn = [trial.options for trial in search(space, tmp_path / "out", trials=32, batch=32, rungs=1, seed=1)]
-    assert sum(options["learning_rate"] < 1e-3 for options in drawn) == pytest.approx(16, abs=4)
-    assert all(float(f"{options['learning_rate']:.4g}") == options["learning_rate"] for options in drawn)
-    assert {options["random_steps"] for options in drawn} == {1, 2, 3, 4}
-    assert 10 < [options["hidden_sizes"] for options in drawn].count([16]) < 22
 
 
 def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, batches, monkeypatch):
@@ -168,16 +159,12 @@ UNIFORM = "uniform = [0.9, 0.99]"
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('"naive"', '"naive", "fbrl"'), "one task, one method"),
         (("= 16", "= [16, 32]"), "one value of each option"),
         (("[options]", "[[runs]]\n[options]"), r"a search has no \[\[runs\]\]"),
-        (("[options]", "samples = 3\n[options]"), "unknown key 'samples'"),
         (("[options]", "sampler = 'sobol'\n[options]"), "unknown sampler 'sobol'; choose from tpe, random, qmc"),
         (("uniform", "normal"), "must be a choice of values, or the two ends of uniform, log_uniform or integers"),
         ((UNIFORM, "uniform = [0, 1], choice = [1]"), "option discount = .* must be"),
-        ((UNIFORM, "uniform = [1, 0]"), "low <= high"),
         ((UNIFORM, "uniform = [0, inf]"), "not finite"),
-        ((UNIFORM, "uniform = [0, 'x']"), "must be"),
         ((UNIFORM, "log_uniform = [0, 1]"), "low > 0"),
         ((UNIFORM, "integers = [1, 2.5]"), "integer"),
         ((UNIFORM, "choice = []"), "one or more"),

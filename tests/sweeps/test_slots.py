@@ -30,7 +30,7 @@ def test_visible_gpus_are_those_that_cuda_and_jax_would_use(environment, expecte
 
 
 def test_gpus_need_the_plugin_and_a_driver(gpus, monkeypatch, tmp_path):
-    (gpus.bin / "nvidia-smi").write_text("#!/bin/sh\necho 'NVIDIA-SMI has failed'; exit 9\n")
+    (gpus / "nvidia-smi").write_text("#!/bin/sh\necho 'NVIDIA-SMI has failed'; exit 9\n")
     assert slots.visible_gpus({"CUDA_VISIBLE_DEVICES": "GPU-7"}) == []
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.setattr(slots, "NVIDIA_DRIVER", tmp_path / "gpus")
@@ -39,6 +39,39 @@ def test_gpus_need_the_plugin_and_a_driver(gpus, monkeypatch, tmp_path):
     assert slots.visible_gpus({}) == ["0"], "the driver counts where nvidia-smi is missing"
     monkeypatch.setattr(slots, "cuda_plugin", lambda: None)
     assert slots.visible_gpus({}) == []
+
+
+ONE = "1 program at a time on each of 2 GPUs, 4 cores each"
+TWO = "2 programs at a time on each of 2 GPUs, 2 cores each through the"
+STARTED = "start devices=\nquit\n"
+
+
+@pytest.mark.parametrize(
+    ("host", "per_device", "programs", "line", "log"),
+    [
+        ("broken MPS", 4, 4, f"{ONE}; MPS cannot be used: MPS is not supported here", "start devices=\n"),
+        ("running MPS", 2, 4, f"{TWO} running MPS daemon", ""),
+        ("GPUs", 3, 2, ONE, ""),
+        ("GPUs", "auto", 4, ONE, ""),
+        ("measured GPUs", "auto", 4, f"{TWO} MPS daemon started for them", STARTED),
+        ("CPU", 2, 2, "2 programs at a time, 4 cores each", ""),
+        ("CPU", "auto", 2, "1 program at a time, 8 cores each", ""),
+    ],
+)
+def test_slots_depend_on_mps_and_on_the_number_of_programs(gpus, monkeypatch, host, per_device, programs, line, log):
+    if host == "broken MPS":
+        (gpus / "broken").touch()
+    elif host == "running MPS":
+        (gpus / "default").mkdir()
+        (gpus / "default/nvidia-cuda-mps-control.pid").write_text("0")
+    elif host == "CPU":
+        monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.setattr(slots, "GAINS", {"sawyer_door": {(2, 2): 1.8}} if host == "measured GPUs" else {})
+    lines = []
+    with slots.open_slots(per_device, ["sawyer_door"] * programs, lines.append) as opened:
+        assert {bool(slot.variables) for slot in opened} == {log == STARTED}
+    assert lines == [line]
+    assert (gpus / "log").read_text() == log
 
 
 def test_the_plugin_is_located_without_importing_it(tmp_path, monkeypatch):
