@@ -13,7 +13,7 @@ import pytest
 
 from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
-from tests.cli.process import TASK, run, snapshot, start, training
+from tests.cli.process import TASK, run, start, training
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -62,59 +62,22 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
 
 
-def test_plot_and_table_read_a_run_folder(finished, tmp_path):
-    folder, _ = finished
-    code, _, err = run("plot", folder, "--out", tmp_path / "curves.png")
-    assert code == 0, err
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
-    code, out, _ = run("table", folder, "--json", "--out", tmp_path / "table.md")
-    assert code == 0
-    row = json.loads(out)["rows"][0]
-    assert row["published_deployed"] == "0.94 (0.04)"
-    assert row["options"] == "batch_size=16, hidden_sizes=[16], random_steps=20"
-    assert row["steps"] == 120
-    assert "| fbrl | 2 | 120 |" in (tmp_path / "table.md").read_text()
-
-
-def test_train_refuses_the_folder_of_another_run(finished):
-    folder, _ = finished
-    before = snapshot(folder)
-    code, _, err = run(*training(folder, algo="naive"))
-    assert code == 2
-    assert "holds another run" in err
-    assert "earl-jax resume" in err
-    assert snapshot(folder) == before
-
-
-def truncate_arrays(checkpoint):
-    for path in checkpoint.rglob("*.npz"):
-        path.write_bytes(path.read_bytes()[:-7])
-
-
 def show_warning(message, category, *location):
     """Write a warning to stderr, as Python does and pytest does not."""
     sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
 
 
-def test_damaged_checkpoints_are_skipped_in_one_line_and_named_where_none_is_left(finished, tmp_path, monkeypatch):
+def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", show_warning)
     folder = shutil.copytree(finished[0], tmp_path / "damaged")
-    truncate_arrays(folder / "checkpoints/000000120")
+    for path in (folder / "checkpoints/000000120").rglob("*.npz"):
+        path.write_bytes(path.read_bytes()[:-7])
     code, _, err = run("resume", folder)
     assert code == 0, err
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
     assert "000000120 is damaged" in err
     assert "continuing from 000000080" in err
     assert (folder / "metrics.csv").read_bytes() == (finished[0] / "metrics.csv").read_bytes()
-    for path in (folder / "checkpoints").iterdir():
-        truncate_arrays(path)
-    (folder / "policies.npz").unlink()
-    before = snapshot(folder)
-    for command in (["resume", folder], ["evaluate", folder]):
-        code, _, err = run(*command)
-        assert (code, len(err.strip().splitlines())) == (2, 1)
-        assert "is damaged" in err
-        assert snapshot(folder) == before
 
 
 @pytest.mark.parametrize(
@@ -124,25 +87,14 @@ def test_damaged_checkpoints_are_skipped_in_one_line_and_named_where_none_is_lef
         ([*TRAIN, "--algo", "ppo"], ["unknown algo 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "discount"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
-        ([*TRAIN, "--set", "name=x"], ["no option 'name'"]),
-        ([*TRAIN, "--set", "env=x"], ["no option 'env'"]),
-        ([*TRAIN, "--devices", "0"], ["0 devices requested"]),
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
         ([*TRAIN, "--seeds", "10:5"], ["earl-jax: --seeds takes a count (5), a range (5:10, without 10) or a list"]),
-        ([*TRAIN, "--seeds", "1000000000"], ["at most 65536 seeds"]),
-        ([*TRAIN, "--set", f"discount={409 * '9'}"], ["discount must be a finite number"]),
-        ([*TRAIN, "--eval-episodes", "100000000000"], ["eval_episodes must lie in [1, 100000]"]),
         ([*TRAIN, "--steps", "1e3", "--eval-every", "3e2"], ["steps 1000 is not a multiple of eval_every 300"]),
         ([*TRAIN, "--steps", "1.5"], ["1.5", "1e6"]),
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
-        (["evaluate", "nowhere"], ["not a run folder"]),
-        (["plot", "nowhere"], ["not a run folder"]),
-        (["table", "nowhere", "--last", "0"], ["last must be at least 1"]),
         (SWEEP, ["nowhere.toml can't be read"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
-        ([*SWEEP, "--slurm", "time=5"], ["--slurm options go with --launcher slurm"]),
         ([*SWEEP, "--launcher", "slurm", "--slurm", "time"], ["name=value"]),
-        ([*SWEEP, "--max-lanes", "0"], ["max_lanes must be at least 1"]),
         (["fly"], ["fly"]),
     ],
 )

@@ -39,8 +39,6 @@ def test_p_is_adjusted_for_all_comparisons_of_a_table(folders, tmp_path):
     more = [write_run(tmp_path / name, TABLETOP, name, constant(*BAD)) for name in ("r3l", "oracle")]
     rows = compare([*folders, *more])
     assert len(rows) == 6
-    assert {row["verdict"] for row in rows if "fbrl" in (row["first"], row["second"])} == {"above", "below"}
-    assert {row["verdict"] for row in rows if "fbrl" not in (row["first"], row["second"])} == {"cannot tell"}
     assert max(row["p_holm"] for row in rows) == 1.0
     assert min(row["p_holm"] for row in rows) == pytest.approx(6 * 2 / 252)
 
@@ -70,9 +68,6 @@ def test_a_task_that_is_our_reconstruction_is_not_compared_and_its_published_sco
 def test_what_cannot_be_compared_is_refused(folders, tmp_path):
     with pytest.raises(ValueError, match="nothing to compare; compare needs runs of two methods on one task"):
         compare(folders[::2])
-    late = write_run(tmp_path / "late", TABLETOP, "r3l", constant(1.0), steps=[1000, 2000])
-    with pytest.raises(ValueError, match=f"r3l on {TABLETOP} has no evaluation in the first 20 steps"):
-        compare([folders[0], late])
     dense, sparse = (
         write_run(tmp_path / algo, KITCHEN, algo, constant(1.0), env_options={"reward_type": reward})
         for algo, reward in (("naive", "dense"), ("fbrl", "sparse"))

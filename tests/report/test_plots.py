@@ -76,14 +76,6 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert figure.axes[0].get_window_extent().height > figure.dpi  # the legend takes nothing from the panels
 
 
-@pytest.mark.parametrize(("size", "width", "columns"), [("column", 3.35, 1), ("page", 6.9, 2), ("screen", 10, 2)])
-def test_sizes_are_those_of_a_paper(sweep, drawn, size, width, columns):
-    figure = drawn(sweep / DOOR, size=size)
-    assert figure.get_size_inches()[0] == width
-    assert figure.axes[0].get_gridspec().ncols == columns
-    assert figure.axes[0].xaxis.label.get_size() == {"screen": 10}.get(size, 8)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

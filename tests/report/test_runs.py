@@ -121,16 +121,3 @@ def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
     assert [seed for run in pooled.runs for seed in run.config.seeds] == [0, 1, 1, 2]
     assert list(left_out) == [tmp_path / "other"]
     assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
-
-
-def test_any_error_in_a_folder_is_its_cause(tmp_path):
-    for name, algo in (("a", "fbrl"), ("b", "naive")):
-        write_run(tmp_path / name, TABLETOP, algo, rising(2, 2))
-
-    def check(curves):
-        if curves.config.algo == "naive":
-            raise KeyError("speed")
-
-    [kept], left_out = gather([tmp_path], check)
-    assert kept.config.algo == "fbrl"
-    assert left_out == {tmp_path / "b": f"{tmp_path / 'b'}: KeyError: 'speed'"}

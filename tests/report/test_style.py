@@ -1,7 +1,7 @@
 """Orders, colours and titles that all figures share."""
 
 from earl_jax.envs import PAPER_TASKS, list_envs
-from earl_jax.report.style import COLOURS, colours, lightened, method_order, shaded, task_order, task_title
+from earl_jax.report.style import COLOURS, colours, method_order, task_order, task_title
 
 
 def test_methods_keep_their_order_and_colours_whichever_others_are_present():
@@ -17,9 +17,3 @@ def test_tasks_of_the_paper_come_first():
 def test_tasks_have_titles_also_if_they_cannot_be_built_here():
     assert [task_title(env).lower().replace(" ", "_") for env in list_envs()] == list_envs()
     assert task_title("task_of_a_missing_package") == "task_of_a_missing_package"
-
-
-def test_shades_go_from_dark_to_light():
-    assert shaded("#808080", 0, 1) == "#808080"
-    assert shaded("#808080", 0, 2) < "#808080" < shaded("#808080", 1, 2)
-    assert lightened("#333333") == "#A0A0A0"

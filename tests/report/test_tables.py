@@ -72,13 +72,6 @@ def test_tables_say_how_many_seeds_have_diverged(tmp_path):
     assert "diverged" not in tables.markdown(tables.tabulate([write_three_evaluations(tmp_path / "b")]))
 
 
-def test_a_task_that_cannot_be_built_is_an_error_that_names_the_run(tmp_path):
-    file = write_three_evaluations(tmp_path) / "config.json"
-    file.write_text(file.read_text().replace(TABLETOP, "maze"))
-    with pytest.raises(ValueError, match=f"{tmp_path}: unknown env 'maze'"):
-        tables.tabulate([tmp_path])
-
-
 def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_path):
     old = write_three_evaluations(tmp_path / "old")
     life = {WIDE: [[0.0, 0.5, 0.25], [0.0, 0.5, 0.75]], BACK: [[np.nan, 0.5, np.nan], [np.nan, 1.0, 0.5]], STILL: 1234}

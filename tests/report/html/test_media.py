@@ -12,7 +12,7 @@ from earl_jax.errors import InputError
 from earl_jax.report.html import media
 from earl_jax.report.html.media import PolicyVideos, maps, videos
 from tests.report.html.conftest import read_lines
-from tests.report.run_files import TABLETOP, rising, write_page_run
+from tests.report.run_files import TABLETOP, constant, rising, write_page_run
 
 VIDEO = b"\0\0\0\x20ftypisom" + bytes(50)
 
@@ -59,30 +59,25 @@ def rendered(monkeypatch):
     return calls
 
 
-def test_a_page_has_the_policy_of_the_median_seed(run, rendered):
-    lines = read_lines(run)
-    [video] = videos(lines, PolicyVideos())
-    assert (video.name, video.problem) == ("policy of seed 1, the median of 3, at step 20", "")
-    assert video.uri.startswith("data:video/mp4;base64,")
-    assert rendered == [(run, "policy", 1, round(6 / make(TABLETOP).step_seconds))]
-    assert sorted(path.name for path in run.iterdir() if path.suffix) == ["config.json", "metrics.csv", "policies.npz"]
-    assert videos(lines) == []
-
-
-def test_a_policy_is_rendered_once(run, rendered, tmp_path):
-    other = write_page_run(
-        tmp_path / "other", "fbrl", np.array([[0.9], [0.1], [0.5], [0.4]]).repeat(2, 1), seeds=range(3, 7)
-    )
+def test_a_page_has_the_policy_of_the_median_seed_which_is_rendered_once(run, rendered, tmp_path):
+    scores = constant(0.9, 0.1, 0.5, 0.4)
+    other = write_page_run(tmp_path / "other", "fbrl", scores, seeds=range(3, 7))
     (other / "policies.npz").write_text("20")
     told = []
     lines, policies = read_lines(run, other), PolicyVideos(told.append)
     for _ in range(3):
-        names = [video.name for video in videos(lines, policies)]
-    assert names == [f"policy of seed {seed}, the median of {of}, at step 20" for seed, of in ((1, 3), (6, 4))]
-    assert len(rendered) == len(told) == 2
+        shown = videos(lines, policies)
+    names = [f"policy of seed {seed}, the median of {of}, at step 20" for seed, of in ((1, 3), (6, 4))]
+    assert [(video.name, video.problem) for video in shown] == [(name, "") for name in names]
+    assert all(video.uri.startswith("data:video/mp4;base64,") for video in shown)
+    steps = round(6 / make(TABLETOP).step_seconds)
+    assert rendered == [(run, "policy", 1, steps), (other, "policy", 6, steps)]
+    assert len(told) == 2
     (run / "policies.npz").write_text("30000")
     assert [video.name.partition(", at ")[2] for video in videos(lines, policies)] == ["step 30,000", "step 20"]
     assert len(rendered) == 3
+    assert sorted(path.name for path in run.iterdir() if path.suffix) == ["config.json", "metrics.csv", "policies.npz"]
+    assert videos(lines) == []
 
 
 def test_a_run_without_a_video_is_named_with_the_cause(run, rendered, monkeypatch):
