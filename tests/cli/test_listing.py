@@ -13,7 +13,6 @@ from tests.conftest import write_files
 
 THEIRS = '''
 import dataclasses
-from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 
 @dataclasses.dataclass(frozen=True)
@@ -23,15 +22,6 @@ class Meadow(TabletopOrganization):
     grass: float = 2 * 0.25
     name = "meadow"
     summary = ""
-
-class Patient(Naive):
-    """Wait. Source: Lamb et al. 2025.
-
-    `patience` steps pass first.
-    """
-
-    patience: int = 3
-    name = "patient"
 '''
 
 
@@ -89,8 +79,8 @@ def test_listing_loads_no_jax_and_no_numpy():
     assert process.stdout.splitlines()[-1] == "set()"
 
 
-def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatch):
-    points = "[earl_jax.envs]\nmeadow = theirs:Meadow\nfog = nowhere:Fog\n[earl_jax.algos]\npatient = theirs:Patient\n"
+def test_tasks_of_installed_packages_are_listed(tmp_path, monkeypatch):
+    points = "[earl_jax.envs]\nmeadow = theirs:Meadow\nfog = nowhere:Fog\n"
     files = {
         "theirs-0.3.dist-info/METADATA": "Metadata-Version: 2.1\nName: theirs\nVersion: 0.3\n",
         "theirs-0.3.dist-info/entry_points.txt": points,
@@ -98,13 +88,11 @@ def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatc
     }
     write_files(files, tmp_path / "site")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    meadow, patient = listing.describe("task", "meadow"), listing.describe("method", "patient")
+    meadow = listing.describe("task", "meadow")
     assert (meadow["obs_size"], meadow["package"], meadow["summary"]) == (12, "theirs 0.3", "Cross a meadow.")
     grass = {"type": "float", "default": 0.5, "valid": None, "meaning": "`grass` is its height."}
     assert meadow["options"]["grass"] == grass
     assert meadow["options"]["reward_type"]["valid"] == ["sparse", "dense"]
-    assert (patient["year"], patient["source"]) == (2025, "Lamb et al. 2025")
-    assert set(patient["options"]) == {"episode_length", "global_clock", "patience"}
     text = " ".join(run("list")[1].split())
     assert "From theirs 0.3." in text
     assert "env 'fog' of theirs 0.3 cannot be loaded: ModuleNotFoundError: No module named 'nowhere'" in text

@@ -15,7 +15,7 @@ from earl_jax.envs.tabletop import TabletopOrganization
 
 @dataclasses.dataclass(frozen=True)
 class OneGoal(TabletopOrganization):
-    """A task of another package with its own script: one pair of demonstrations without noise."""
+    """A task of another package with its own script: a pair of demonstrations without noise, and a forward one alone."""
 
     name = "my_one_goal"
     demo_noise = 0.0
@@ -26,36 +26,23 @@ class OneGoal(TabletopOrganization):
     def demo_starts(self, seed):
         start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(self.goal_states[1]))
         yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
+        yield DemoStart(forward=start, backward=None, backward_goal=None)
 
 
-@dataclasses.dataclass(frozen=True)
-class ForwardOnly(OneGoal):
-    """A script without backward demonstrations, whose forward ones continue after success."""
-
-    name = "my_forward_only"
-    demo_hold = 60
-
-    def demo_starts(self, seed):
-        for start in super().demo_starts(seed):
-            yield start._replace(backward_goal=None)
-
-
-def test_a_task_outside_the_package_brings_its_own_script():
+@pytest.mark.parametrize("hold", [None, 60])
+def test_a_task_outside_the_package_brings_its_own_script(monkeypatch, hold):
+    monkeypatch.setattr(OneGoal, "demo_hold", hold)
     env = OneGoal()
     made = demos.make(env)
-    assert {name: part.ends.sum() for name, part in made.items()} == {"forward": 1, "backward": 1}
     forward, backward = made["forward"], made["backward"]
+    assert (forward.ends.sum(), backward.ends.sum()) == (2, 1)
     np.testing.assert_array_equal(forward.goals[0], env.goal_states[1])
     np.testing.assert_array_equal(backward.goals[0], env.initial_states[0])
-    np.testing.assert_array_equal(backward.states[0], forward.next_states[-1])
+    end = np.flatnonzero(forward.ends)[0]
+    np.testing.assert_array_equal(backward.states[0], forward.next_states[end])
     np.testing.assert_array_equal(forward.actions[0], env.demo_action(np.append(forward.states[0], forward.goals[0])))
-
-
-def test_a_script_can_hold_its_goal_and_have_no_backward_demonstrations():
-    made = demos.make(ForwardOnly())
-    assert list(made) == ["forward"]
-    assert np.flatnonzero(made["forward"].ends).tolist() == [59]
-    assert made["forward"].rewards[-5:].all()
+    assert (end == 59) == (hold == 60)
+    assert forward.rewards[: end + 1].sum() == 1 if hold is None else forward.rewards[end - 4 : end + 1].all()
 
 
 def test_a_task_without_a_script_names_the_tasks_with_one():

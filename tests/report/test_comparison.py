@@ -61,7 +61,6 @@ def test_a_task_that_is_our_reconstruction_is_not_compared_and_its_published_sco
     assert math.isnan(row["p"])
     assert math.isnan(row["difference"])
     assert "2028" not in table_text([row])
-    assert "2.03e+03" not in table_text([row])
     assert published_beside("table1", read(whole)) is None
 
 
@@ -86,9 +85,8 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     assert read_csv(write_comparison(rows, tmp_path / "a.csv"))[0]["verdict"] == "below"
     assert "adjusted by Holm" in write_comparison(rows, tmp_path / "a.md").read_text()
     tex = write_comparison(rows, tmp_path / "a.tex").read_text()
-    assert r"tabletop\_organization & naive, 5 seeds & fbrl, 5 seeds" in tex
-    assert r"[95 \%]" in tex
     assert tex.startswith("% Scores are means")
+    assert r"tabletop\_organization & naive, 5 seeds & fbrl, 5 seeds" in tex
     assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
     with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
         write_comparison(rows, tmp_path / "a.html")

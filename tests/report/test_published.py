@@ -35,14 +35,3 @@ def test_a_difference_is_clear_only_if_the_whole_interval_lies_on_one_side():
     estimates = [Estimate(4, 3, 5), Estimate(-1, -2, -0.1), Estimate(0, -1, 1), Estimate(1, math.nan, math.nan)]
     words = [published.word_by_sign(estimate, "more", "less", "unclear") for estimate in estimates]
     assert words == ["more", "less", "unclear", "unclear"]
-
-
-def test_published_numbers_are_looked_up_by_task_and_method():
-    assert published.published_score("table1", "sawyer_door", "r3l") == ("0.54", "0.18")
-    assert published.published_score("table1", "sawyer_door", "mine") is None
-    assert published.published_crossings("tabletop_organization", "naive") == {0.5: 1_350_000}
-    assert published.published_crossings("tabletop_organization", "mine") == {}
-    assert published.published_steps("sawyer_door") == (4_000_000, 4_000_000)
-    assert published.published_steps("cheetah_run") is None
-    assert "one lucky evaluation" in published.published_fault("table1", "sawyer_door")
-    assert published.published_fault("table1", "tabletop_organization") is None

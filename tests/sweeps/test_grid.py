@@ -49,6 +49,7 @@ reward_scale = 1
 envs = ["sawyer_door"]
 steps = 800
 [[runs]]
+envs = ["sawyer_door"]
 algos = "vaprl"
 seeds = [7]
 options = { epsilon = [0.1, 0.3], reward_scale = 2 }
@@ -60,11 +61,10 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
         ("tabletop_organization", "oracle"): (400, (0, 1)),
         ("sawyer_door", "naive"): (800, (0, 1)),
         ("sawyer_door", "oracle"): (800, (0, 1)),
-        ("tabletop_organization", "vaprl"): (400, (7,)),
         ("sawyer_door", "vaprl"): (400, (7,)),
     }
     options = [(spec.options["epsilon"], spec.options["reward_scale"]) for spec in specs if spec.algo == "vaprl"]
-    assert options == [(0.1, 2), (0.3, 2)] * 2
+    assert options == [(0.1, 2), (0.3, 2)]
     only = read(tmp_path, "steps = 40\n[[runs]]\nenvs = 'e'\nalgos = 'a'\n")
     assert [(spec.name, spec.steps) for spec in only] == [("e/a/default", 40)]
 

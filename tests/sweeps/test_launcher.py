@@ -54,9 +54,6 @@ def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
     assert out.count("resumed ") + out.count("started ") == 2
     assert read_tables(killed) == read_tables(whole)
     assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())
-    code, out, _ = run_process("sweep", grid, "--out", killed, "--json")
-    assert code == 0
-    assert json.loads(out)["lines"][-1] == "2 runs: 2 done before, 0 done now, 0 failed"
 
 
 FAILING = """
@@ -202,7 +199,6 @@ def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers,
         ({"per_device": 2, "devices": 2}, "choose one of them"),
         ({"per_device": 2, "launcher": "slurm"}, "--per-device goes with --launcher local"),
         ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "time=MINUTES limits each job"),
-        ({"launcher": "cloud"}, "choose from local, slurm"),
         ({"slurm": ("time=5",)}, "--slurm options go with --launcher slurm"),
     ],
 )

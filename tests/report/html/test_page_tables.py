@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.paper import leaderboard as committed
 from earl_jax.report.html.curves import POINTS, lines_of, panels
-from earl_jax.report.html.page_tables import HERE, difference_table, leaderboard, paper_table, seed_table
+from earl_jax.report.html.page_tables import HERE, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows
 from earl_jax.report.runs import gather
 from tests.report.html.conftest import change_config, read_lines
@@ -44,14 +44,6 @@ def test_the_seed_table_has_the_final_values_of_every_seed(lines):
     seeds = cells(seed_table([line for line in lines if line.group.label == "fbrl"]))
     assert (seeds[2]["seed"], seeds[2]["success"], seeds[2]["mean of the last 10"]) == ("2", "0.8", "0.6759")
     assert (seeds[2]["Continuing"], seeds[2]["Requested help"]) == ("0.008", "30")
-
-
-def test_pairs_of_methods_are_tested_where_they_have_a_step_in_common(tmp_path):
-    good, bad = constant(0.9, 1.0, 0.95, 0.9, 1.0), constant(0.0, 0.1, 0.0, 0.1, 0.05)
-    runs = [write_page_run(tmp_path / algo, algo, scores) for algo, scores in (("naive", bad), ("fbrl", good))]
-    late = write_page_run(tmp_path / "late", "oracle", good, steps=[1000, 2000])
-    [row] = cells(difference_table(read_lines(*runs, late)))
-    assert (row["method"], row["second"], row["verdict"]) == ("naive", "fbrl, 5 seeds", "below")
 
 
 def test_a_page_shows_wide_starts_and_the_life(tmp_path):
