@@ -38,27 +38,15 @@ def test_a_taken_name_is_refused_and_left_as_it_is(name, overwrite, tmp_path):
     assert (contents(tmp_path), path.lstat().st_mode) == before
 
 
-def cell(row, column, value):
-    """Return a damage that puts `value` into one cell."""
-
-    def change(text):
-        rows = [line.split(",") for line in text.splitlines()]
-        rows[row][column] = value
-        return "".join(",".join(cells) + "\n" for cells in rows)
-
-    return change
-
-
 SCRIPT = "<script>alert(1)</script>"
 TABLES = {
     "the last row cut": lambda text: text[:-9],
     "a column more": lambda text: text.replace("\n", ",1\n"),
-    "a seed of a fraction": cell(1, 1, "0.5"),
-    "a step of NaN": cell(1, 0, "nan"),
-    "a negative step": cell(1, 0, "-40"),
-    "a step of 5000 digits": cell(1, 0, "9" * 5000),
-    "code in a cell": cell(2, 3, SCRIPT),
-    "an open quote": cell(2, 3, '"'),
+    "a seed of a fraction": lambda text: text.replace("\n40,1,", "\n40,0.5,"),
+    "a step of NaN": lambda text: text.replace("\n40,", "\nnan,", 1),
+    "a step of 5000 digits": lambda text: text.replace("\n40,", f"\n{'9' * 5000},", 1),
+    "code in a cell": lambda text: f"{text[: text.rindex(',')]},{SCRIPT}\n",
+    "an open quote": lambda text: text.replace("\n40,1,", '\n40,1,"'),
     "null bytes": lambda text: text.replace("0", "\0"),
     "bytes that are no text": lambda text: text.replace("0", "\udcff", 3),
 }

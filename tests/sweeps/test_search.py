@@ -145,14 +145,6 @@ def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_
     assert not (tmp_path / "out").exists()
 
 
-def test_a_space_can_have_a_preset(space):
-    pytest.importorskip("optuna", reason="search needs the extra 'search'")
-    space.write_text(f"preset = 'quick'\nsampler = 'qmc'\n{SPACE}")
-    base, spaces, sampler = read_space(space)
-    assert (base.options["demo_share"], base.options["batch_size"], base.steps, sampler) == (0.5, 16, 120, "qmc")
-    assert list(spaces) == ["discount", "hidden_sizes", "learning_rate", "random_steps"]
-
-
 UNIFORM = "uniform = [0.9, 0.99]"
 
 
