@@ -28,7 +28,7 @@ TRAIN = {
     "--log": ("x",),
     "--hosts": ("x", "a:1,-2,0", ",,"),
 }
-TASKS = ("", f"../{TASK}", f"{TASK}/..", "Tabletop_organization", "\n", "--", DIGITS)
+TASKS = ("", f"../{TASK}", "Tabletop_organization", "\n", "--", DIGITS)
 OTHERS = (
     ("resume", "run", "--steps", "40"), ("resume", "run", "--steps", "121"), ("resume", "run", "--steps", DIGITS),
     ("resume", "run", "--devices", "1000"), ("resume", ""), ("resume", "run/metrics.csv"),

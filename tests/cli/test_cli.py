@@ -28,16 +28,11 @@ def finished(tmp_path_factory):
     return folder, json.loads(out)
 
 
-def test_run_folder_contains_config_and_metrics(finished):
+def test_a_run_folder_has_its_config_and_metrics(finished):
     folder, printed = finished
     config = json.loads((folder / "config.json").read_text())
-    assert config["algo"] == "fbrl"
     assert config["options"] == {"batch_size": 16, "hidden_sizes": [16], "random_steps": 20}
-    assert config["engine"] == "kinematic"
-    assert config["provenance"]["versions"]["jax"]
-    lines = (folder / "metrics.csv").read_text().splitlines()
-    assert len(lines) == 1 + 2 * 3
-    assert lines[0].startswith("step,seed,")
+    assert len((folder / "metrics.csv").read_text().splitlines()) == 1 + 2 * 3
     assert printed["steps"] == 120
     assert set(printed["deployed/success"]) >= {"mean", "stderr", "iqm", "low", "high"}
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from earl_jax.report.plots import caption, plot_runs
+from earl_jax.report.style import COLOURS, colours, method_order
 from tests.cli.process import run
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
@@ -71,6 +72,12 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
     assert texts(figure)[0] == "naive (discount=0.9, learning_rate=0.001), 3\nseeds"
     assert figure.get_size_inches()[0] == 3.35
+
+
+def test_methods_keep_their_order_and_colours_whichever_others_are_present():
+    assert method_order(["oracle", "mine", "naive", "also", "oracle"]) == ["naive", "oracle", "also", "mine"]
+    assert colours(["oracle", "mine"])["oracle"] == COLOURS["oracle"]
+    assert colours(["mine", "also"])["mine"] not in COLOURS.values()
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,7 @@
 """Published scores, their intervals and samples, against numbers computed by hand."""
 
-import math
-
 import pytest
 
-from earl_jax.metrics.statistics import Estimate
-from earl_jax.report import published
 from earl_jax.report.published import PublishedScore
 
 T4 = 2.7764
@@ -29,9 +25,3 @@ def test_a_score_without_an_error_is_no_sample():
     below = PublishedScore("<0.001", "-")
     assert (below.value, below.text, below.interval, below.sample) == (0.001, "<0.001", (0, 0.001), None)
     assert PublishedScore("-", "-").interval is PublishedScore("-", "-").sample is None
-
-
-def test_a_difference_is_clear_only_if_the_whole_interval_lies_on_one_side():
-    estimates = [Estimate(4, 3, 5), Estimate(-1, -2, -0.1), Estimate(0, -1, 1), Estimate(1, math.nan, math.nan)]
-    words = [published.word_by_sign(estimate, "more", "less", "unclear") for estimate in estimates]
-    assert words == ["more", "less", "unclear", "unclear"]

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from earl_jax.report.runs import by_method, find_runs, gather, label, read, read_all
+from earl_jax.report.runs import by_method, find_runs, gather, read, read_all
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run, write_run
 
@@ -71,15 +71,6 @@ def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
     assert groups == [
         (TABLETOP, "naive"), (TABLETOP, "fbrl (reward_scale=1.0)"), (TABLETOP, "fbrl"), (DOOR, "oracle"),
     ]  # fmt: skip
-
-
-def test_a_label_holds_only_the_options_that_differ():
-    peers = [{"batch_size": 32, "reward_scale": 1.0}, {"batch_size": 32}]
-    assert label("fbrl", peers[0], peers) == "fbrl (reward_scale=1.0)"
-    assert label("fbrl", peers[1], peers) == "fbrl"
-    assert label("fbrl", peers[0], peers[:1]) == "fbrl"
-    others = [{"discount": 0.9}, {"epsilon": 0.3}, {}]
-    assert [label("vaprl", own, others) for own in others] == ["vaprl (discount=0.9)", "vaprl (epsilon=0.3)", "vaprl"]
 
 
 def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
