@@ -1,8 +1,6 @@
 """Taken names, damaged tables, and special files in run folders: one line or the right result, and no damage."""
 
-import functools
 import os
-import shutil
 import signal
 
 import pytest
@@ -88,20 +86,3 @@ def test_a_special_file_in_the_place_of_another_is_refused(kind, name, command, 
     if (command[0], name) != ("evaluate", "metrics.csv"):
         refused(code, err)
     assert "Traceback" not in err
-
-
-NAMES = ("run\nnewline", "😀", "x" * 256, "/".join(["x" * 200] * 25), "run\x1b[31m", "~", "*")
-
-
-@pytest.mark.parametrize("name", NAMES, ids=functools.partial(ascii))
-def test_a_folder_of_any_name_holds_the_run_or_is_refused(name, whole, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    try:
-        shutil.copytree(whole, tmp_path / name)
-    except OSError:
-        code, _, err = run("table", name)
-        refused(code, err)
-    else:
-        code, out, err = run("table", name)
-        assert (code, err) == (0, "")
-        assert "fbrl" in out

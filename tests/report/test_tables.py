@@ -113,10 +113,6 @@ def test_a_table_that_fits_is_aligned_and_has_no_empty_column():
     assert TABLE.text(80) == f"{aligned}\n\none two"
 
 
-def test_a_table_without_a_width_is_markdown():
-    assert TABLE.text().splitlines()[2:] == ["| door | 0.5 [0.4, 0.6] | - |", f"| {TABLETOP} | 1 | - |", "", "one two"]
-
-
 @pytest.mark.parametrize("width", [6, 24, 36])
 def test_a_table_that_is_too_wide_has_a_block_for_each_row_and_wrapped_notes(width):
     *blocks, note = TABLE.text(width).split("\n\n")

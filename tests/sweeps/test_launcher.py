@@ -104,23 +104,21 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b"])
 
 
-RECORD = """
-variables = {key: value for key, value in os.environ.items() if key.startswith(("CUDA", "JAX_PL", "XLA", "EARL"))}
-(folder / (name + ".json")).write_text(json.dumps({"cores": task["cores"], "progress": task["progress"], **variables}))
-emit("done")
-"""
-TOGETHER = """
+SHARING = """
 deadline = time.monotonic() + 30
 while len(list(folder.glob("[a-z]"))) < 4 and time.monotonic() < deadline:
     time.sleep(0.005)
 if name == "b":
     os.kill(os.getpid(), signal.SIGKILL)
+variables = {key: value for key, value in os.environ.items() if key.startswith(("CUDA", "JAX_PL", "XLA", "EARL"))}
+(folder / (name + ".json")).write_text(json.dumps({"cores": task["cores"], "progress": task["progress"], **variables}))
+emit("done")
 """
 STARTED = "start devices=\nquit\n"
 
 
 def test_programs_share_gpus_through_mps_and_one_that_fails_costs_its_runs_only(gpus, grid, workers, tmp_path):
-    folder, lines = workers(TOGETHER + RECORD, "abcde"), []
+    folder, lines = workers(SHARING, "abcde"), []
     assert launcher.sweep(grid, tmp_path / "out", per_device=2, emit=lines.append).failed == 1
     assert lines[1] == "2 programs at a time on each of 2 GPUs, 2 cores each through the MPS daemon started for them"
     assert lines[-1] == "6 runs: 1 done before, 4 done now, 1 failed"
@@ -203,7 +201,7 @@ def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers,
     ],
 )
 def test_options_that_exclude_each_other_are_refused_before_anything_starts(grid, workers, tmp_path, options, message):
-    folder = workers(RECORD)
+    folder = workers("")
     with pytest.raises(ValueError, match=message):
         launcher.sweep(grid, tmp_path / "out", **options)
     assert not list(folder.iterdir())

@@ -32,7 +32,6 @@ def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch)
 @pytest.mark.parametrize(
     ("control", "message"),
     [
-        ('#!/bin/sh\n[ "$1" != -d ] || { echo "MPS is not supported here"; exit 1; }\nexit 1', "is not supported here"),
         ('#!/bin/sh\n[ "$1" = -d ]\n', "does not answer"),
         (None, "nvidia-cuda-mps-control is not installed"),
     ],

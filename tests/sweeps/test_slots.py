@@ -15,7 +15,6 @@ RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
     ("environment", "expected"),
     [
         ({}, ["0", "1"]),
-        ({"CUDA_VISIBLE_DEVICES": "1"}, ["1"]),
         ({"CUDA_VISIBLE_DEVICES": "1, 0"}, ["1", "0"]),
         ({"CUDA_VISIBLE_DEVICES": "GPU-7,5,0"}, ["GPU-7"]),
         ({"CUDA_VISIBLE_DEVICES": "-1"}, []),

@@ -72,7 +72,6 @@ def test_a_job_fails_if_a_run_fails_and_is_submitted_again_after_a_time_out(work
     [
         ((), None, "needs a time limit"),
         (("time=5", "party=x"), None, "Unavailable parameter.*partition"),
-        (("5",), None, "--slurm takes name=value, not '5'"),
         (("time=5",), "submitit", r"pip install 'earl-jax\[slurm\]'"),
         (("time=5",), "sbatch", "on a machine that has sbatch"),
         (("time=5",), "folder", "slurm is a link"),
