@@ -34,7 +34,7 @@ OTHERS = (
     ("resume", "run", "--devices", "1000"), ("resume", ""), ("resume", "run/metrics.csv"),
     ("evaluate", "run", "--episodes", "0"), ("evaluate", "run", "--seed", "-1"), ("evaluate", "run", "--seed", DIGITS),
     ("evaluate", "run", "--engine", "mjx"), ("evaluate", "run", "--starts", "x"),
-    ("table", "run\nnew"), ("table", "x" * 256), ("table", "x/" * 3000), ("table", "run\x1b[31m"), ("table", "~"), ("table", "*"),
+    ("table", "x" * 256), ("table", "x/" * 3000), ("table", "run\x1b[31m"), ("table", "~"), ("table", "*"),
     ("table", "run", "--out", "x.exe"), ("table",), ("plot", "run", "--out", "x.exe"), ("plot", "run/config.json"),
     ("report", "run", "--out", "x.txt"), ("report", "run", "--out", "."), ("report", "nowhere"),
     ("reproduce", "table3"), ("reproduce", "table1", "--scale", "x"), ("reproduce", "table1", "--steps", "-1"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from earl_jax.report.plots import caption, plot_runs
-from earl_jax.report.style import COLOURS, colours, method_order
+from earl_jax.report.style import COLOURS, colours, method_order, task_title
 from tests.cli.process import run
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
@@ -74,10 +74,11 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert figure.get_size_inches()[0] == 3.35
 
 
-def test_methods_keep_their_order_and_colours_whichever_others_are_present():
+def test_methods_keep_their_order_and_colours_and_unknown_tasks_their_names():
     assert method_order(["oracle", "mine", "naive", "also", "oracle"]) == ["naive", "oracle", "also", "mine"]
     assert colours(["oracle", "mine"])["oracle"] == COLOURS["oracle"]
     assert colours(["mine", "also"])["mine"] not in COLOURS.values()
+    assert task_title("task_of_a_missing_package") == "task_of_a_missing_package"
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,11 @@ def test_the_paper_table_has_our_scores_beside_the_published(lines):
     assert [note[:11] for note in paper_table(2, lines)["notes"]] == ["Sawyer door"]
 
 
+def test_the_paper_table_has_the_verdict_on_a_whole_run(tmp_path):
+    run = write_page_run(tmp_path / "a", "naive", constant(0.9, 1.0, 0.95), steps=[1_250_000, 2_500_000])
+    assert cells(paper_table(1, read_lines(run)))[0]["verdict"] == "▲ above, p = 0.029"
+
+
 def test_the_seed_table_has_the_final_values_of_every_seed(lines):
     seeds = cells(seed_table([line for line in lines if line.group.label == "fbrl"]))
     assert (seeds[2]["seed"], seeds[2]["success"], seeds[2]["mean of the last 10"]) == ("2", "0.8", "0.6759")
