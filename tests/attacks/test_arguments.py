@@ -3,60 +3,112 @@
 import pytest
 
 from earl_jax.training import api
-from tests.attacks.conftest import contents, refused
+from tests.attacks.conftest import refused
 from tests.cli.process import TASK, run, training
 
 DIGITS = "9" * 400
 SETS = (
-    "discount=1.5", "discount=nan", "discount=-Infinity", "discount=true", "discount=null", 'discount="0.9"', "discount=[]",
-    "discount=[0.9,0.9,0.9]", "discount={}", f"discount={DIGITS}", "discount=" + "[" * 5000, "discount=" + '{"a":' * 5000,
-    "learning_rate=0", "learning_rate=1e400", "learning_rate=x", "batch_size=1.5", "batch_size=1000000000000",
-    f"random_steps={DIGITS}", "hidden_sizes=[]", "hidden_sizes=[0]", "hidden_sizes=[[16]]", "hidden_sizes=16",
-    "train_horizon=3000000000", "name=x", "env=x", "seeds=3", "out=x", "self=1", "=1", "a", "a=b=c", "__class__=x", "sac=1",
-    "budget=-1", "intervention_chance=1.1", "goal_change=0", "reward_type=x", "precision=fp4", "\0=1", "discount=\ud800", "😀=1",
+    "discount=-0.1", "discount=1.5", "discount=nan", "discount=NaN", "discount=-Infinity", "discount=true", "discount=null",
+    'discount="0.9"', "discount=[]", "discount=[0.9,0.9,0.9]", "discount={}", f"discount={DIGITS}", "discount=" + "[" * 5000,
+    "discount=" + '{"a":' * 5000, "learning_rate=0", "learning_rate=1e400", "learning_rate=x", "initial_temperature=-1",
+    "reward_scale=NaN", "batch_size=0", "batch_size=1.5", "batch_size=1000000000000", f"random_steps={DIGITS}",
+    "hidden_sizes=[]", "hidden_sizes=[0]", "hidden_sizes=[1.5]", "hidden_sizes=[[16]]", "hidden_sizes=16", "hidden_sizes=null",
+    "train_horizon=-1", "train_horizon=3000000000", "eval_horizon=0", "name=x", "env=x", "seeds=3", "out=x", "self=1", "=1",
+    "a", "a=b=c", "__class__=x", "sac=1", "budget=-1", "intervention_chance=1.1", "help_cost=-1", "goal_change=0",
+    "reward_type=x", "precision=fp4", "\0=1", "discount=\ud800", "😀=1", " discount=0.9",
 )  # fmt: skip
-TRAIN = {
-    "--steps": ("0", "1.5", "", DIGITS, "3000000000000"),
-    "--seeds": ("0", "-1", "1000000000", DIGITS),
-    "--eval-every": ("0", "7", DIGITS),
+NUMBERS = {
+    "--steps": ("0", "-1", "1.5", "x", "", DIGITS, "3000000000000"),
+    "--seeds": ("0", "-1", "x", "1000000000", DIGITS),
+    "--eval-every": ("0", "7", "x", DIGITS),
     "--eval-episodes": ("0", "x", DIGITS),
-    "--checkpoint-every": ("0",),
+    "--checkpoint-every": ("0", "x"),
     "--devices": ("0", "-1", "1000"),
-    "--setting": ("x",),
+    "--setting": ("x", "Deployment"),
     "--engine": ("c", "x"),
-    "--algo": ("", "../naive", "fbrl\n", "__init__"),
+    "--algo": ("x", "", "../naive", "fbrl\n", "__init__"),
     "--log": ("x",),
-    "--hosts": ("x", "a:1,-2,0", ",,"),
+    "--hosts": ("x", "a:1,2", "a:1,-2,0", ",,"),
 }
-TASKS = ("", f"../{TASK}", "Tabletop_organization", "\n", "--", DIGITS)
+TASKS = ("", "x", f"../{TASK}", f"{TASK}/..", "Tabletop_organization", "\n", "--", "-", DIGITS)
 OTHERS = (
     ("resume", "run", "--steps", "40"), ("resume", "run", "--steps", "121"), ("resume", "run", "--steps", DIGITS),
     ("resume", "run", "--devices", "1000"), ("resume", ""), ("resume", "run/metrics.csv"),
     ("evaluate", "run", "--episodes", "0"), ("evaluate", "run", "--seed", "-1"), ("evaluate", "run", "--seed", DIGITS),
     ("evaluate", "run", "--engine", "mjx"), ("evaluate", "run", "--starts", "x"),
-    ("table", "x" * 256), ("table", "x/" * 3000), ("table", "run\x1b[31m"), ("table", "~"), ("table", "*"),
-    ("table", "run", "--out", "x.exe"), ("table",), ("plot", "run", "--out", "x.exe"), ("plot", "run/config.json"),
-    ("report", "run", "--out", "x.txt"), ("report", "run", "--out", "."), ("report", "nowhere"),
+    ("table", "run", "--last", "0"), ("table", "run", "--out", "x.exe"), ("table",), ("plot", "run", "--out", "x.exe"), ("plot",),
+    ("plot", "run/config.json"), ("report", "run", "--out", "x.txt"), ("report", "run", "--out", "."), ("report", "nowhere"),
     ("reproduce", "table3"), ("reproduce", "table1", "--scale", "x"), ("reproduce", "table1", "--steps", "-1"),
     ("reproduce", "table1", "--seeds", "1000000000"), ("reproduce", "table1", "--set", "name=x"),
-    ("render", "x"), ("demos", "x"), ("import-demos", "nowhere"), ("",),
+    ("render", "x"), ("demos", "x"), ("import-demos", "nowhere"), ("",), ("x",),
 )  # fmt: skip
-CASES = [
-    *([*training("new"), text] for text in SETS),
-    *(["train", TASK, "--steps", "120", "--out", "new", option, value] for option in TRAIN for value in TRAIN[option]),
-    *(["train", task, "--steps", "120", "--out", "new"] for task in TASKS),
-    *OTHERS,
-]
+GRID = f'envs = ["{TASK}"]\nalgos = ["naive"]\n'
+GRIDS = {
+    "empty": "", "no toml": "= =", "brackets": "a = " + "[" * 5000, "no envs": 'algos = ["naive"]', "NaN": "steps = nan",
+    "text for steps": f'{GRID}steps = "x"', "many seeds": f"{GRID}steps = 40\neval_every = 40\nseeds = 1000000000",
+    "a name outside": 'envs = ["../../x"]\nalgos = ["naive"]\nsteps = 40', "binary": "\x00\x01",
+    "a huge number": f"{GRID}steps = {DIGITS}",
+    "a long product": f"{GRID}steps = 40\neval_every = 40\n[options]\n"
+    + "".join(f"{name} = [{', '.join(f'0.{digit}' for digit in range(1, 10))}]\n" for name in ("discount", "tau", "x", "y", "z")),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("arguments", CASES, ids=lambda arguments: ascii(" ".join(arguments))[-60:])
-def test_arguments_without_a_meaning_are_refused(arguments, copy, monkeypatch):
+@pytest.fixture(autouse=True)
+def _no_training(monkeypatch):
     def train(*_):
         raise AssertionError("training started")
 
     monkeypatch.setattr(api, "run_program", train)
-    before = contents(copy)
+
+
+def shown(value):
+    """Return a short printable name of a case."""
+    text = " ".join(value) if isinstance(value, tuple) else value
+    return ascii(text)[1:-1] if len(text) < 60 else f"{ascii(text[:30])[1:-1]}... of {len(text)} characters"
+
+
+def trained(*arguments):
+    """Return what a training command with `arguments` at its end says."""
+    code, _, err = run(*training("run"), *arguments)
+    return code, err
+
+
+@pytest.mark.parametrize("text", SETS, ids=shown)
+def test_an_option_without_a_meaning_is_refused(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(*trained(text))
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments", [(option, value) for option, values in NUMBERS.items() for value in values], ids=shown
+)
+def test_a_number_or_name_without_a_meaning_is_refused(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("train", TASK, "--steps", "120", "--out", "run", *arguments)
+    refused(code, err)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("task", TASKS, ids=shown)
+def test_an_unknown_task_is_refused(task, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("train", task, "--steps", "120", "--out", "run")
+    refused(code, err)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("arguments", OTHERS, ids=shown)
+def test_arguments_of_other_commands_are_refused(arguments, copy):
     code, _, err = run(*arguments)
     refused(code, err)
-    assert contents(copy) == before
-    assert not copy.with_name("new").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_grid_without_a_meaning_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "grid.toml").write_text(GRIDS[name])
+    code, _, err = run("sweep", "grid.toml", "--out", "out")
+    refused(code, err)
+    assert not (tmp_path / "out").exists()

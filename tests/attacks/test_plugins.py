@@ -1,4 +1,4 @@
-"""An error in a user's task or method keeps its traceback, whatever its type."""
+"""An error in any part of a user's task or method keeps its traceback, whatever its type."""
 
 import json
 from pathlib import Path
@@ -12,26 +12,35 @@ from tests.cli.process import training
 
 ERRORS = {
     "ValueError": lambda: "".index("x"),
+    "TypeError": lambda: 1 + "",
     "KeyError": lambda: {}["goal"],
+    "ZeroDivisionError": lambda: 1 // 0,
     "FileNotFoundError": lambda: Path("/nowhere/weights.npz").read_bytes(),
     "JSONDecodeError": lambda: json.loads("{"),
     "UnicodeDecodeError": lambda: b"\xff".decode(),
 }
-PARTS = [("task", part) for part in ("reset", "reward", "transition")]
-PARTS += [("method", part) for part in ("init_state", "next_goal", "update_state")]
-CASES = [(*part, "FileNotFoundError") for part in PARTS] + [("method", "next_goal", kind) for kind in ERRORS]
+TASK_PARTS = ("reset", "success", "reward", "sample_goal", "transition")
+METHOD_PARTS = ("init_state", "phase_length", "next_goal", "update_state")
+CASES = [("task", part, "FileNotFoundError") for part in TASK_PARTS]
+CASES += [("method", part, "ValueError") for part in METHOD_PARTS]
+CASES += [("task", "transition", kind) for kind in ERRORS] + [("method", "next_goal", kind) for kind in ERRORS]
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch):
+    for registry in (envs._ENVS, algos._ALGOS):
+        monkeypatch.setattr(registry, "_table", dict(registry._table))
 
 
 @pytest.mark.parametrize(("what", "part", "kind"), CASES)
-def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path, monkeypatch):
+def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path):
     def erring(self, *arguments, **options):
         ERRORS[kind]()
 
-    for registry in (envs._ENVS, algos._ALGOS):
-        monkeypatch.setattr(registry, "_table", dict(registry._table))
     base, register = (TabletopOrganization, register_env) if what == "task" else (Naive, register_algo)
     assert hasattr(base, part)
-    register("erring", type("Erring", (base,), {part: erring, "name": "erring"}))
+    cls = type("Erring", (base,), {part: erring, "name": "erring"})
+    register("erring", cls)
     with pytest.raises(Exception) as raised:  # noqa: PT011
         cli.main(training(tmp_path / "run", **({"task": "erring"} if what == "task" else {"algo": "erring"})))
     assert type(raised.value).__name__ == kind

@@ -13,6 +13,7 @@ from tests.conftest import write_files
 
 THEIRS = '''
 import dataclasses
+from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 
 @dataclasses.dataclass(frozen=True)
@@ -22,6 +23,15 @@ class Meadow(TabletopOrganization):
     grass: float = 2 * 0.25
     name = "meadow"
     summary = ""
+
+class Patient(Naive):
+    """Wait. Source: Lamb et al. 2025.
+
+    `patience` steps pass first.
+    """
+
+    patience: int = 3
+    name = "patient"
 '''
 
 
@@ -73,25 +83,34 @@ def test_json_describes_one_name_or_all():
     assert "no task, method or preset 'ppo'; choose from cheetah_run" in err
 
 
+def test_trained_policies_that_ship_are_listed(everything):
+    shipped = {name: list(task["policies"]) for name, task in everything["tasks"].items() if task["policies"]}
+    assert shipped == earl_jax.list_pretrained()
+    assert "trained policies" not in run("list", "fish_swim")[1]
+
+
 def test_listing_loads_no_jax_and_no_numpy():
     code = "import sys; from earl_jax.cli import main; main(['list']); print({'jax', 'numpy'} & set(sys.modules))"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "set()"
 
 
-def test_tasks_of_installed_packages_are_listed(tmp_path, monkeypatch):
-    points = "[earl_jax.envs]\nmeadow = theirs:Meadow\nfog = nowhere:Fog\n"
+def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatch):
+    points = "[earl_jax.envs]\nmeadow = listed:Meadow\nfog = nowhere:Fog\n[earl_jax.algos]\npatient = listed:Patient\n"
     files = {
         "theirs-0.3.dist-info/METADATA": "Metadata-Version: 2.1\nName: theirs\nVersion: 0.3\n",
         "theirs-0.3.dist-info/entry_points.txt": points,
-        "theirs/__init__.py": THEIRS,
+        "listed/__init__.py": THEIRS,
     }
     write_files(files, tmp_path / "site")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    meadow = listing.describe("task", "meadow")
+    meadow, patient = listing.describe("task", "meadow"), listing.describe("method", "patient")
     assert (meadow["obs_size"], meadow["package"], meadow["summary"]) == (12, "theirs 0.3", "Cross a meadow.")
     grass = {"type": "float", "default": 0.5, "valid": None, "meaning": "`grass` is its height."}
     assert meadow["options"]["grass"] == grass
+    assert meadow["options"]["reward_type"]["valid"] == ["sparse", "dense"]
+    assert (patient["year"], patient["source"]) == (2025, "Lamb et al. 2025")
+    assert set(patient["options"]) == {"episode_length", "global_clock", "patience"}
     text = " ".join(run("list")[1].split())
     assert "From theirs 0.3." in text
     assert "env 'fog' of theirs 0.3 cannot be loaded: ModuleNotFoundError: No module named 'nowhere'" in text

@@ -1,15 +1,18 @@
 """The importer reads recordings of the original benchmark, refuses other files, and executes nothing in them."""
 
 import _codecs
+import ast
 import io
 import os
 import pickle
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import earl_jax
 from earl_jax import assets
 from earl_jax.arrays import MAX_BYTES
 from earl_jax.cli.main import main
@@ -44,8 +47,8 @@ class Call:
         return self.reduced
 
 
-def dtype(code="f8", order="<", subdtype=None, size=-1):
-    return Call(np.dtype, code, False, True, state=(3, order, subdtype, None, None, size, min(size, 1), 0))
+def dtype(code="f8", order="<", subdtype=None, names=None, fields=None, size=-1, flags=0):
+    return Call(np.dtype, code, False, True, state=(3, order, subdtype, names, fields, size, min(size, 1), flags))
 
 
 def array(shape=(2, 4), element=None, data=bytes(64)):
@@ -54,34 +57,51 @@ def array(shape=(2, 4), element=None, data=bytes(64)):
 
 
 SYSTEM = Call(os.system, f"touch {FLAG}")
+BYTES = (dtype("u1", "|"), (4096,))
 SHARED = bytes(1 << 20)
 TEXT = "x" * (1 << 20)
 WITH_OBSERVATIONS = {
-    "an element with a larger subdtype": lambda: array(
-        (2,), dtype("f8", "|", (dtype("u1", "|"), (4096,)), size=8), bytes(16)
-    ),
+    "an element with a larger subdtype": lambda: array((2,), dtype("V8", "|", BYTES, size=8), bytes(16)),
+    "a field beyond its element": lambda: array((2,), dtype("V8", "|", None, ("a",), {"a": (dtype(), 1 << 30)}, 8)),
     "objects at an address": lambda: array((2, 4), dtype("O8", "|"), b"\x08" * 64),
+    "numbers with the flags of objects": lambda: array((2, 4), dtype(flags=63), b"\x08" * 64),
+    "an element of a gibibyte": lambda: array((2, 4), dtype(size=1 << 30)),
     "an element of several codes": lambda: array((2,), dtype("(1000000,1000000)f8,O")),
     "a shape larger than its bytes": lambda: array((1 << 20, 1 << 20)),
+    "a shape of a thousand axes": lambda: array((1,) * 1000, data=bytes(8)),
+    "a shape that overflows": lambda: array((1 << 29, 1 << 29, 1 << 6), data=b""),
+    "a negative shape": lambda: array((-2, -4)),
     "bools of value 255": lambda: array((2,), dtype("b1", "|"), b"\xff\xff"),
     "an array that runs a command": lambda: np.array([SYSTEM], object),
+    "an array class with a shape": lambda: Call(np.ndarray, (1 << 40,)),
+    "a number of numpy": lambda: np.float64(1),
 }
 HOSTILE = {
     **{name: lambda make=make: pickle.dumps({**arrays(), "observations": make()}) for name, make in WITH_OBSERVATIONS.items()},
     "a command": lambda: pickle.dumps(SYSTEM),
+    "a command beside the arrays": lambda: pickle.dumps({**arrays(), "x": SYSTEM}),
     "a command by INST": lambda: f"(S'touch {FLAG}'\niposix\nsystem\n.".encode(),
+    "a command by OBJ": lambda: f"(cposix\nsystem\nS'touch {FLAG}'\no.".encode(),
     "a command by NEWOBJ": lambda: f"cposix\nsystem\n(S'touch {FLAG}'\nt\x81.".encode("latin1"),
     "a builtin": lambda: b"cbuiltins\neval\n(S'1'\ntR.",
+    "a function of numpy": lambda: pickle.dumps(Call(np.load, "x.npy", None, True)),
+    "a dotted name": lambda: b"\x80\x04\x8c\x05numpy\x8c\x11ndarray.__class__\x93.",
     "a name with control characters": lambda: b"\x80\x04\x8c\x06a\nb\x1b[2\x8c\x02c\r\x93.",
+    "another codec": lambda: pickle.dumps(Call(_codecs.encode, "x" * 99, "zlib_codec")),
+    "an address to read from": lambda: b"cnumpy\nndarray\n)\x81}S'__array_interface__'\nNsb.",
     "the registry of extensions": lambda: b"\x80\x02\x82\x01.",
     "a persistent id": lambda: b"P1\n.",
+    "a buffer outside the file": lambda: pickle.dumps(arrays(), 5, buffer_callback=[].append),
     "a crash": lambda: b"}(" + b")" + b"\x85" * 1_000_000 + b"Nu.",
     "600 texts from one": lambda: pickle.dumps([Call(_codecs.encode, TEXT, "latin1") for _ in range(600)]),
     "shared bytes": lambda: pickle.dumps({name: array((1 << 17,), data=SHARED) for name in arrays()}),
     "a memo of four billion": lambda: b"Nr\xff\xff\xff\xff.",
+    "bytes of an exabyte": lambda: b"\x80\x04\x8e" + b"\0" * 7 + b"\x10.",
+    "a number of a million digits": lambda: b"L" + b"9" * 1_000_000 + b"L\n.",
     "a list": lambda: pickle.dumps([np.ones(2)]),
     "another value": lambda: pickle.dumps({**arrays(), "rewards": "text"}),
     "nothing": lambda: b"",
+    "text": lambda: b"not a pickle",
     "half a file": lambda: pickle.dumps(arrays())[:700],
 }  # fmt: skip
 
@@ -159,6 +179,19 @@ def test_files_that_are_too_large_or_not_regular_are_refused_unread(tmp_path):
     for path, cause in ((large, "larger than 512 MiB"), (pipe, "not a regular file"), (tmp_path, "not a regular file")):
         with pytest.raises(InputError, match=f"{path.name}: {cause}"):
             importer.read(path)
+
+
+def test_nothing_else_in_the_package_unpickles():
+    loaders = {"load", "loads", "Unpickler", "memmap", "fromfile"}
+    modules = {"pickle", "cloudpickle", "dill", "joblib", "torch", "np", "numpy", "marshal"}
+    unsafe = []
+    for path in Path(earl_jax.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            called = ast.unparse(node.func).split(".") if isinstance(node, ast.Call) else [""]
+            words = [ast.unparse(word) for word in getattr(node, "keywords", [])]
+            if called[0] in modules and called[-1] in loaders and "allow_pickle=False" not in words:
+                unsafe.append(f"{path.name}: {called}")
+    assert unsafe == []
 
 
 @pytest.mark.parametrize(

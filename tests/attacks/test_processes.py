@@ -1,0 +1,62 @@
+"""Limits of the system, and changes by others while a process trains."""
+
+import shutil
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.cli.process import ENVIRONMENT, run_process, start, training
+
+pytestmark = pytest.mark.slow
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.{0}, ({1}, {1}))
+from earl_jax.cli.main import main
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize(
+    ("limit", "size"),
+    [("RLIMIT_FSIZE", 2000), ("RLIMIT_FSIZE", 20_000), ("RLIMIT_FSIZE", 200_000), ("RLIMIT_NOFILE", 24)],
+)
+def test_a_limit_of_files_stops_with_an_error_line_and_the_run_continues_without_it(limit, size, whole, tmp_path):
+    folder = tmp_path / "run"
+    command = [sys.executable, "-c", LIMITED.format(limit, size), *training(folder)]
+    result = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=300)
+    if result.returncode:
+        assert result.returncode == 2, result.stderr
+        assert "Traceback" not in result.stderr
+        assert any(line.startswith("earl-jax: ") for line in result.stderr.splitlines())
+        code, _, err = run_process(*(("resume", folder) if (folder / "metrics.csv").exists() else training(folder)))
+        assert code == 0, err
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+def test_of_two_equal_commands_one_finishes_and_one_is_refused(whole, tmp_path):
+    processes = [start(*training(tmp_path / "run")) for _ in range(2)]
+    outcomes = sorted((process.communicate(timeout=300)[1], process.returncode) for process in processes)
+    assert sorted(code for _, code in outcomes) == [0, 2]
+    assert all("Traceback" not in err for err, _ in outcomes)
+    assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+@pytest.mark.parametrize("act", ["move", "remove"])
+def test_a_folder_that_goes_away_in_training_ends_with_a_line(act, whole, tmp_path):
+    folder = tmp_path / "run"
+    process = start(*training(folder))
+    while not (folder / "metrics.csv").exists() and process.poll() is None:
+        time.sleep(0.01)
+    if act == "move":
+        folder.rename(tmp_path / "moved")
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode in (0, 2), err
+    assert "Traceback" not in err
+    if act == "move":
+        code, _, err = run_process("resume", tmp_path / "moved")
+        assert code == 0, err
+        assert (tmp_path / "moved/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()

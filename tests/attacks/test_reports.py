@@ -1,0 +1,71 @@
+"""Hostile texts stay text on the page of a report, and a bad run costs no other."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from tests.attacks.conftest import one_line
+from tests.cli.process import run
+
+HOSTILE = (
+    "<script>alert(1)</script>", "</script><script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "'; alert(1); '", "<!--",
+    "]]>", "{{ 7 * 7 }}", "{% raw %}", "${alert(1)}", "javascript:alert(1)", "\u202egnp.exe", "\u2028", "|x|y|",
+    "<style>*{display:none}</style>", "&lt;script&gt;", "\\u003cscript\\u003e", "\x1b[2J", "%s%n", "<svg/onload=alert(1)>",
+)  # fmt: skip
+
+
+def runs_code(page):
+    """Return whether one of the texts stands in the page unescaped, outside the data of its own scripts."""
+    outside = re.sub(r"<script\b[^>]*>.*?</script>", "", page, flags=re.DOTALL)
+    return any(part in outside for part in ("<script>alert", "<img src=x", "<svg/onload", "<style>*{", ">49<"))
+
+
+def changed(folder, **values):
+    file = folder / "config.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
+
+
+@pytest.mark.parametrize("where", ["folder", "algo", "provenance"])
+def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders = [shutil.copytree(whole, tmp_path / "good")]
+    for number, text in enumerate(HOSTILE):
+        name = text.replace("/", "_") if where == "folder" else f"run{number}"
+        folders.append(shutil.copytree(whole, tmp_path / "runs" / name))
+        if where == "algo":
+            changed(folders[-1], algo=text)
+        elif where == "provenance":
+            fields = dict.fromkeys(("commit", "created", "python", "device"), text)
+            changed(folders[-1], provenance={**json.loads((whole / "config.json").read_text())["provenance"], **fields})
+    code, _, err = run("report", *folders, "--out", "page.html")
+    assert code == 0, err
+    assert not runs_code((tmp_path / "page.html").read_text())
+
+
+BAD_RUNS = {
+    "unknown precision": lambda folder: changed(folder, options={"precision": "fp4"}),
+    "unknown option of the task": lambda folder: changed(folder, env_options={"x": 1}),
+    "unregistered class": lambda folder: changed(folder, env_class="a:b"),
+    "config of brackets": lambda folder: (folder / "config.json").write_text("[" * 5000),
+    "provenance of a wrong type": lambda folder: changed(folder, provenance=5),
+    "versions of a wrong type": lambda folder: changed(folder, provenance={"versions": 5, "created": 7}),
+    "no table": lambda folder: (folder / "metrics.csv").unlink(),
+    "damaged policies": lambda folder: (folder / "policies.npz").write_bytes(b"x"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_RUNS)
+def test_a_page_shows_the_good_run_and_names_the_bad_one(name, whole, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(whole, tmp_path / "good")
+    BAD_RUNS[name](shutil.copytree(whole, tmp_path / "bad"))
+    code, _, err = run("report", "good", "bad", "--out", "page.html")
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text()
+    assert "good" in page
+    assert "bad" in page
+    code, _, err = run("table", "good", "bad", "--out", "table.md")
+    if code:
+        one_line(code, err, "bad")
