@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from earl_jax.algos import Method, list_algos, make_algo, method_for, register_algo
     from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
     from earl_jax.errors import InputError
-    from earl_jax.presets import preset
+    from earl_jax.options.presets import preset
     from earl_jax.protocol import Continuing, Deployment, Protocol
     from earl_jax.training import (
         Policy,
@@ -52,7 +52,7 @@ _HOME = {
     "pretrained_info": "training",
     "register_algo": "algos",
     "register_env": "envs",
-    "preset": "presets",
+    "preset": "options.presets",
     "resume": "training",
     "select_seed": "training",
     "train": "training",

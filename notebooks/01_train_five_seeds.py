@@ -49,7 +49,7 @@ from IPython.display import Image
 import earl_jax
 from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
 from earl_jax.metrics.comparison import mean_interval
-from earl_jax.presets import PRESETS
+from earl_jax.options.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 
 # %matplotlib inline
@@ -84,7 +84,7 @@ print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")
 
 In forward-backward RL, one controller carries the mug to its goal, another brings everything back, and
 they alternate forever. `PRESET` holds the hyper-parameters of the quickstart: smaller networks than the
-paper's and three changes that reduce training to minutes (`earl_jax/presets.py` names them).
+paper's and three changes that reduce training to minutes (`earl_jax/options/presets.py` names them).
 Without it, this is the paper's agent.
 
 The seeds are lanes of one program. They share its code and nothing else: the training of a lane depends

@@ -46,7 +46,7 @@ from IPython.display import Image, Markdown
 
 import earl_jax
 from earl_jax.metrics.comparison import Sample, detectable_difference, mean_interval, permutation, welch
-from earl_jax.presets import PRESETS
+from earl_jax.options.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
 from earl_jax.report.style import colours, step_axis

@@ -50,7 +50,7 @@ import earl_jax
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.method import RETURN, TASK, Method
 from earl_jax.metrics.statistics import difference
-from earl_jax.presets import PRESETS
+from earl_jax.options.presets import PRESETS
 from earl_jax.report.style import step_axis
 
 # %matplotlib inline

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from earl_jax import assets
-from earl_jax.demos import scripted
 from earl_jax.envs import make
+from earl_jax.envs.demos import scripted
 
 COUNTS = {"tabletop_organization": 12, "sawyer_door": 5, "sawyer_peg": 10}
 """The paper's number of demonstrations of each task that has some, in each direction."""

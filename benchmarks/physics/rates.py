@@ -17,7 +17,7 @@ import tyro
 
 from benchmarks.output import RESULTS, save_rows
 from earl_jax.envs import list_envs, make
-from earl_jax.machine import own_cores
+from earl_jax.options.environment import own_cores
 
 ENVS = tuple(name for name in list_envs() if make(name).engine != "kinematic")
 MIN_SECONDS = 1.0

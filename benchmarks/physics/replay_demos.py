@@ -21,8 +21,8 @@ import tyro
 from tyro.conf import Positional
 
 from earl_jax import physics
-from earl_jax.demos.importer import Recording, read
 from earl_jax.envs import State, make
+from earl_jax.envs.demos.importer import Recording, read
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
 from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
 from earl_jax.envs.sawyer.peg import HEAD

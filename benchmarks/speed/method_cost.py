@@ -23,7 +23,7 @@ from benchmarks.output import DOCS, RESULTS, read_csv, save_rows, with_tables, w
 from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.cli.xla_flags import set_flags
-from earl_jax.machine import own_cores
+from earl_jax.options.environment import own_cores
 from earl_jax.report.tables import markdown_table
 
 ROOT = RESULTS / "method_cost"

@@ -26,7 +26,7 @@ import tyro
 
 from benchmarks.output import RESULTS, save_rows
 from earl_jax.cli.xla_flags import helpful_flags
-from earl_jax.machine import FRACTION, own_cores
+from earl_jax.options.environment import FRACTION, own_cores
 from earl_jax.sweeps.mps import mps
 from earl_jax.sweeps.slots import Slot, make_slots, visible_gpus
 

@@ -14,7 +14,7 @@ import numpy as np
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env, make
 from earl_jax.errors import InputError
-from earl_jax.options import LARGEST_INT
+from earl_jax.options.values import LARGEST_INT
 from earl_jax.protocol import Continuing, with_explicit_horizon
 
 ORIGINAL_NAMES = {

@@ -10,7 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from earl_jax.errors import InputError
-from earl_jax.registry import Registry
+from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -77,7 +77,7 @@ def make_algo(name: str, **options) -> Method:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
     from earl_jax.algos.learner.sac import SAC
-    from earl_jax.options import check
+    from earl_jax.options.values import check
 
     shared = {field.name for field in dataclasses.fields(SAC)}
     own = {field.name for field in dataclasses.fields(_ALGOS.get(name))} - {"sac"}

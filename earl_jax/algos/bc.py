@@ -10,7 +10,7 @@ from earl_jax.algos.learner import networks
 from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.envs import Env
-from earl_jax.options import within
+from earl_jax.options.values import within
 
 
 class BC(FBRL):

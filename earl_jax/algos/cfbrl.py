@@ -15,7 +15,7 @@ from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.algos.risc import RISC
 from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
-from earl_jax.options import within
+from earl_jax.options.values import within
 
 COPIES = 64
 """Transformed copies of each demonstrated step from which the cloning before the first step draws."""

@@ -8,7 +8,7 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.method import RETURN, Method
-from earl_jax.options import within
+from earl_jax.options.values import within
 
 
 class FBRL(Method):

@@ -15,7 +15,7 @@ from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC, Agent
 from earl_jax.algos.method import RETURN, TASK, DemoList, Method
 from earl_jax.envs import Env
-from earl_jax.options import COUNT, within
+from earl_jax.options.values import COUNT, within
 
 HALF_BATCH = 400
 """Rows of each class in a step of the classifier (released)."""

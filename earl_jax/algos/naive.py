@@ -7,7 +7,7 @@ from flax import struct
 
 from earl_jax.algos.method import Method
 from earl_jax.envs import Env
-from earl_jax.options import COUNT, within
+from earl_jax.options.values import COUNT, within
 
 
 class Naive(Method):

@@ -12,7 +12,7 @@ from earl_jax.algos.learner.networks import apply, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import RETURN, TASK, Method
 from earl_jax.envs import Env
-from earl_jax.options import within
+from earl_jax.options.values import within
 
 EMBEDDING = 512
 _NETWORK = mlp((256, 256), EMBEDDING)

@@ -13,7 +13,7 @@ from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import Agent
 from earl_jax.algos.method import RETURN, Method
 from earl_jax.envs import Env
-from earl_jax.options import COUNT, within
+from earl_jax.options.values import COUNT, within
 
 DEMO_SHARE = 0.2
 """1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1

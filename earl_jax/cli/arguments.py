@@ -13,7 +13,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from earl_jax.errors import InputError
-from earl_jax.options import TimeLimit, parse_whole
+from earl_jax.options.values import TimeLimit, parse_whole
 
 SEEDS = "--seeds"
 SEED_TOKEN = re.compile(r"[\d_:,]+")

@@ -50,7 +50,7 @@ def demos(env: Positional[str], out: Path, seed: int = 0, engine: Engine = None)
         seed: Random seed of the expert's noise. Seed 0 gives the file that ships with the package.
     """
     from earl_jax import envs
-    from earl_jax.demos import scripted
+    from earl_jax.envs.demos import scripted
 
     task = envs.with_engine(envs.make(env), engine)
     scripted.save(scripted.make(task, seed), out)
@@ -65,7 +65,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
         backward: Backward demonstrations in the same format. Methods with a return phase need them. By default none.
         out: New npz file. By default a file beside FILE.
     """
-    from earl_jax.demos import importer, scripted
+    from earl_jax.envs.demos import importer, scripted
 
     target = out or file.with_name(f"{file.stem}_imported.npz")
     if target.exists():

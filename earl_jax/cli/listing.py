@@ -15,7 +15,7 @@ from typing import Any
 from earl_jax import algos, assets, envs
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.errors import InputError
-from earl_jax.presets import LENGTHS, PRESETS
+from earl_jax.options.presets import LENGTHS, PRESETS
 
 CATALOG = Path(__file__).with_name("catalog.json")
 LOCATE = {"task": envs.locate_env, "method": algos.locate_algo}

@@ -22,7 +22,7 @@ from earl_jax.cli.sweep import sweep
 from earl_jax.cli.train import resume, train
 from earl_jax.cli.xla_flags import set_flags
 from earl_jax.errors import is_input_error
-from earl_jax.machine import FRACTION
+from earl_jax.options.environment import FRACTION
 from earl_jax.runs.files import RunWarning
 
 FUNCTIONS = (

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from earl_jax.presets import preset
+from earl_jax.options.presets import preset
 
 ENV, ALGO = "tabletop_organization", "fbrl"
 PRESET = preset("quick", ENV)

@@ -20,9 +20,9 @@ from earl_jax.cli.arguments import (
     parse_options,
 )
 from earl_jax.errors import InputError
-from earl_jax.options import parse_seeds
-from earl_jax.presets import ALGO, LENGTHS
-from earl_jax.presets import preset as named_preset
+from earl_jax.options.presets import ALGO, LENGTHS
+from earl_jax.options.presets import preset as named_preset
+from earl_jax.options.values import parse_seeds
 
 
 def train(

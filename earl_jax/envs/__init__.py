@@ -10,7 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from earl_jax.errors import InputError
-from earl_jax.registry import Registry
+from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import options
 from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrated import Demonstrated
 from earl_jax.envs.relabelling import Relabelled
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
 from earl_jax.physics import PendingStep
 
 REWARD_TYPES = ("sparse", "dense")
@@ -56,8 +56,8 @@ class Env(Demonstrated, Relabelled, Conventions, abc.ABC):
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
-        options.require("train_horizon", self.train_horizon, options.COUNT_OR_NEVER)
-        options.require("eval_horizon", self.eval_horizon, options.COUNT)
+        require("train_horizon", self.train_horizon, COUNT_OR_NEVER)
+        require("eval_horizon", self.eval_horizon, COUNT)
 
     def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
         """Raise a ValueError if the option `field` is not one of `choices`."""

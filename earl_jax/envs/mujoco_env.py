@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import options
 from earl_jax.envs.base import Env, NextState, State
+from earl_jax.options.values import Interval, require
 from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Simulator, fastest_engine, resolve_engine
 
-SUBSTEPS = options.Interval("[1, 1000]")
+SUBSTEPS = Interval("[1, 1000]")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +35,7 @@ class MujocoEnv(Env):
 
     def __post_init__(self):
         super().__post_init__()
-        options.require("substeps", self.substeps, SUBSTEPS)
+        require("substeps", self.substeps, SUBSTEPS)
         if self.engine != "auto":
             resolve_engine(self.engine)
 

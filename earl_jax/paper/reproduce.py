@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.options import COUNT, TimeLimit, require
+from earl_jax.options.values import COUNT, TimeLimit, require
 from earl_jax.paper.artefact import Block, Options
 from earl_jax.paper.curves import CURVES
 from earl_jax.paper.figure2 import FIGURE2

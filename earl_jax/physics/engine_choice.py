@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 
 from earl_jax.errors import InputError
-from earl_jax.machine import own_cores
+from earl_jax.options.environment import own_cores
 
 ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}

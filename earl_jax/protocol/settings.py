@@ -11,7 +11,7 @@ from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
 from earl_jax.envs.wrappers.without_help import plain_task
 from earl_jax.errors import InputError
-from earl_jax.options import COUNT, COUNT_OR_NEVER, check, within
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, within
 from earl_jax.protocol.rules import Protocol
 
 HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")

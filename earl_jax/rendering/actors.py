@@ -12,8 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env, State, list_envs, make, with_engine
 from earl_jax.errors import InputError
-from earl_jax.options import require
-from earl_jax.runs.config import SEED
+from earl_jax.options.values import SEED, require
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy, load_policies, pretrained, pretrained_env, select_seed
 

@@ -12,7 +12,7 @@ import numpy as np
 from earl_jax.algos import Method, algo_class, make_algo
 from earl_jax.envs import Env, env_class, make
 from earl_jax.errors import InputError, brief
-from earl_jax.options import COUNT, Interval, check_intervals, require
+from earl_jax.options.values import COUNT, SEED, Interval, check_intervals, require
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
@@ -20,7 +20,6 @@ Row = dict[str, float]
 MOST_SEEDS = 2**16
 EPISODES = Interval("[1, 100000]")
 """The valid numbers of episodes of an evaluation."""
-SEED = Interval(f"[0, {2**32 - 1}]")
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
 DEEPEST = 8

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.options import seed_list
-from earl_jax.presets import LENGTHS, preset
+from earl_jax.options.presets import LENGTHS, preset
+from earl_jax.options.values import seed_list
 from earl_jax.runs.config import MOST_SEEDS
 
 KEYS = ("preset", "envs", "algos", *LENGTHS, "options")

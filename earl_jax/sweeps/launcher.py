@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
-from earl_jax.options import TimeLimit
+from earl_jax.options.values import TimeLimit
 from earl_jax.sweeps import slurm as slurm_arrays
 from earl_jax.sweeps.processes import Event, Task, Workers, events, start
 from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots

@@ -19,7 +19,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import recent_scores
-from earl_jax.options import TimeLimit
+from earl_jax.options.values import TimeLimit
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import locked

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from earl_jax.machine import FRACTION, PER_DEVICE, own_cores
+from earl_jax.options.environment import FRACTION, PER_DEVICE, own_cores
 from earl_jax.sweeps.mps import MpsError, mps
 
 PerDevice = int | Literal["auto"] | None

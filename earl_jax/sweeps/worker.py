@@ -13,8 +13,8 @@ from typing import Any
 
 from earl_jax.algos import method_for
 from earl_jax.errors import InputError, is_input_error
-from earl_jax.options import TimeLimit
-from earl_jax.presets import LENGTHS
+from earl_jax.options.presets import LENGTHS
+from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results

@@ -13,8 +13,8 @@ from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
-from earl_jax.options import TimeLimit, seed_list
-from earl_jax.presets import ALGO
+from earl_jax.options.presets import ALGO
+from earl_jax.options.values import TimeLimit, seed_list
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder

@@ -13,7 +13,7 @@ from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.sac import critic_count
 from earl_jax.errors import InputError
-from earl_jax.machine import FRACTION, PER_DEVICE
+from earl_jax.options.environment import FRACTION, PER_DEVICE
 from earl_jax.training.init import demo_rows, init_train_state, list_slots, replay_capacity
 from earl_jax.training.state import Problem, TrainState
 

@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, plain_task
-from earl_jax.options import TimeLimit
+from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import Row, RunConfig, deployed_metric

@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-from earl_jax.options import TimeLimit
+from earl_jax.options.values import TimeLimit
 from earl_jax.runs.hosts import of_first_host
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from earl_jax import training
 from earl_jax.cli import quickstart
-from earl_jax.presets import PRESETS
+from earl_jax.options.presets import PRESETS
 from tests.cli.process import run
 from tests.report.run_files import TABLETOP, write_page_run
 

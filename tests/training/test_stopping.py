@@ -8,7 +8,7 @@ import time
 import pytest
 
 from earl_jax import cli, resume
-from earl_jax.options import TimeLimit
+from earl_jax.options.values import TimeLimit
 from earl_jax.runs.progress import Progress
 from earl_jax.training import runner
 from earl_jax.training.stopping import Stopped, StopRequest

@@ -7,7 +7,7 @@ from flax import struct
 
 from earl_jax.algos.learner import networks
 from earl_jax.errors import InputError
-from earl_jax.options import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
 
 SOFT_CRITICS = 2
 """The paper's number of critics with the entropy term."""

@@ -169,7 +169,7 @@ class DHandLightbulb(MujocoEnv):
         if recorded != self.variant:
             raise InputError(
                 f"{self.demo_file} was recorded with variant {recorded!r}, not {self.variant!r}: record demonstrations "
-                "of this variant with earl_jax.demos.make and earl_jax.demos.save"
+                "of this variant with earl_jax.envs.demos.make and earl_jax.envs.demos.save"
             )
         return demos
 

@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets, options
+from earl_jax import assets
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
+from earl_jax.options.values import check_intervals, within
 from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -47,11 +48,11 @@ class HelpBudget(Env):
     eval_horizon: int = dataclasses.field(init=False, repr=False)
     demo_file: str | None = dataclasses.field(init=False, repr=False)
     task: Env
-    budget: float = dataclasses.field(metadata=options.within("(0, 1000000000]"))
-    help_cost: float = dataclasses.field(default=1.0, metadata=options.within("[0, 1000000000]"))
-    enforced_cost: float = dataclasses.field(default=1.0, metadata=options.within("[0, 1000000000]"))
-    help_above: float = dataclasses.field(default=0.98, metadata=options.within("[-1, 1)"))
-    absorbed_reward: float = dataclasses.field(default=0.0, metadata=options.within("[-1000000000, 1000000000]"))
+    budget: float = dataclasses.field(metadata=within("(0, 1000000000]"))
+    help_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
+    enforced_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
+    help_above: float = dataclasses.field(default=0.98, metadata=within("[-1, 1)"))
+    absorbed_reward: float = dataclasses.field(default=0.0, metadata=within("[-1000000000, 1000000000]"))
 
     ends: ClassVar[bool] = True
 
@@ -61,7 +62,7 @@ class HelpBudget(Env):
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()
-        options.check_intervals("help budget", self)
+        check_intervals("help budget", self)
         if self.task.sparse and self.absorbed_reward:
             raise InputError(
                 f"absorbed_reward must be 0 with a sparse reward, which is a success bit, not {self.absorbed_reward}"

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.machine import own_cores
+from earl_jax.options.environment import own_cores
 from earl_jax.physics.host_call import service
 from earl_jax.physics.state import Actuator, HostActuator, PendingStep, PhysicsState
 

@@ -46,6 +46,7 @@ COUNT = Interval(f"[1, {LARGEST_INT}]")
 """The valid numbers of steps or transitions."""
 COUNT_OR_NEVER = Interval(f"[0, {LARGEST_INT}]")
 """The valid numbers of steps between two events; 0 for never."""
+SEED = Interval(f"[0, {2**32 - 1}]")
 
 
 def within(interval: str | Interval) -> dict[str, Interval]:

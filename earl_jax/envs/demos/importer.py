@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from earl_jax.arrays import MAX_BYTES, load_npz, read_bytes, shortened
-from earl_jax.assets import Demos
+from earl_jax.assets import MAX_BYTES, Demos, load_npz, read_bytes, shortened
 from earl_jax.errors import InputError
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")

@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax import InputError, make, make_algo, train
 from earl_jax.cli.arguments import parse_minutes, parse_options
-from earl_jax.options import Interval, TimeLimit, check, parse_seeds, parse_whole, seed_list
+from earl_jax.options.values import Interval, TimeLimit, check, parse_seeds, parse_whole, seed_list
 from earl_jax.protocol import setting_of
 
 

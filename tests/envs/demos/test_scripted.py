@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import demos
-from earl_jax.envs import make
+from earl_jax.envs import demos, make
 from earl_jax.envs.state import DemoStart
 from earl_jax.envs.tabletop import TabletopOrganization
 

@@ -16,8 +16,7 @@ from earl_jax import envs
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs import Env, State
 from earl_jax.errors import InputError
-from earl_jax.options import require
-from earl_jax.runs.config import SEED
+from earl_jax.options.values import SEED, require
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""

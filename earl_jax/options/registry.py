@@ -101,10 +101,10 @@ class Registry:
         Raises:
             ValueError: as `get`; or an option is unknown or has the wrong type.
         """
-        from earl_jax import options as options_lib  # loads numpy, which listing does not need
+        from earl_jax.options.values import check  # loads numpy, which listing does not need
 
         factory = self.get(name)
-        options_lib.check(f"{self.kind} {name!r}", factory, options)
+        check(f"{self.kind} {name!r}", factory, options)
         return factory(**options)
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from earl_jax import arrays
-from earl_jax.arrays import load_npz
+from earl_jax import assets
+from earl_jax.assets import load_npz
 from earl_jax.errors import InputError
 
 TYPES = ["?", "i1", "u1", "<i2", ">u4", "<i8", "<f2", ">f4", "<f8"]
@@ -86,7 +86,7 @@ def test_a_hostile_npz_is_refused_in_one_line(name):
 def test_the_sum_of_the_arrays_is_limited(monkeypatch):
     data = saved({"a": np.ones(600), "b": np.ones(600)})
     assert len(load_npz(data, ["a", "b"])) == 2
-    monkeypatch.setattr(arrays, "MAX_BYTES", 9000)
+    monkeypatch.setattr(assets, "MAX_BYTES", 9000)
     assert len(load_npz(data, ["a"])) == 1
     with pytest.raises(InputError, match="larger than"):
         load_npz(data, ["a", "b"])

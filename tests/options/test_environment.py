@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from earl_jax.machine import own_cores
+from earl_jax.options.environment import own_cores
 
 
 @pytest.mark.parametrize(("bound", "count", "cores"), [({5, 2}, 8, [2, 5]), (None, 3, [0, 1, 2]), (None, None, [0])])

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from earl_jax import envs
-from earl_jax.registry import Registry
+from earl_jax.options.registry import Registry
 from tests.conftest import write_files
 
 MEADOW = """

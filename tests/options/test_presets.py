@@ -6,7 +6,7 @@ import pytest
 
 import earl_jax
 from earl_jax.cli.train import train as command
-from earl_jax.presets import ALGO, LENGTHS, PRESETS
+from earl_jax.options.presets import ALGO, LENGTHS, PRESETS
 from earl_jax.sweeps import grid
 from earl_jax.training import train
 
