@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from earl_jax import assets, demos, physics
-from earl_jax.envs import make
+from earl_jax import assets, physics
+from earl_jax.envs import demos, make
 from earl_jax.envs.dhand import lightbulb as task
 from tests.envs.programs import as_lane, program, run_actions, starts
 
