@@ -3,7 +3,7 @@
 import importlib.util
 from typing import NamedTuple
 
-import jax
+from jax import default_backend, local_device_count
 
 from earl_jax.errors import InputError
 from earl_jax.options.environment import own_cores
@@ -42,7 +42,7 @@ def resolve_engine(engine: str) -> str:
         ValueError: the engine is unknown or not installed; the message names the choices or the extra that installs it.
     """
     if engine == "auto":
-        return DEFAULT_ENGINES.get(jax.default_backend(), "mjx")
+        return DEFAULT_ENGINES.get(default_backend(), "mjx")
     if engine not in ENGINES:
         raise InputError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
     if not is_installed(engine):
@@ -59,9 +59,9 @@ def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
     which its capacity of contacts was measured to suffice.
     """
     default = resolve_engine("auto")
-    if jax.default_backend() != "gpu" or cost is None:
+    if default_backend() != "gpu" or cost is None:
         return default
-    times = {default: lanes * cost.host / (len(own_cores()) / jax.local_device_count())}
+    times = {default: lanes * cost.host / (len(own_cores()) / local_device_count())}
     if cost.device is not None:
         times["mjx"] = cost.device * max(1.0, lanes / DEVICE_LANES)
     if cost.warp is not None and lanes <= DEVICE_LANES and is_installed("warp"):

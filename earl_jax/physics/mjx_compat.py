@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import default_backend
 
 AFFECTED_JAXLIB = (0, 10)
 FIXED_JAXLIB = (0, 12)
@@ -33,7 +34,7 @@ def guard_kinematics() -> bool:
 
 def needs_guard() -> bool:
     """Return whether programs run on a CPU under a release of jaxlib with the slow fusion."""
-    return jax.default_backend() == "cpu" and AFFECTED_JAXLIB <= _jaxlib_version() < FIXED_JAXLIB
+    return default_backend() == "cpu" and AFFECTED_JAXLIB <= _jaxlib_version() < FIXED_JAXLIB
 
 
 def _jaxlib_version() -> tuple[int, ...]:

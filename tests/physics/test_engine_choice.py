@@ -1,6 +1,5 @@
 """The physics engine of a run: by name, or the fastest by measured costs."""
 
-import jax
 import pytest
 
 from earl_jax.envs import make, with_engine
@@ -38,7 +37,7 @@ def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
 ):
     cost = make(task).engine_cost
     assert fastest_engine(cost, lanes) == "c", "on a CPU"
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(engine_choice, "default_backend", lambda: "gpu")
     monkeypatch.setattr(engine_choice, "own_cores", lambda: range(cores))
     monkeypatch.setattr(engine_choice, "is_installed", lambda engine: warp or engine != "warp")
     assert fastest_engine(cost, lanes) == make(task).for_lanes(lanes).engine == engine
@@ -48,5 +47,5 @@ def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
 
 @pytest.mark.parametrize("cost", [None, EngineCost(host=1.0)])
 def test_auto_takes_the_default_engine_without_a_cost_of_the_device(monkeypatch, cost):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(engine_choice, "default_backend", lambda: "gpu")
     assert fastest_engine(cost, 10_000) == engine_choice.DEFAULT_ENGINES["gpu"]

@@ -55,7 +55,7 @@ def test_a_release_without_a_patched_function_is_an_error_that_names_the_version
 )
 def test_a_jaxlib_without_the_slow_fusion_and_an_accelerator_are_left_alone(monkeypatch, version, backend):
     monkeypatch.setattr(mjx_compat, "_jaxlib_version", lambda: version)
-    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(mjx_compat, "default_backend", lambda: backend)
     assert not mjx_compat.guard_kinematics()
 
 
