@@ -14,7 +14,8 @@ import numpy as np
 from flax import struct
 
 from earl_jax.envs import Env, State, make, start_of
-from earl_jax.envs.state import STARTS, tree_where
+from earl_jax.envs.starts import STARTS
+from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.errors import InputError
 from earl_jax.protocol import (
@@ -85,7 +86,7 @@ class Session:
     mode: str = "train"
     attempt_steps: int = ATTEMPT_STEPS
     starts: str = STARTS[0]
-    """The distribution of an episode's start, one of `envs.state.STARTS`."""
+    """The distribution of an episode's start, one of `envs.starts.STARTS`."""
 
     def __post_init__(self):
         if self.mode not in MODES:

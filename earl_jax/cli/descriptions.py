@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import algos, envs
-from earl_jax.cli.listing import CATALOG, LOCATE, TASK_CELLS, names
+from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_CELLS, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
 

@@ -1,29 +1,19 @@
-"""The command that describes tasks, methods and presets: list.
+"""The command that describes tasks, methods and presets: list. It imports only the classes of other packages."""
 
-Importing the classes loads jax, which takes about two seconds. `make catalog` therefore stores the descriptions of the
-package's own classes in catalog.json, and a test compares the two. Classes of other packages are always imported.
-"""
-
-import functools
-import json
 import textwrap
 from importlib.metadata import EntryPoint
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
-from earl_jax import algos, assets, envs
+from earl_jax import assets
 from earl_jax.cli.arguments import JSON, Positional, emit
+from earl_jax.cli.catalog import LOCATE, TASK_CELLS, names, stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import LENGTHS, PRESETS
 
-CATALOG = Path(__file__).with_name("catalog.json")
-LOCATE = {"task": envs.locate_env, "method": algos.locate_algo}
 WIDTH = 80
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
 TASK_HEADER = TASK_ROW.format("task", "obs", "goal", "act", "reward", "H_T", "H_E", "change", "demos", "engine")
-TASK_CELLS = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
-"""The attributes of a task that are cells of its row."""
 TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --set reward_type=... takes the other. \
 H_T: steps between hard interventions; H_E: steps of an evaluation episode; change: steps between goal changes in the \
 continuing setting. demos: demonstrations that ship. engine: MuJoCo's is auto, mjx, warp or c; "none" is plain arithmetic."""
@@ -54,20 +44,15 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
         raise InputError(f"there is no task, method or preset {name!r}; choose from {choices}")
     described = describe(kind, name)
     if kind == "method":
-        described = {**described, "learner": _catalog()["learner"]}
+        described = {**described, "learner": stored()["learner"]}
     emit(described, json, _details(described))
-
-
-def names() -> dict[str, list[str]]:
-    """Return the names of all tasks, methods and presets, by kind."""
-    return {"task": envs.list_envs(), "method": algos.list_algos(), "preset": list(PRESETS)}
 
 
 def describe_all() -> dict[str, Any]:
     """Return the names of the tasks (`envs`) and methods (`algos`), all descriptions, and the learner's options."""
     known = names()
     described = {f"{kind}s": {name: describe(kind, name) for name in known[kind]} for kind in known}
-    return {"envs": known["task"], "algos": known["method"], **described, "learner": _catalog()["learner"]}
+    return {"envs": known["task"], "algos": known["method"], **described, "learner": stored()["learner"]}
 
 
 def describe(kind: str, name: str) -> dict[str, Any]:
@@ -82,7 +67,7 @@ def describe(kind: str, name: str) -> dict[str, Any]:
         target, head["package"] = LOCATE[kind](name)
         path = target.value if isinstance(target, EntryPoint) else f"{target.__module__}:{target.__qualname__}"
         head |= {"class": path, "policies": _policies(name)}
-        return head | (_catalog().get(path) or _imported(kind, name))
+        return head | (stored().get(path) or _imported(kind, name))
     except Exception as error:  # the code of another package
         return head | {"error": str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"}
 
@@ -103,11 +88,6 @@ def _policies(name: str) -> dict[str, Any]:
                 options = {**info["config"]["env_options"], **info["config"]["options"]}
                 policies[method if name == task else task] = {**{key: info[key] for key in SCORES}, "options": options}
     return policies
-
-
-@functools.cache
-def _catalog() -> dict[str, Any]:
-    return json.loads(CATALOG.read_text())
 
 
 def _preset(name: str) -> dict[str, Any]:

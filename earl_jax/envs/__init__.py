@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from earl_jax.envs.base import Env
     from earl_jax.envs.mujoco_env import MujocoEnv
-    from earl_jax.envs.state import State, start_of
+    from earl_jax.envs.starts import start_of
+    from earl_jax.envs.state import State
     from earl_jax.envs.wrappers.help_budget import HelpBudget
     from earl_jax.envs.wrappers.without_help import plain_task
 
@@ -43,7 +44,7 @@ _HOME = {
     "MujocoEnv": "mujoco_env",
     "State": "state",
     "plain_task": "wrappers.without_help",
-    "start_of": "state",
+    "start_of": "starts",
 }
 PAPER_TASKS = (
     "tabletop_organization",

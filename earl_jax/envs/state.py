@@ -1,7 +1,6 @@
-"""The return types of an environment: its state, the result of a step, and its starts."""
+"""The return types of an environment: its state, the result of a step, and the start of a scripted demonstration."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +10,6 @@ from jax.core import Tracer
 
 from earl_jax.errors import InputError
 
-if TYPE_CHECKING:
-    from earl_jax.envs.base import Env
-
-STARTS = ("initial", "uniform", "wide")
-"""s0 ~ rho, uniform over the workspace (figure 5 of the paper), and the starts of `deployed/success_wide`."""
 NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
 """The result of a control step: the physics data, the state vector [s], and the changed fields of `info`."""
 
@@ -44,19 +38,6 @@ class DemoStart(NamedTuple):
     forward: State
     backward: State | None
     backward_goal: np.ndarray | None
-
-
-def start_of(env: "Env", starts: str) -> Callable[[jax.Array], State]:
-    """Return the function `start(key) -> State` of the distribution `starts` of `env`.
-
-    Raises:
-        ValueError: the name is unknown, or the task has no such starts.
-    """
-    if starts not in STARTS:
-        raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
-    if starts == "wide" and env.reset_wide is None:
-        raise InputError(f"{env.name} has no wide starts: they belong to sparse tasks whose object can be anywhere")
-    return {"initial": env.reset, "uniform": env.reset_uniform, "wide": env.reset_wide or env.reset}[starts]
 
 
 def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:

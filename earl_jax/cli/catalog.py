@@ -1,0 +1,29 @@
+"""The names of all tasks, methods and presets, and the stored descriptions of the package's own classes.
+
+Importing the classes loads jax, which takes about two seconds. `make catalog` therefore stores their descriptions in
+catalog.json, and a test compares the two.
+"""
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+from earl_jax import algos, envs
+from earl_jax.options.presets import PRESETS
+
+CATALOG = Path(__file__).with_name("catalog.json")
+LOCATE = {"task": envs.locate_env, "method": algos.locate_algo}
+TASK_CELLS = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
+"""The attributes of a task that are cells of its row."""
+
+
+def names() -> dict[str, list[str]]:
+    """Return the names of all tasks, methods and presets, by kind."""
+    return {"task": envs.list_envs(), "method": algos.list_algos(), "preset": list(PRESETS)}
+
+
+@functools.cache
+def stored() -> dict[str, Any]:
+    """Return the stored descriptions by class, and under `learner` the options of every method."""
+    return json.loads(CATALOG.read_text())
