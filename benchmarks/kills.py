@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.output import emit
+from earl_jax import list_algos
 from earl_jax.runs import archive, checkpoint
 
 TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=40"]
@@ -26,6 +27,8 @@ CLI = [sys.executable, "-m", "earl_jax.cli"]
 FIELDS = ["subject", "run", "command", "seconds", "rows", "newest", "writing", "outlived"]
 PATIENCE = 10.0
 """Seconds after which a worker counts as one that does not end with its launcher."""
+OWN = {"vaprl": ["refresh_every=40", "value_samples=2"]}
+"""Options of a method that make its run short."""
 GRID = """
 envs = ["tabletop_organization"]
 algos = ["naive", "fbrl"]
@@ -69,8 +72,7 @@ def subjects(root: Path) -> dict[str, Subject]:
     grid, table = root / "grid.toml", "tabletop_organization"
     grid.write_text(GRID)
     every = [
-        training("fbrl", table, "fbrl", 800, []),
-        training("vaprl", table, "vaprl", 800, ["refresh_every=40", "value_samples=2"]),
+        *(training(algo, table, algo, 800, OWN.get(algo, [])) for algo in list_algos()),
         training("door", "sawyer_door", "fbrl", 400, ["eval_horizon=40"], "--engine", "c"),
         training("peg", "sawyer_peg", "fbrl", 400, ["eval_horizon=40"], "--engine", "c"),
         training("budget", table, "fbrl", 800, ["budget=5", "intervention_chance=0.01"], "--setting", "continuing"),
