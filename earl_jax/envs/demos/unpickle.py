@@ -54,12 +54,18 @@ class Array:
         self._fill(data, dtype, shape, "F" if fortran else "C")
 
 
+def _encode(text: str, codec: str) -> bytes:
+    if codec != "latin1":
+        raise ValueError(f"it encodes text with {codec}")
+    return text.encode("latin1")
+
+
 ALLOWED = {
     "numpy.ndarray": Array,
     "numpy.dtype": Dtype,
     "numpy.core.multiarray._reconstruct": Array,
     "numpy.core.numeric._frombuffer": Array,
-    "_codecs.encode": lambda text, codec: text.encode("latin1"),
+    "_codecs.encode": _encode,
     "builtins.bytes": lambda: b"",
 }
 
