@@ -155,7 +155,7 @@ plt.show()
 """
 ## Watch a policy
 
-`result.policy(seed)` is the greedy task policy, a pure function of an observation. The figure shows four
+`result.policy(lane)` is the greedy task policy, a pure function of an observation. The figure shows four
 episodes of the best seed, one for each goal: the gripper's path in blue, the mug's in orange, and the
 goal's coaster as a circle.
 """

@@ -27,7 +27,7 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
-from earl_jax.metrics.life import BACK, FORWARD
+from earl_jax.metrics.phase_stats import BACK, FORWARD
 from earl_jax.protocol import Protocol, Rules
 from earl_jax.training import runner, select_seed, train
 from earl_jax.training.init import replay_capacity

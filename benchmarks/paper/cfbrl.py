@@ -15,7 +15,7 @@ from benchmarks.output import DOCS, RESULTS, with_tables, write_files
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD
+from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import Curves, read
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval

@@ -114,8 +114,8 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
     problem, method, start = make_training(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
     state = [start]
 
-    def runner(count: int, explore: bool) -> tuple[Callable[[], Any], Any]:
-        program = jax.jit(lambda m, s: run_steps(problem, m, s, count, explore), donate_argnums=1)
+    def runner(count: int, warmup: bool) -> tuple[Callable[[], Any], Any]:
+        program = jax.jit(lambda m, s: run_steps(problem, m, s, count, warmup), donate_argnums=1)
         compiled = program.lower(method, state[0]).compile()
 
         def call():
@@ -125,8 +125,8 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
         return call, compiled
 
     host_ms = host_milliseconds(problem, start)
-    explore, _ = runner(steps, True)
-    without = milliseconds(explore, steps, 2)
+    warmup, _ = runner(steps, True)
+    without = milliseconds(warmup, steps, 2)
     began = time.perf_counter()
     whole, compiled = runner(steps, False)
     compile_s = time.perf_counter() - began

@@ -192,13 +192,13 @@ class Session:
             reset_at_end=False,
         )
         end = advance_rules(self.protocol.rules, self.env, next_env_state, attempt, state.steps, chance_key)
-        new_goal = (end.goal_changes if self.protocol.goal_change else end.over) & ~state.goal_is_set
+        new_goal = (end.goal_changes if self.protocol.goal_change else end.phase_ended) & ~state.goal_is_set
         goal = jnp.where(new_goal, self.env.sample_goal(goal_key), state.env_state.info["goal"])
         return state.replace(
             key=key,
-            env_state=self.env.with_goal(reset_where(end.reset, self.env, reset_key, next_env_state), goal),
+            env_state=self.env.with_goal(reset_where(end.env_reset, self.env, reset_key, next_env_state), goal),
             attempt_age=jnp.where(new_goal, 0, state.attempt_age + 1),
-            interventions=state.interventions + end.reset,
+            interventions=state.interventions + end.env_reset,
         )
 
     def set_goal(self, state: SessionState, goal: jax.Array, mask: jax.Array) -> SessionState:

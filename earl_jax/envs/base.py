@@ -51,7 +51,7 @@ class Env(Demonstrated, Relabelled, Conventions, abc.ABC):
     """Bounds of `map_position`, [[x, y] low, [x, y] high]; None for a task without a map."""
     map_unit: ClassVar[str] = "m"
     """Unit of `map_position`."""
-    ends: ClassVar[bool] = False
+    has_absorbing_state: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __post_init__(self):

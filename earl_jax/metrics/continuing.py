@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 
 from earl_jax.envs import State
-from earl_jax.metrics.life import Life
+from earl_jax.metrics.phase_stats import PhaseStats
 
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
@@ -34,7 +34,7 @@ class Counters(struct.PyTreeNode):
 
     `window_reward`: task reward since the last evaluation; `total_reward`: task reward before it; `interventions`:
     their number, of which `faults` are resets after a broken simulation; `reached`: task goals reached; `diagnostics`:
-    those of the last gradient step; `life`: phases and the object's movement.
+    those of the last gradient step; `phases`: those that ended, and the object's movement.
     """
 
     window_reward: jax.Array
@@ -43,7 +43,7 @@ class Counters(struct.PyTreeNode):
     faults: jax.Array
     reached: jax.Array
     diagnostics: dict[str, jax.Array]
-    life: Life
+    phases: PhaseStats
 
 
 def continuing(

@@ -57,18 +57,18 @@ class Attempt(NamedTuple):
 class StepEnd(NamedTuple):
     """The end of one step, bool scalars.
 
-    The attempt is `over` if its goal was `reached` or it hit a `timeout`. `fault`: the simulation broke, and the step
-    is discarded. `goal_changes`: the environment sets another goal. `restarts`: the next attempt is at the task, after
-    an intervention or a goal change. `reset`: the environment is reset to s0 ~ rho.
+    `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `fault`: the simulation broke, and the step
+    is discarded. `goal_changes`: the environment sets another goal. `task_restarts`: the next attempt is at the task,
+    after an intervention or a goal change. `env_reset`: the environment is reset to s0 ~ rho.
     """
 
     fault: jax.Array
     reached: jax.Array
     timeout: jax.Array
-    over: jax.Array
+    phase_ended: jax.Array
     goal_changes: jax.Array
-    restarts: jax.Array
-    reset: jax.Array
+    task_restarts: jax.Array
+    env_reset: jax.Array
 
 
 def advance_rules(
@@ -83,17 +83,17 @@ def advance_rules(
     reached = success & ~fault & (env_state.done == 0)
     intervened = rules.intervened(step, key) | fault
     goal_changes = rules.goal_changes(step)
-    restarts = intervened | (goal_changes & attempt.is_task)
-    expired = (attempt.age + 1 >= attempt.limit) | restarts | attempt.given_up
-    over = reached | expired
+    task_restarts = intervened | (goal_changes & attempt.is_task)
+    expired = (attempt.age + 1 >= attempt.limit) | task_restarts | attempt.given_up
+    phase_ended = reached | expired
     return StepEnd(
         fault=fault,
         reached=reached,
         timeout=expired & ~reached,
-        over=over,
+        phase_ended=phase_ended,
         goal_changes=goal_changes,
-        restarts=restarts,
-        reset=intervened | (over & attempt.reset_at_end),
+        task_restarts=task_restarts,
+        env_reset=intervened | (phase_ended & attempt.reset_at_end),
     )
 
 

@@ -11,7 +11,7 @@ from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE
+from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import level_crossings, recent_scores

@@ -14,7 +14,7 @@ from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import LIFE_METRICS
+from earl_jax.metrics.phase_stats import PHASE_METRICS
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
@@ -22,7 +22,7 @@ from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 
-OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *LIFE_METRICS})
+OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *PHASE_METRICS})
 """Metrics that some runs do not have."""
 SAME_TASK = frozenset({"engine", "demo_file", "variant", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""

@@ -9,7 +9,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
+from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import LEVELS, published_beside
 from earl_jax.report.runs import Curves, options_text

@@ -57,7 +57,9 @@ class PlannedRun:
         config, env = self.run.config, self.run.env
         lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
         lengths += (self.run.protocol.alive_steps,)
-        task = env if env.ends else dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
+        task = (
+            env if env.has_absorbing_state else dataclasses.replace(env, train_horizon=1)
+        )  # lanes carry the horizon as data
         return task, lengths, program_structure(self.run.method)
 
     def replay_bytes(self) -> int:

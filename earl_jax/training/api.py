@@ -64,9 +64,9 @@ class Result:
             raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
         return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
 
-    def policy(self, seed: int = 0) -> Policy:
-        """Return the greedy task policy of the `seed`-th lane, callable on obs [..., o] of the task without help."""
-        return Policy.of(self.env, select_seed(self.method, seed), select_seed(self.train_state, seed))
+    def policy(self, lane: int = 0) -> Policy:
+        """Return the greedy task policy of `seeds[lane]`, callable on obs [..., o] of the task without help."""
+        return Policy.of(self.env, select_seed(self.method, lane), select_seed(self.train_state, lane))
 
 
 def train(

@@ -11,7 +11,7 @@ from earl_jax.envs import plain_task, start_of, with_engine
 from earl_jax.envs.state import all_finite
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
-from earl_jax.metrics.life import life_metrics
+from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.values import SEED, require
 from earl_jax.runs.config import EPISODES
 from earl_jax.runs.folder import RunFolder
@@ -35,11 +35,11 @@ def _evaluate_lane(
     protocol, metrics = problem.protocol, deployed_lane(problem, method, lane, step)
     window, steps = jnp.asarray(protocol.eval_every, jnp.float32), step.astype(jnp.float32)
     counters, continuing_metrics = continuing(lane.counters, lane.env_state, steps, window)
-    life, phase_metrics = life_metrics(counters.life, step, protocol.alive_steps, method.phases, problem.env.sparse)
-    metrics |= {**continuing_metrics, **phase_metrics, **counters.diagnostics}
+    phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, method.phases, problem.env.sparse)
+    metrics |= {**continuing_metrics, **of_phases, **counters.diagnostics}
     metrics |= {f"{method.name}/{name}": value for name, value in method.own_metrics(lane.method_state).items()}
     metrics[DIVERGED] = has_diverged(lane).astype(jnp.int32)
-    return lane.replace(counters=counters.replace(life=life)), metrics
+    return lane.replace(counters=counters.replace(phases=phases)), metrics
 
 
 def has_diverged(lane: LaneState) -> jax.Array:

@@ -14,7 +14,7 @@ from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import Counters
-from earl_jax.metrics.life import Life, init_life
+from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
 from earl_jax.protocol import Rules
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
@@ -58,13 +58,13 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
         goal_indices=goal_indices,
         agent=method.pretrain(pretrain_key, env, agents, demonstrations(problem, method)),
         method_state=method_state,
-        counters=_zero_counters(init_life(env, env_state)),
+        counters=_zero_counters(init_phase_stats(env, env_state)),
         rules=rules,
         visits=None if env.map_bounds is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )
 
 
-def _zero_counters(life: Life) -> Counters:
+def _zero_counters(phases: PhaseStats) -> Counters:
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     return Counters(
         window_reward=zero,
@@ -73,7 +73,7 @@ def _zero_counters(life: Life) -> Counters:
         faults=none,
         reached=none,
         diagnostics=dict.fromkeys(sac.DIAGNOSTICS, zero),
-        life=life,
+        phases=phases,
     )
 
 
@@ -91,7 +91,7 @@ class DemoRows(NamedTuple):
     controllers: np.ndarray
     copies: np.ndarray
 
-    def listed(self, controller: int) -> np.ndarray:
+    def sampleable(self, controller: int) -> np.ndarray:
         """Return the rows that `controller` samples from, each repeated by its number of copies."""
         own = self.controllers == controller
         return np.repeat(self.rows[own], self.copies[own])
@@ -159,7 +159,7 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
     return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
 
 
-def list_slots(method: Method, demos: DemoRows | None, capacity: int) -> int:
+def sample_capacity(method: Method, demos: DemoRows | None, capacity: int) -> int:
     """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
     if method.sac.replay_capacity is None:
         return capacity
@@ -170,7 +170,7 @@ def list_slots(method: Method, demos: DemoRows | None, capacity: int) -> int:
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
     """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    slots = None if method.sac.replay_capacity is None else list_slots(method, demos, capacity)
+    slots = None if method.sac.replay_capacity is None else sample_capacity(method, demos, capacity)
     replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
     if demos is None:
         return replay
@@ -182,7 +182,7 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
             goal=jnp.asarray(demos.goals), reached=reached, timeout=unset, no_successor=unset, absorbed=unset
         )
     )
-    first, second = demos.listed(0), demos.listed(1)
+    first, second = demos.sampleable(0), demos.sampleable(1)
     index = replay.index.at[: len(first)].set(first[:, None])
     index = index.at[len(index) - len(second) :].set(second[::-1, None])
     return replay.replace(

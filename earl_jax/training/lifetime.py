@@ -12,7 +12,7 @@ from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, per_lane, prepare
 from earl_jax.training.scan import run_steps
-from earl_jax.training.state import Explore, Problem, TrainState
+from earl_jax.training.state import Problem, TrainState, Warmup
 
 
 def lifetime(
@@ -59,15 +59,15 @@ def _window(
 ) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the state after the window `number []` between two evaluations, and its metrics [N].
 
-    Steps that explore and steps that learn are one piece of the program, because XLA takes seconds to compile the
+    Steps of the warm-up and steps that learn are one piece of the program, because XLA takes seconds to compile the
     physics of each piece on MJX.
     """
     chunks = plan.problem.protocol.eval_every // plan.chunk
 
     def chunk(carry, index):
-        explore: Explore = (number * chunks + index) * plan.chunk < plan.random_steps
+        warmup: Warmup = (number * chunks + index) * plan.chunk < plan.random_steps
         if plan.random_steps == 0 or plan.steps <= plan.random_steps:
-            explore = plan.random_steps > 0
-        return run_steps(plan.problem, method, carry, plan.chunk, explore), None
+            warmup = plan.random_steps > 0
+        return run_steps(plan.problem, method, carry, plan.chunk, warmup), None
 
     return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, jnp.arange(chunks))[0])

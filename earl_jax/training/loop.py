@@ -19,11 +19,11 @@ from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs.state import tree_where
-from earl_jax.metrics.life import advance_life
+from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
 from earl_jax.training.ordering import after
-from earl_jax.training.state import MAP_BINS, Explore, LaneState, Problem, StepKeys, TrainState
+from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
 
 
 def train_step(
@@ -31,19 +31,19 @@ def train_step(
     method: Method,
     state: TrainState,
     keys: StepKeys,
-    explore: Explore = False,
+    warmup: Warmup = False,
     batch: TransitionBatch | None = None,
 ) -> TrainState:
-    """Return all lanes one step later: act, store and, unless `explore`, take a gradient step on earlier transitions.
+    """Return all lanes one step later: act, store and, unless `warmup`, take a gradient step on earlier transitions.
 
     The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
     are drawn here if they are not given.
     """
     lanes = state.lanes
     controller = controller_of(method, lanes.phase)
-    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, explore, state.step))
+    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, state.step))
     action, pending = act(method, lanes, keys.act)
-    if explore is not True:
+    if warmup is not True:
         if pending.ticket is not None:  # the host starts before the device draws a batch and learns
             ticket, lanes, keys = jax.lax.optimization_barrier((pending.ticket, lanes, keys))
             pending = pending._replace(ticket=ticket)
@@ -51,8 +51,8 @@ def train_step(
             state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
         update_lane = functools.partial(update, problem, first_row=state.replay.first_row, step=state.step)
         updated = jax.vmap(update_lane)(method, lanes, keys, batch, lanes.phase)
-        updated = _unless_ended(lanes, updated) if problem.env.ends else updated
-        lanes = updated if explore is False else _unless_exploring(explore, lanes, updated)
+        updated = _unless_ended(lanes, updated) if problem.env.has_absorbing_state else updated
+        lanes = updated if warmup is False else _unless_warmup(warmup, lanes, updated)
         if pending.ticket is not None:  # the device learns before it waits for the host
             ticket, lanes = jax.lax.optimization_barrier((pending.ticket, lanes))
             pending = pending._replace(ticket=ticket)
@@ -85,22 +85,22 @@ def _read_before_write(state: TrainState, batch: TransitionBatch) -> tuple[Train
 
 @jax.named_scope("act")
 def act_and_start(
-    problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore, step: jax.Array
+    problem: Problem, method: Method, lane: LaneState, key: jax.Array, warmup: Warmup, step: jax.Array
 ) -> tuple[jax.Array, PendingStep]:
-    """Return the action [a] of one lane, uniform with `explore` or by the method's own word, and the step that it starts."""
+    """Return the action [a] of one lane, uniform with `warmup` or by the method's own word, and the step that it starts."""
     held = jax.random.fold_in(jax.random.fold_in(lane.key, step // method.explore_hold), 3)
-    own = explore is not True and method.explores(held, problem.env, lane.phase, lane.phase_step, lane.method_state)
-    action = _act(problem, method, lane, key, explore)
+    own = warmup is not True and method.explores(held, problem.env, lane.phase, lane.phase_step, lane.method_state)
+    action = _act(problem, method, lane, key, warmup)
     if own is not False:
         action = jnp.where(own, _act(problem, method, lane, held, True), action)
     return action, problem.env.start_step(lane.env_state, action)
 
 
-def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, explore: Explore) -> jax.Array:
+def _act(problem: Problem, method: Method, lane: LaneState, key: jax.Array, warmup: Warmup) -> jax.Array:
     size = problem.env.action_size
-    if explore is not False:
+    if warmup is not False:
         uniform = jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
-        return uniform if explore is True else jnp.where(explore, uniform, _act(problem, method, lane, key, False))
+        return uniform if warmup is True else jnp.where(warmup, uniform, _act(problem, method, lane, key, False))
     # Without barriers, XLA reads the actor in the kernels that update it, and so acts after the update.
     stacked, controller = jax.lax.optimization_barrier((lane.agent.actor, controller_of(method, lane.phase)))
     actor = jax.lax.optimization_barrier(_controller(stacked, controller))
@@ -126,27 +126,29 @@ def finish_and_store(
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
     end = _step_end(problem, method, lane, env_state, earned, keys, step)
     is_task, has_goal = lane.phase == TASK, jnp.asarray(method.ends_on_success(lane.phase), bool)
-    life = advance_life(lane.counters.life, env, env_state, is_task, end.over & has_goal, end.reached, step + 1)
+    phases = advance_phase_stats(
+        lane.counters.phases, env, env_state, is_task, end.phase_ended & has_goal, end.reached, step + 1
+    )
     counters = lane.counters.replace(
-        life=life,
+        phases=phases,
         window_reward=lane.counters.window_reward + jnp.where(end.fault, 0.0, earned),
-        interventions=lane.counters.interventions + end.reset,
+        interventions=lane.counters.interventions + end.env_reset,
         faults=lane.counters.faults + end.fault,
         reached=lane.counters.reached + (end.reached & is_task),
     )
-    phase = jnp.where(end.restarts, TASK, jnp.where(end.over, (lane.phase + 1) % method.phases, lane.phase))
+    phase = jnp.where(end.task_restarts, TASK, jnp.where(end.phase_ended, (lane.phase + 1) % method.phases, lane.phase))
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)
-    following = env.with_goal(reset_where(end.reset, env, keys.reset, env_state), table[goal_indices.goal])
+    following = env.with_goal(reset_where(end.env_reset, env, keys.reset, env_state), table[goal_indices.goal])
     transition = _transition(problem, method, lane, action, env_state, following, end)
     moved = lane.replace(
         env_state=following,
         phase=phase,
-        phase_step=jnp.where(end.over, 0, lane.phase_step + 1),
+        phase_step=jnp.where(end.phase_ended, 0, lane.phase_step + 1),
         goal_indices=goal_indices,
         counters=counters,
         visits=None if lane.visits is None else _count_visit(problem, lane.visits, env_state.obs),
     )
-    return moved, transition, _is_listed(method, lane, end)
+    return moved, transition, _is_sampleable(method, lane, end)
 
 
 def _step_end(
@@ -183,7 +185,7 @@ def _transition(
         goal=lane.goal_indices.goal,
         reached=end.reached,
         timeout=end.timeout,
-        no_successor=end.reset,
+        no_successor=end.env_reset,
         absorbed=absorbed,
     )
     effective_horizon = jnp.where(absorbed, 1.0 / (1.0 - method.sac.discount), 1.0)
@@ -191,13 +193,13 @@ def _transition(
     return Transition(action, following.obs[: problem.env.state_size], reward, flags)
 
 
-def _is_listed(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
+def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
     """Return whether a transition can be sampled, bool [].
 
     It cannot after a fault or after the end of the lifetime, or if its target needs a successor that was not stored.
     """
     bootstrapped = end.timeout & jnp.asarray(method.sac.timeout_bootstrap, bool)
-    return ~(end.reset & bootstrapped) & ~end.fault & ~(lane.env_state.done > 0)
+    return ~(end.env_reset & bootstrapped) & ~end.fault & ~(lane.env_state.done > 0)
 
 
 def _next_goals(
@@ -210,7 +212,7 @@ def _next_goals(
     goals = problem.goals._replace(requested=jnp.where(env_sets, requested, -1))
     current = lane.goal_indices._replace(task=requested)
     fresh = method.next_goal(key, goals, phase, current, lane.method_state)
-    goal_indices = tree_where(end.over, fresh, lane.goal_indices)
+    goal_indices = tree_where(end.phase_ended, fresh, lane.goal_indices)
     return goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
 
 
@@ -292,9 +294,9 @@ def _unless_ended(lanes: LaneState, updated: LaneState) -> LaneState:
     return updated.replace(agent=agent, method_state=jax.tree.map(keep, lanes.method_state, updated.method_state))
 
 
-def _unless_exploring(explore: jax.Array, lanes: LaneState, updated: LaneState) -> LaneState:
-    """Return the `updated` lanes, or the old learner of all `lanes` with `explore`, bool []."""
+def _unless_warmup(warmup: jax.Array, lanes: LaneState, updated: LaneState) -> LaneState:
+    """Return the `updated` lanes, or the old learner of all `lanes` with `warmup`, bool []."""
     counters = updated.counters
     old = lanes.agent, lanes.method_state, lanes.counters.diagnostics
-    kept = tree_where(explore, old, (updated.agent, updated.method_state, counters.diagnostics))
+    kept = tree_where(warmup, old, (updated.agent, updated.method_state, counters.diagnostics))
     return updated.replace(agent=kept[0], method_state=kept[1], counters=counters.replace(diagnostics=kept[2]))

@@ -14,7 +14,7 @@ from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.sac import critic_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
-from earl_jax.training.init import demo_rows, init_train_state, list_slots, replay_capacity
+from earl_jax.training.init import demo_rows, init_train_state, replay_capacity, sample_capacity
 from earl_jax.training.state import Problem, TrainState
 
 ACTIVATIONS = 16
@@ -24,7 +24,7 @@ GIGABYTE = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
-class Need:
+class MemoryEstimate:
     """Bytes of one lane: its `replay`, `agent` (with the rest of its state), and `work` during a gradient step."""
 
     lanes: int
@@ -52,17 +52,17 @@ class Need:
 def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
     """Return the bytes of one lane's replay for `steps` steps."""
     env, rows = problem.env, replay_capacity(problem, method, steps)
-    more_slots = list_slots(method, demo_rows(problem, method), rows) - rows
+    more_slots = sample_capacity(method, demo_rows(problem, method), rows) - rows
     size = replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
     return rows * size + more_slots * replay_lib.SLOT_BYTES
 
 
-def need(problem: Problem, method: Method, lanes: int, steps: int) -> Need:
+def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:
     """Return the memory that `lanes` lanes of `steps` steps need."""
     sac = method.sac
     shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), replay_capacity(problem, method, 1))
     networks = (1 + critic_count(sac, method.critics)) * sum(sac.hidden_sizes)
-    return Need(
+    return MemoryEstimate(
         lanes,
         replay=replay_bytes(problem, method, steps),
         agent=_bytes(shape.lanes),
@@ -106,7 +106,7 @@ def free_bytes(device: Any) -> int | None:
     return None
 
 
-def require(needed: Need, mesh: Mesh | None = None) -> None:
+def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
     """Check that a program fits into the memory of one device, or of the devices of `mesh`.
 
     Raises:

@@ -21,10 +21,10 @@ LONGEST_CHUNK = 1000
 
 
 class Span(NamedTuple):
-    """A number of consecutive chunks, which act uniformly at random with `explore`, else by the policy."""
+    """A number of consecutive chunks, which act uniformly at random with `warmup`, else by the policy."""
 
     chunks: int
-    explore: bool
+    warmup: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Plan:
     chunk: int
     random_steps: int
     mesh: Mesh | None
-    memory: memory.Need
+    memory: memory.MemoryEstimate
 
     @property
     def engine(self) -> str:
@@ -55,7 +55,7 @@ class Plan:
         stop = (start // every + 1) * every
         middle = min(max(self.random_steps, start), stop)
         parts = ((start, middle, True), (middle, stop, False))
-        return [Span((end - first) // self.chunk, explore) for first, end, explore in parts if first < end]
+        return [Span((end - first) // self.chunk, warmup) for first, end, warmup in parts if first < end]
 
 
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
@@ -68,7 +68,7 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     every = problem.protocol.eval_every
     if steps < 1 or steps % every:
         raise InputError(f"steps {steps} is not a multiple of eval_every {every}")
-    mesh, need = lane_mesh(devices, lanes), memory.need(problem, method, lanes, steps)
+    mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(
         problem=problem,

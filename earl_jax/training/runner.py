@@ -106,11 +106,11 @@ def _init(
     return init(method, keys, rules)
 
 
-@functools.partial(jax.jit, static_argnames=("problem", "steps", "explore", "mesh"), donate_argnames="state")
+@functools.partial(jax.jit, static_argnames=("problem", "steps", "warmup", "mesh"), donate_argnames="state")
 def _advance(
-    problem: Problem, method: Method, state: TrainState, steps: int, explore: bool, mesh: Mesh | None
+    problem: Problem, method: Method, state: TrainState, steps: int, warmup: bool, mesh: Mesh | None
 ) -> TrainState:
-    run = mapped(lambda m, s: run_steps(problem, m, s, steps, explore), mesh, (LANES, TRAIN_STATE), TRAIN_STATE)
+    run = mapped(lambda m, s: run_steps(problem, m, s, steps, warmup), mesh, (LANES, TRAIN_STATE), TRAIN_STATE)
     return run(method, state)
 
 
@@ -207,8 +207,8 @@ def _train_to_evaluation(
             if stop.requested:
                 return state
             start_time = time.perf_counter()
-            with bar.working("random actions" if span.explore else "training"):
-                state = _advance(plan.problem, method, state, plan.chunk, span.explore, plan.mesh)
+            with bar.working("random actions" if span.warmup else "training"):
+                state = _advance(plan.problem, method, state, plan.chunk, span.warmup, plan.mesh)
                 state.step.block_until_ready()
             bar.advance(plan.chunk, time.perf_counter() - start_time)
             stop.check_time()

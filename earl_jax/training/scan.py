@@ -9,10 +9,10 @@ from earl_jax.algos.method import Method
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.training.loop import sample, sample_own, train_step
-from earl_jax.training.state import Explore, Problem, TrainState, step_keys
+from earl_jax.training.state import Problem, TrainState, Warmup, step_keys
 
 
-def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, explore: Explore = False) -> TrainState:
+def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, warmup: Warmup = False) -> TrainState:
     """Return all lanes after `steps` steps in one scan.
 
     k calls of whole blocks equal one call with k times the steps, bit for bit. A method's `refresh` runs at the start
@@ -23,31 +23,31 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, e
 
     def refreshed_block(carry, _):
         refreshed = refresh(problem, method, carry)
-        if not isinstance(explore, bool):
+        if not isinstance(warmup, bool):
             lanes = refreshed.lanes
-            kept = tree_where(explore, carry.lanes.method_state, lanes.method_state)
+            kept = tree_where(warmup, carry.lanes.method_state, lanes.method_state)
             refreshed = refreshed.replace(lanes=lanes.replace(method_state=kept))
-        return _run_block(problem, method, refreshed, block, explore), None
+        return _run_block(problem, method, refreshed, block, warmup), None
 
-    if method.refresh_every == 0 or explore is True:
-        return _run_block(problem, method, state, steps, explore)
+    if method.refresh_every == 0 or warmup is True:
+        return _run_block(problem, method, state, steps, warmup)
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
 
 
-def _run_block(problem: Problem, method: Method, state: TrainState, length: int, explore: Explore) -> TrainState:
+def _run_block(problem: Problem, method: Method, state: TrainState, length: int, warmup: Warmup) -> TrainState:
     """Return all lanes after `length` steps in one scan, whose random keys are computed before it."""
     numbers = state.step + jnp.arange(length + 1)
     keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
     now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
 
     def step(carry, keys):
-        return train_step(problem, method, carry, keys, explore), None
+        return train_step(problem, method, carry, keys, warmup), None
 
     def step_and_draw(carry, keys):
         (state, batch), (now, following) = carry, keys
-        return sample(method, train_step(problem, method, state, now, explore, batch), following), None
+        return sample(method, train_step(problem, method, state, now, warmup, batch), following), None
 
-    if explore is not True and _draws_ahead(problem, state):
+    if warmup is not True and _draws_ahead(problem, state):
         (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
         return state
     return jax.lax.scan(step, state, now)[0]

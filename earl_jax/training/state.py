@@ -19,7 +19,7 @@ MAP_BINS = 64
 """Number of bins along a side of the map of visited positions."""
 
 
-Explore = bool | jax.Array
+Warmup = bool | jax.Array
 """Whether steps act uniformly at random and do not learn. A traced flag, bool [], computes updates and drops them."""
 
 

@@ -105,8 +105,8 @@ def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_o
 def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_goal(problem):
     demos = demo_rows(problem, tiny_method("medal"))
     forward, backward = [len(problem.env.demos(name).ends) for name in ("forward", "backward")]
-    assert len(demos.listed(TASK)) == forward
-    assert len(demos.listed(RETURN)) == forward + 4 * backward
+    assert len(demos.sampleable(TASK)) == forward
+    assert len(demos.sampleable(RETURN)) == forward + 4 * backward
     assert len(demos.states) == len(problem.goals.candidates)
 
 

@@ -116,7 +116,7 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
     state = make_train_state(problem, method, [0, 1])
     first = int(state.replay.row)
     lanes = state.lanes.replace(phase_step=jnp.array([5, 0], jnp.int32))  # the last goal was reached 5 steps ago
-    state = run_whole(problem, method, state.replace(lanes=lanes), 16, explore=True)
+    state = run_whole(problem, method, state.replace(lanes=lanes), 16, warmup=True)
     timeouts = np.asarray(unpack(state.replay.flags[first : first + 16]).timeout)
     np.testing.assert_array_equal(timeouts, np.tile(np.arange(1, 17)[:, None] % 8 == 0, 2))
 
@@ -125,7 +125,7 @@ def test_fbrl_has_phases_of_a_fixed_length_or_one_controller_on_request(problem)
     fixed = make_algo("fbrl", fixed_phases=True)
     assert not any(fixed.ends_on_success(jnp.asarray(phase)) for phase in (TASK, RETURN))
     method = tiny_method("fbrl", controllers=1)
-    assert demo_rows(problem, method).listed(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
+    assert demo_rows(problem, method).sampleable(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
     state = jax.eval_shape(lambda: make_train_state(problem, method, [0, 1]))
     assert {leaf.shape[:2] for leaf in jax.tree.leaves(state.lanes.agent.actor)} == {(2, 1)}
     assert (next_goals(method, goal_table(problem.env), RETURN).goal == 4).all()
@@ -137,9 +137,9 @@ def test_fbrl_gives_each_controller_its_own_demonstrations(problem):
     demos = demo_rows(problem, make_algo("fbrl"))
     goals = problem.goals.table[demos.goals]
     assert (goals[demos.controllers == 1] == problem.env.initial_states[0]).all()
-    assert len(demos.listed(0)) == len(assets.demos(problem.env.name, "forward").ends)
-    assert len(demos.listed(1)) == len(assets.demos(problem.env.name, "backward").ends)
-    assert not demo_rows(problem, make_algo("r3l")).listed(1).size
+    assert len(demos.sampleable(0)) == len(assets.demos(problem.env.name, "forward").ends)
+    assert len(demos.sampleable(1)) == len(assets.demos(problem.env.name, "backward").ends)
+    assert not demo_rows(problem, make_algo("r3l")).sampleable(1).size
 
 
 def test_rnd_reward_and_scale_are_the_released_formulas(env):

@@ -52,7 +52,7 @@ def switch_share(env):
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
     method = per_lane(Impatient(tiny_method("fbrl").sac, fixed_phases=True), 2)
     start = make_train_state(problem, method, [0, 1])
-    end = run_whole(problem, method, start, 20, explore=True)
+    end = run_whole(problem, method, start, 20, warmup=True)
     rows = slice(int(start.replay.row), int(end.replay.row))
     flags = replay_lib.unpack(end.replay.flags[rows])
     step = np.arange(1, 21)

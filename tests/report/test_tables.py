@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import BACK, STILL
+from earl_jax.metrics.phase_stats import BACK, STILL
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.cli.process import run

@@ -8,7 +8,7 @@ import pytest
 import earl_jax
 from earl_jax import Continuing
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE, FORWARD, STILL
+from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
 from earl_jax.training import select_seed, split_options, train
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
 

@@ -55,17 +55,17 @@ def test_a_seed_trains_the_same_alone_and_beside_others(problem):
     np.testing.assert_array_equal(beside.replay.index[:, 1], alone.replay.index[:, 0])
 
 
-def explore(problem, method, steps, rules=None):
+def warmup(problem, method, steps, rules=None):
     """Return four fresh lanes after `steps` steps without updates, in one program, since the tests replace its actions."""
     state = make_train_state(problem, method, range(4), EXPERT_STEPS, rules)
-    return run_whole(problem, method, state, steps, explore=True)
+    return run_whole(problem, method, state, steps, warmup=True)
 
 
 @pytest.fixture
 def expert_acts(monkeypatch):
     """Let the scripted expert act in place of every learnt controller, which returns home in R3L's second phase."""
 
-    def act(problem, method, lane, key, explore):
+    def act(problem, method, lane, key, warmup):
         home = problem.env.with_goal(lane.env_state, jnp.asarray(problem.env.initial_states[0])).obs
         returns = (lane.phase == RETURN) & (method.name == "r3l")
         return problem.env.expert(jnp.where(returns, home, lane.env_state.obs))
@@ -76,7 +76,7 @@ def expert_acts(monkeypatch):
 @pytest.mark.parametrize(("algo", "published"), [("oracle", 41.0), ("fbrl", 82.5), ("r3l", 240.0)])
 def test_experts_in_the_loop_earn_at_the_published_rate(problem, expert_acts, algo, published):
     """Scripted optima that the converged reward rates of the paper's runs imply, in env steps per reached goal."""
-    counters = explore(problem, tiny_method(algo, 4), EXPERT_STEPS).lanes.counters
+    counters = warmup(problem, tiny_method(algo, 4), EXPERT_STEPS).lanes.counters
     assert 4 * EXPERT_STEPS / float(counters.reached.sum()) == pytest.approx(published, rel=0.05)
     interventions = np.asarray(counters.interventions)
     assert (interventions == counters.reached).all() if algo == "oracle" else not interventions.any()
@@ -86,7 +86,7 @@ def test_experts_in_the_loop_earn_at_the_published_rate(problem, expert_acts, al
 
 def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expert_acts):
     """An attempt at the task follows a goal change at once; a return goes on to its own end."""
-    state = explore(problem, tiny_method("fbrl", 4), 400, lane_rules([0] * 4, [0.0] * 4, [100] * 4))
+    state = warmup(problem, tiny_method("fbrl", 4), 400, lane_rules([0] * 4, [0.0] * 4, [100] * 4))
     goals = stored_flags(state, 400).goal
     is_task = goals < len(problem.env.goal_states)
     assert 0.1 < is_task.mean() < 0.9
@@ -194,7 +194,7 @@ def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
     )
     goal_indices = state.lanes.goal_indices._replace(goal=jnp.array([4, 4]), task=jnp.array([1, 1]))
     lanes = state.lanes.replace(env_state=env_state, goal_indices=goal_indices, phase=jnp.array([RETURN, RETURN]))
-    after = advance(problem, method, state.replace(lanes=lanes), 1, explore=True)
+    after = advance(problem, method, state.replace(lanes=lanes), 1, warmup=True)
     assert after.lanes.counters.window_reward.tolist() == [1.0, 1.0]
     assert after.lanes.counters.reached.tolist() == [0, 0]
     assert after.lanes.phase.tolist() == [RETURN, RETURN]

@@ -18,7 +18,7 @@ CARD_BYTES = 141e9
 @pytest.mark.parametrize(("name", "steps"), [("sawyer_peg", 5_900_000), ("dhand_lightbulb", 5_000_000)])
 def test_a_hundred_lanes_of_the_published_length_fit_on_one_card(name, steps):
     """The longest published run, and the one with the largest observation."""
-    need = memory.need(make_problem(make(name)), make_algo("r3l"), 100, steps)
+    need = memory.estimate(make_problem(make(name)), make_algo("r3l"), 100, steps)
     assert need.total < 0.95 * CARD_BYTES
 
 
@@ -31,16 +31,16 @@ def occupied(tree):
 @pytest.mark.parametrize("algo", ["naive", "vaprl"])
 def test_replay_and_agent_occupy_the_computed_bytes(problem, algo, replay_capacity):
     method, steps = tiny_method(algo, lanes=3, replay_capacity=replay_capacity), 300
-    need = memory.need(problem, method, 3, steps)
+    need = memory.estimate(problem, method, 3, steps)
     state = jax.eval_shape(lambda: make_train_state(problem, method, range(3), steps))
     assert abs(occupied(state.replay) - 3 * need.replay) < 250, "counts, and one more state than transitions"
     assert occupied(state.lanes) == 3 * need.agent
-    longer = memory.need(problem, method, 3, 10 * steps)
+    longer = memory.estimate(problem, method, 3, 10 * steps)
     assert (longer == need) if replay_capacity else (longer.replay > need.replay)
 
 
 def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes_nothing(monkeypatch, tmp_path):
-    need = memory.need(make_problem(make("sawyer_door")), make_algo("naive"), 1, 80)
+    need = memory.estimate(make_problem(make("sawyer_door")), make_algo("naive"), 1, 80)
     monkeypatch.setattr(memory, "free_bytes", lambda device: 3 * need.lane + 1)
     with pytest.raises(ValueError, match=r"5 lanes take .* GB free: 3 lanes would fit.*XLA_PYTHON_CLIENT_MEM_FRACTION"):
         earl_jax.train("sawyer_door", "naive", seeds=5, steps=80, eval_every=80, out=tmp_path / "run")
@@ -49,7 +49,7 @@ def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes
 
 
 def test_a_program_among_neighbours_is_refused_by_its_share_with_fewer_neighbours_as_the_remedy(monkeypatch):
-    need = memory.Need(lanes=5, replay=10, agent=1, work=1)
+    need = memory.MemoryEstimate(lanes=5, replay=10, agent=1, work=1)
     monkeypatch.setattr(memory, "free_bytes", lambda device: 59)
     monkeypatch.setenv(memory.PER_DEVICE, "4")
     with pytest.raises(ValueError, match=r"4 lanes would fit\. .* one of 4 programs; use --per-device 2 or"):

@@ -13,9 +13,9 @@ from tests.conftest import tiny_method
 def test_spans_divide_the_steps_to_the_next_evaluation_at_the_end_of_exploration(problem):
     plan = prepare(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
     assert plan.chunk == 10
-    assert plan.spans(0) == [Span(4, explore=True)]
-    assert plan.spans(40) == [Span(1, explore=True), Span(3, explore=False)]
-    assert plan.spans(80) == [Span(4, explore=False)]
+    assert plan.spans(0) == [Span(4, warmup=True)]
+    assert plan.spans(40) == [Span(1, warmup=True), Span(3, warmup=False)]
+    assert plan.spans(80) == [Span(4, warmup=False)]
 
 
 @pytest.mark.parametrize(

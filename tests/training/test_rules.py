@@ -28,7 +28,7 @@ from tests.conftest import (
 def test_lanes_of_one_program_follow_their_own_rules(env, problem):
     rules = lane_rules([0, 40], [0.1, 0.0], [0, 0])
     start = make_train_state(problem, tiny_method("fbrl"), [0, 1], rules=rules)
-    state = advance(problem, tiny_method("fbrl"), start, 120, explore=True)
+    state = advance(problem, tiny_method("fbrl"), start, 120, warmup=True)
     by_chance, by_horizon = np.asarray(state.lanes.counters.interventions)
     assert by_horizon == 3
     assert 4 <= by_chance <= 24
@@ -44,7 +44,7 @@ def test_a_bootstrapped_timeout_without_successor_is_not_listed(problem):
     method = tiny_method("naive")
     method = method.replace(sac=method.sac.replace(timeout_bootstrap=jnp.array([False, True])))
     start = make_train_state(problem, method, [0, 1], rules=lane_rules([40, 40], [0.0, 0.0], [0, 0]))
-    counts = advance(problem, method, start, 120, explore=True).replay.counts[:, 0]
+    counts = advance(problem, method, start, 120, warmup=True).replay.counts[:, 0]
     assert counts[0] - counts[1] == 3
 
 
@@ -54,7 +54,7 @@ def test_the_step_into_the_absorbing_end_is_rewarded_for_all_later_steps(problem
     method = tiny_method("naive", discount=[0.9, 0.5])
     state = make_train_state(Problem(env, problem.protocol), method, [0, 1])
     first = int(state.replay.row)
-    state = advance(Problem(env, problem.protocol), method, state, 3, explore=True)
+    state = advance(Problem(env, problem.protocol), method, state, 3, warmup=True)
     np.testing.assert_allclose(state.replay.reward[first], [-20.0, -4.0], rtol=1e-5)
     assert stored_flags(state, 3).absorbed[0].all()
     listed = np.asarray(state.replay.counts[:, 0] - state.replay.demos[0])
@@ -64,7 +64,7 @@ def test_the_step_into_the_absorbing_end_is_rewarded_for_all_later_steps(problem
 
 def test_the_map_counts_every_step(problem):
     method = tiny_method("fbrl")
-    state = advance(problem, method, make_train_state(problem, method, [0, 1]), 40, explore=True)
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), 40, warmup=True)
     visits = np.asarray(state.lanes.visits)
     assert visits.sum(axis=(1, 2)).tolist() == [40, 40]
     low, high = problem.env.map_bounds
@@ -76,7 +76,7 @@ def test_the_map_counts_every_step(problem):
 @pytest.mark.parametrize(("field", "value"), [("qvel", np.nan), ("qpos", 3.0)], ids=["nan", "outside"])
 def test_a_fault_is_an_intervention_of_its_lane_alone_and_never_learnt_from(door, field, value):
     method = tiny_method("fbrl", 2)
-    state = advance(door, method, make_train_state(door, method, [0, 1]), CHUNK, explore=True)
+    state = advance(door, method, make_train_state(door, method, [0, 1]), CHUNK, warmup=True)
     unbroken = advance(door, method, state, CHUNK)
     env_state = state.lanes.env_state
     data = env_state.data.replace(**{field: getattr(env_state.data, field).at[1, 9].set(value)})
@@ -129,7 +129,7 @@ class BrokenReward(TabletopOrganization):
 def test_a_reward_that_is_not_finite_is_a_fault_of_its_lane():
     problem = make_problem(BrokenReward(reward_type="dense"), eval_every=40, eval_episodes=2)
     method = tiny_method("naive")
-    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, explore=True)
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
     assert (np.asarray(state.lanes.counters.faults) > 0).all()
     assert np.isfinite(state.lanes.counters.window_reward).all()
     assert np.isfinite(state.replay.reward).all()
@@ -138,7 +138,7 @@ def test_a_reward_that_is_not_finite_is_a_fault_of_its_lane():
 def test_a_lane_that_diverges_is_marked_and_changes_no_other(problem):
     """A temperature that is not finite spoils the losses of its lane, then its networks and actions."""
     method = tiny_method("naive")
-    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, explore=True)
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
     agent = state.lanes.agent
     agent = agent.replace(log_temperature=agent.log_temperature.at[1].set(jnp.inf))
     broken = state.replace(lanes=state.lanes.replace(agent=agent))

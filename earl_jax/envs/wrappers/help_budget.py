@@ -54,7 +54,7 @@ class HelpBudget(Env):
     help_above: float = dataclasses.field(default=0.98, metadata=within("[-1, 1)"))
     absorbed_reward: float = dataclasses.field(default=0.0, metadata=within("[-1000000000, 1000000000]"))
 
-    ends: ClassVar[bool] = True
+    has_absorbing_state: ClassVar[bool] = True
 
     def __post_init__(self):
         if not isinstance(self.task, Env) or isinstance(self.task, HelpBudget):

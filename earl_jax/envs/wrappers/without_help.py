@@ -20,7 +20,7 @@ class WithoutHelp(HelpBudget):
     The last action component has no effect, and an irreversible state or a fault stays as it is.
     """
 
-    ends: ClassVar[bool] = False
+    has_absorbing_state: ClassVar[bool] = False
 
     def fault(self, state: State) -> jax.Array:
         return self.task.fault(state.data)

@@ -9,7 +9,7 @@ import numpy as np
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL
+from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
 from earl_jax.report.runs import Curves, MethodRuns, by_method
 from earl_jax.report.scores import SHARES, WINDOW, trailing

@@ -195,7 +195,13 @@ def test_the_wrapper_has_the_properties_of_its_task():
     task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
     env = Deployment(budget=4.0).wrap(task)
     assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
-    assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.ends) == (77, 9, True, "kinematic", True)
+    assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.has_absorbing_state) == (
+        77,
+        9,
+        True,
+        "kinematic",
+        True,
+    )
     assert (env.title, env.step_seconds, env.map_unit) == (task.title, task.step_seconds, task.map_unit)
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
 

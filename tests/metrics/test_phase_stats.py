@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from earl_jax.metrics.continuing import Counters, continuing
-from earl_jax.metrics.life import ALIVE, BACK, FORWARD, STILL, advance_life, init_life, life_metrics
+from earl_jax.metrics.phase_stats import (
+    ALIVE,
+    BACK,
+    FORWARD,
+    STILL,
+    advance_phase_stats,
+    init_phase_stats,
+    phase_metrics,
+)
 
 FORWARD_PHASE, BACK_PHASE = True, False
 
@@ -23,8 +31,8 @@ def after(env, start):
     def mug_at(x):
         return start.replace(data=start.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
 
-    first = jax.jit(lambda: init_life(env, mug_at(0.0)))()
-    advance = jax.jit(lambda life, x, *rest: advance_life(life, env, mug_at(x), *rest))
+    first = jax.jit(lambda: init_phase_stats(env, mug_at(0.0)))()
+    advance = jax.jit(lambda life, x, *rest: advance_phase_stats(life, env, mug_at(x), *rest))
 
     def after(*steps):
         life = first
@@ -36,7 +44,7 @@ def after(env, start):
 
 
 def values(life, step, alive_steps=3, phases=2, sparse=True):
-    life, metrics = life_metrics(life, jnp.asarray(step), alive_steps, phases, sparse)
+    life, metrics = phase_metrics(life, jnp.asarray(step), alive_steps, phases, sparse)
     return life, {name: float(value) for name, value in metrics.items()}
 
 
@@ -75,7 +83,9 @@ def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(after):
 
 def test_the_reward_is_averaged_over_the_lifetime_and_the_window_and_counts_are_reported_unchanged(start):
     counts = {"interventions": jnp.asarray(2), "faults": jnp.asarray(1), "reached": jnp.asarray(4)}
-    first = Counters(window_reward=jnp.asarray(3.0), total_reward=jnp.asarray(0.0), diagnostics={}, life=None, **counts)
+    first = Counters(
+        window_reward=jnp.asarray(3.0), total_reward=jnp.asarray(0.0), diagnostics={}, phases=None, **counts
+    )
     counters, metrics = continuing(first, start, jnp.asarray(10.0), jnp.asarray(10.0))
     assert float(metrics["continuing/reward"]) == float(metrics["continuing/recent"]) == pytest.approx(0.3)
     assert {name: int(metrics[name]) for name in counts} == {"interventions": 2, "faults": 1, "reached": 4}

@@ -1,4 +1,4 @@
-"""What happens inside a life: phases that reach their goal in both directions, and an object that nobody moves any more.
+"""What happens inside a lifetime: phases that reach their goals in both directions, and an object that lies still.
 
 These metrics are ours; docs/formalism.md says why deployed success alone does not show them.
 """
@@ -11,12 +11,12 @@ from earl_jax.envs import Env, State
 
 FORWARD, BACK = "continuing/forward_success", "continuing/back_success"
 ALIVE, STILL = "continuing/alive", "continuing/still_steps"
-LIFE_METRICS = (FORWARD, BACK, ALIVE, STILL)
+PHASE_METRICS = (FORWARD, BACK, ALIVE, STILL)
 MOVED = 0.01
 """Distance of the object from where it lay that counts as a movement: metres, radians or table units."""
 
 
-class Life(struct.PyTreeNode):
+class PhaseStats(struct.PyTreeNode):
     """Counts of one lane: [2] is the task phase and the others, int32; steps are counted from 1.
 
     `ended [2]`, `reached [2]`: phases with a goal that have ended, and those of them that reached it; `counted [2, 2]`:
@@ -33,37 +33,43 @@ class Life(struct.PyTreeNode):
     rest: jax.Array | None
 
 
-def init_life(env: Env, env_state: State) -> Life:
+def init_phase_stats(env: Env, env_state: State) -> PhaseStats:
     """Return the counts of a lane that starts in `env_state`."""
     none = jnp.zeros(2, jnp.int32)
     rest = env.object_position(env_state)
-    return Life(none, none, jnp.zeros((2, 2), jnp.int32), none, jnp.zeros((), jnp.int32), rest)
+    return PhaseStats(none, none, jnp.zeros((2, 2), jnp.int32), none, jnp.zeros((), jnp.int32), rest)
 
 
-def advance_life(
-    life: Life, env: Env, env_state: State, is_task: jax.Array, over: jax.Array, reached: jax.Array, step: jax.Array
-) -> Life:
+def advance_phase_stats(
+    stats: PhaseStats,
+    env: Env,
+    env_state: State,
+    is_task: jax.Array,
+    phase_ended: jax.Array,
+    reached: jax.Array,
+    step: jax.Array,
+) -> PhaseStats:
     """Return the counts after step number `step`, counted from 1, which led to `env_state`; bool scalars.
 
-    `is_task`: in the phase of the task; `over`: a phase with a goal ended with it, and `reached` its goal.
+    `is_task`: in the phase of the task; `phase_ended`: a phase with a goal ended with it, and `reached` its goal.
     """
     phase = jnp.stack([is_task, ~is_task])
-    ends, reaches = phase & over, phase & reached
-    life = life.replace(
-        ended=life.ended + ends,
-        reached=life.reached + reaches,
-        reached_at=jnp.where(reaches, step, life.reached_at),
+    ends, reaches = phase & phase_ended, phase & reached
+    stats = stats.replace(
+        ended=stats.ended + ends,
+        reached=stats.reached + reaches,
+        reached_at=jnp.where(reaches, step, stats.reached_at),
     )
     position = env.object_position(env_state)
-    if position is None or life.rest is None:
-        return life
-    moved = jnp.square(position - life.rest).sum() > MOVED**2
-    return life.replace(moved_at=jnp.where(moved, step, life.moved_at), rest=jnp.where(moved, position, life.rest))
+    if position is None or stats.rest is None:
+        return stats
+    moved = jnp.square(position - stats.rest).sum() > MOVED**2
+    return stats.replace(moved_at=jnp.where(moved, step, stats.moved_at), rest=jnp.where(moved, position, stats.rest))
 
 
-def life_metrics(
-    life: Life, step: jax.Array, alive_steps: int, phases: int, sparse: bool
-) -> tuple[Life, dict[str, jax.Array]]:
+def phase_metrics(
+    stats: PhaseStats, step: jax.Array, alive_steps: int, phases: int, sparse: bool
+) -> tuple[PhaseStats, dict[str, jax.Array]]:
     """Return the counts with a new window, and one lane's metrics after `step` steps.
 
     `continuing/forward_success` and `continuing/back_success` are the shares of phases since the last evaluation that
@@ -75,13 +81,13 @@ def life_metrics(
     Tasks with a dense reward have no goals to reach, and methods with one phase no way back: they have the columns that
     make sense for them.
     """
-    counts = jnp.stack([life.ended, life.reached])
-    ended, reached = counts - life.counted
+    counts = jnp.stack([stats.ended, stats.reached])
+    ended, reached = counts - stats.counted
     shares = jnp.where(ended > 0, reached / jnp.maximum(ended, 1), jnp.nan)
-    alive = ((step - life.reached_at <= alive_steps) | (life.ended == 0)).all()
+    alive = ((step - stats.reached_at <= alive_steps) | (stats.ended == 0)).all()
     metrics = {FORWARD: shares[0], BACK: shares[1], ALIVE: alive.astype(jnp.int32)} if sparse else {}
     if phases == 1:
         metrics.pop(BACK, None)
-    if life.rest is not None:
-        metrics[STILL] = step - life.moved_at
-    return life.replace(counted=counts), metrics
+    if stats.rest is not None:
+        metrics[STILL] = step - stats.moved_at
+    return stats.replace(counted=counts), metrics
