@@ -141,14 +141,14 @@ def stored_flags(state, steps):
     return jax.tree.map(np.asarray, unpack(state.replay.flags[first : first + steps]))
 
 
-def advance(problem, method, state, steps, explore=False):
+def advance(problem, method, state, steps, warmup=False):
     """Return the train state `steps` steps later, by the programs of `train`: whole chunks of `CHUNK` steps share one.
 
     They are shared by all tests, so a test that patches the code of a step takes `run_whole`.
     """
     lengths = [CHUNK] * (steps // CHUNK) + [steps % CHUNK] * (steps % CHUNK > 0)
     for length in lengths:
-        state = runner._advance(problem, method, copy_of(state), length, explore, None)
+        state = runner._advance(problem, method, copy_of(state), length, warmup, None)
     return state
 
 
@@ -163,9 +163,9 @@ def evaluate(problem, method, state):
     return runner._evaluate(problem, method, copy_of(state), None)
 
 
-def run_whole(problem, method, state, steps, explore=False, compiler_options=None):
+def run_whole(problem, method, state, steps, warmup=False, compiler_options=None):
     """Return the train state `steps` steps later, computed by one program of its own."""
-    run = jax.jit(lambda m, s: run_steps(problem, m, s, steps, explore), compiler_options=compiler_options)
+    run = jax.jit(lambda m, s: run_steps(problem, m, s, steps, warmup), compiler_options=compiler_options)
     return run(method, state)
 
 

@@ -186,8 +186,7 @@ class Session:
         key, chance_key, goal_key, reset_key = jax.random.split(state.key, 4)
         attempt = Attempt(
             is_task=True,
-            age=state.attempt_age,
-            limit=self.attempt_steps,
+            expires=state.attempt_age + 1 >= self.attempt_steps,
             ends_on_success=True,
             reset_at_end=False,
         )

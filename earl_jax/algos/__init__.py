@@ -15,13 +15,40 @@ from earl_jax.options.registry import Registry
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+    from earl_jax.algos.learner import list_learners, register_learner
+    from earl_jax.algos.learner.base import Learner
     from earl_jax.algos.learner.sac import SAC
-    from earl_jax.algos.method import Method
+    from earl_jax.algos.learner.td3 import TD3
+    from earl_jax.algos.method import Method, Phase
     from earl_jax.envs import Env
 
-__all__ = ["SAC", "Method", "algo_class", "list_algos", "locate_algo", "make_algo", "method_for", "register_algo"]
+__all__ = [
+    "SAC",
+    "TD3",
+    "Learner",
+    "Method",
+    "Phase",
+    "algo_class",
+    "learner_of",
+    "list_algos",
+    "list_learners",
+    "locate_algo",
+    "make_algo",
+    "method_for",
+    "preset_learner",
+    "register_algo",
+    "register_learner",
+]
 
-_HOME = {"Method": "method", "SAC": "learner.sac"}
+_HOME = {
+    "list_learners": "learner",
+    "register_learner": "learner",
+    "Learner": "learner.base",
+    "Method": "method",
+    "Phase": "method",
+    "SAC": "learner.sac",
+    "TD3": "learner.td3",
+}
 _ALGOS = Registry(
     "algo",
     {
@@ -67,28 +94,61 @@ def algo_class(name: str) -> type[Method]:
     return _ALGOS.get(name)
 
 
-def make_algo(name: str, **options) -> Method:
-    """Return the method `name`; options are its own fields and those of `SAC`, whose defaults the method can replace.
+def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> Method:
+    """Return the method `name`; options are its own fields and those of its learner, whose defaults it can replace.
 
     A float field also takes a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
-    lanes.
+    lanes. `learner` is a name of `list_learners()` or an object, by default `sac`.
 
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
-    from earl_jax.algos.learner.sac import SAC
     from earl_jax.options.values import check
 
-    shared = {field.name for field in dataclasses.fields(SAC)}
-    own = {field.name for field in dataclasses.fields(_ALGOS.get(name))} - {"sac"}
+    method = _ALGOS.get(name)
+    base = _learner(method, learner)
+    shared = {field.name for field in dataclasses.fields(base)}
+    own = {field.name for field in dataclasses.fields(method)} - {"learner"}
     unknown = sorted(set(options) - shared - own)
     if unknown:
-        raise InputError(f"algo {name!r} has no option {unknown[0]!r}; choose from {', '.join(sorted(shared | own))}")
+        choices = ", ".join(sorted(shared | own | {"learner"}))
+        raise InputError(f"algo {name!r} has no option {unknown[0]!r}; choose from {choices}")
     options = {option: _leaf(option, value) for option, value in options.items()}
-    learner = {option: value for option, value in options.items() if option in shared}
-    check(f"algo {name!r}", SAC, learner)
-    sac = _ALGOS.get(name).sac.replace(**learner)
-    return _ALGOS.build(name, {"sac": sac, **{option: value for option, value in options.items() if option in own}})
+    changed = {option: value for option, value in options.items() if option in shared}
+    check(f"algo {name!r}", type(base), changed)
+    rest = {option: value for option, value in options.items() if option in own}
+    return _ALGOS.build(name, {"learner": base.replace(**changed), **rest})
+
+
+def learner_of(options: dict[str, Any]) -> Learner:
+    """Return the learner that the options of a method describe; the method's own defaults are not in it.
+
+    It evaluates policies of a run without the class of its method.
+    """
+    from earl_jax.algos.learner import DEFAULT, learner_class, make_learner
+
+    name = options.get("learner", DEFAULT)
+    known = {field.name for field in dataclasses.fields(learner_class(name))}
+    return make_learner(name, **{option: _leaf(option, value) for option, value in options.items() if option in known})
+
+
+def _learner(method: type[Method], learner: str | Learner | None) -> Learner:
+    """Return the learner of `method` by its name, as an object, or by default."""
+    from earl_jax.algos.learner import learner_class
+
+    if learner is None or isinstance(learner, str):
+        return preset_learner(method, type(method.learner) if learner is None else learner_class(learner))
+    return learner
+
+
+def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
+    """Return a `learner` with the defaults of `method`: of another class than its own, those that every learner has."""
+    from earl_jax.algos.learner.base import Learner
+
+    preset = method.learner
+    if type(preset) is learner:
+        return preset
+    return learner(**{field.name: getattr(preset, field.name) for field in dataclasses.fields(Learner)})
 
 
 def method_for(env: Env, name: str, **options) -> Method:

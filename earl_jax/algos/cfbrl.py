@@ -8,10 +8,11 @@ import numpy as np
 from flax import struct
 
 from earl_jax.algos.goals import Goals, later_demonstrated, rescored
-from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.cloning import Demonstrations
+from earl_jax.algos.learner.base import Batch, Learner
+from earl_jax.algos.learner.cloning import DemoSteps
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.learner.sac import SAC, Agent
+from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos.method import Moment
 from earl_jax.algos.risc import RISC
 from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
@@ -19,6 +20,9 @@ from earl_jax.options.values import within
 
 COPIES = 64
 """Transformed copies of each demonstrated step from which the cloning before the first step draws."""
+
+HELD = 10
+"""Steps for which a random action is held, so that the exploration gets somewhere."""
 
 
 class Steps(NamedTuple):
@@ -49,7 +53,7 @@ class CFBRL(RISC):
     `corrected=0` omit them. Switching is RISC's, and off by default.
     """
 
-    sac: SAC = SAC(
+    learner: Learner = SAC(
         timeout_bootstrap=True,
         layer_norm=True,
         demo_share=0.5,
@@ -82,26 +86,30 @@ class CFBRL(RISC):
     name: ClassVar[str] = "cfbrl"
     later_steps: ClassVar[int] = 50
 
-    def explores(
-        self, key: jax.Array, env: Env, phase: jax.Array, phase_step: jax.Array, method_state: Any
-    ) -> jax.Array:
-        late = phase_step >= self.patience * env.eval_horizon
-        return late & (jax.random.uniform(jax.random.fold_in(key, 1)) < self.exploration)
+    def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
+        """Return the learner's action [a], or in a stuck phase often a random one that is held for `HELD` steps."""
+        held = jax.random.fold_in(jax.random.fold_in(moment.lane_key, moment.step // HELD), 3)
+        late = moment.phase_step >= self.patience * env.eval_horizon
+        explores = late & (jax.random.uniform(jax.random.fold_in(held, 1)) < self.exploration)
+        uniform = jax.random.uniform(held, (env.action_size,), minval=-1.0, maxval=1.0)
+        return jnp.where(explores, uniform, super().act(key, env, actor, obs, moment, method_state))
 
-    def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
+    def learn(
+        self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
+    ) -> tuple[Any, Any, dict[str, jax.Array]]:
         if not self.learning:
-            return sac_lib.without_update(agent)
-        updated, diagnostics = super().update_agent(key, agent, batch)
+            return agent, method_state, dict.fromkeys(self.learner.diagnostics, jnp.zeros(()))
+        updated, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
         assert batch.step is not None
         critics_only = agent.replace(
             critics=updated.critics,
             targets=updated.targets,
             moments={**agent.moments, "critics": updated.moments["critics"]},
         )
-        return tree_where(batch.step < self.warmup, critics_only, updated), diagnostics
+        return tree_where(batch.step < self.warmup, critics_only, updated), method_state, diagnostics
 
-    def relabel(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    def prepare(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any
     ) -> TransitionBatch:
         """Return `batch` with some goals and places replaced, and `demonstrated` where the action is still to clone."""
         if not env.sparse:
@@ -165,14 +173,14 @@ class CFBRL(RISC):
         chosen = allowed & jax.random.bernoulli(draw_key, self.corrected, allowed.shape)
         return tree_where(chosen[:, None], other, steps), chosen, approach
 
-    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
-        if demos is not None and self.sac.pretrain_steps and env.sparse:
+    def pretrain(self, key: jax.Array, env: Env, agent: Any, demos: DemoSteps | None) -> Any:
+        if demos is not None and self.learner.pretrain_steps and env.sparse:
             demos = self.transformed_demos(jax.random.fold_in(key, 1), env)
         return super().pretrain(key, env, agent, demos)
 
-    def transformed_demos(self, key: jax.Array, env: Env) -> Demonstrations:
+    def transformed_demos(self, key: jax.Array, env: Env) -> DemoSteps:
         """Return `COPIES` of each demonstrated step, transformed where their action can be cloned, else as they are."""
-        original, last = _demonstrated(env, self.directions(env))
+        original, last = _demonstrated(env, env.demo_directions)
         index = np.tile(np.arange(len(last)), COPIES)
         later_key, transform_key = jax.random.split(key)
         draw = jax.random.uniform(later_key, index.shape) * (last[index] - index + 1)
@@ -182,7 +190,7 @@ class CFBRL(RISC):
         new, _, to_clone = self.transform(transform_key, env, steps, every, every)
         new = tree_where(to_clone[:, None], new, steps)
         obs = jnp.concatenate([new.state, new.goal], axis=-1)
-        return Demonstrations(obs, new.action, np.zeros(len(index), int))
+        return DemoSteps(obs, new.action, np.zeros(len(index), int))
 
 
 def _later_states(key: jax.Array, goals: Goals, batch: TransitionBatch) -> jax.Array:

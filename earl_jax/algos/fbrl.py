@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
-from earl_jax.algos.method import RETURN, Method
+from earl_jax.algos.method import RETURN, Method, Phase, PhaseDemos
 from earl_jax.options.values import within
 
 
@@ -25,11 +25,12 @@ class FBRL(Method):
     """Whether every phase lasts H_E steps, without an end on success ("for a fixed number of environment steps", A.3)."""
 
     name: ClassVar[str] = "fbrl"
-    phases: ClassVar[int] = 2
-    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
 
-    def ends_on_success(self, phase: jax.Array) -> bool:
-        return not self.fixed_phases
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        on_success = not self.fixed_phases
+        back = Phase((PhaseDemos("backward"),), controller=self.controllers - 1, ends_on_success=on_success)
+        return Phase(ends_on_success=on_success), back
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any

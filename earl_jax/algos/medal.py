@@ -8,12 +8,12 @@ import numpy as np
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
-from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.cloning import Demonstrations
-from earl_jax.algos.learner.networks import apply, mlp
+from earl_jax.algos.learner.base import Learner
+from earl_jax.algos.learner.cloning import DemoSteps
+from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.learner.sac import SAC, Agent
-from earl_jax.algos.method import RETURN, TASK, DemoList, Method
+from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos.method import RETURN, TASK, Method, Phase, PhaseDemos
 from earl_jax.envs import Env
 from earl_jax.options.values import COUNT, within
 
@@ -32,9 +32,13 @@ class Classifier(struct.PyTreeNode):
     loss: jax.Array
     accuracy: jax.Array
 
+    @property
+    def metrics(self) -> dict[str, jax.Array]:
+        return {"classifier_loss": self.loss, "classifier_accuracy": self.accuracy}
+
     def logits(self, params: Any, obs: jax.Array, precision: str = "tf32") -> jax.Array:
         """Return C [B] at `obs [B, o]`: the log-odds that a state with its goal is a demonstrated one."""
-        return apply(_NETWORK, params, obs, precision)[:, 0]
+        return apply(params, obs, precision)[:, 0]
 
 
 class MEDAL(Method):
@@ -48,7 +52,7 @@ class MEDAL(Method):
     each row and a random permutation p of the 800.
 
     The forward controller's replay starts with the forward demonstrations, the backward one's with these and with the
-    backward demonstrations under every task goal. Cloning (`SAC.cloning`, `SAC.pretrain_steps`) draws the backward
+    backward demonstrations under every task goal. Cloning (`Learner.cloning`, `Learner.pretrain_steps`) draws the backward
     controller to the backward demonstrations only.
 
     Source: Sharma, Ahmad and Finn 2022, "A State-Distribution Matching Approach to Non-Episodic Reinforcement Learning"
@@ -60,32 +64,21 @@ class MEDAL(Method):
     goal; the end of a demonstration is terminal because it reaches its goal.
     """
 
-    sac: SAC = SAC(random_steps=10_000)
+    learner: Learner = SAC(random_steps=10_000)
     phase_steps: int = struct.field(pytree_node=False, default=300, metadata=within(COUNT))
     """Steps of a phase (released, on every task; the paper: H_E)."""
     refresh_every: int = struct.field(pytree_node=False, default=10, metadata=within(COUNT))
     """Steps between steps of the classifier (released)."""
 
     name: ClassVar[str] = "medal"
-    controllers: ClassVar[int] = 2
-    phases: ClassVar[int] = 2
     needs_demos: ClassVar[bool] = True
-    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
-    own_rows: ClassVar[int] = HALF_BATCH
+    refresh_batch_size: ClassVar[int] = HALF_BATCH
 
-    def directions(self, env: Env) -> tuple[str, ...]:
-        return tuple(direction for direction in self.demo_directions if direction in env.demo_directions)
-
-    def demo_lists(self, env: Env) -> tuple[DemoList, ...]:
-        back = DemoList("backward", RETURN, len(env.goal_states))
-        lists = (DemoList("forward", TASK), DemoList("forward", RETURN), back)
-        return tuple(entry for entry in lists if entry.direction in self.directions(env))
-
-    def phase_length(self, env: Env, phase: jax.Array) -> int:
-        return self.phase_steps
-
-    def ends_on_success(self, phase: jax.Array) -> jax.Array:
-        return phase == TASK
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        sampled = PhaseDemos("forward"), PhaseDemos("backward", every_goal=True)
+        back = Phase(sampled, controller=1, length=self.phase_steps, ends_on_success=False)
+        return Phase(length=self.phase_steps), back
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
@@ -94,50 +87,56 @@ class MEDAL(Method):
         task = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
         return GoalIndices(goal=task, task=task)
 
-    def relabel(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    def prepare(
+        self,
+        key: jax.Array,
+        env: Env,
+        goals: Goals,
+        batch: TransitionBatch,
+        phase: jax.Array,
+        method_state: Classifier,
     ) -> TransitionBatch:
-        """Return `batch` with a random task goal for backward demonstrations, the only ones that a way back clones."""
+        """Return `batch` with a random task goal for backward demonstrations, and the classifier's reward in backward phases.
+
+        A backward phase clones these demonstrations only.
+        """
         assert batch.demonstrated is not None
         backward = batch.demonstrated & (batch.flags.goal >= goals.tasks)
         task = jax.random.randint(key, backward.shape, 0, goals.tasks)
         flags = batch.flags._replace(goal=jnp.where(backward, task, batch.flags.goal))
-        return batch._replace(flags=flags, demonstrated=batch.demonstrated & (backward | (phase == TASK)))
+        batch = batch._replace(flags=flags, demonstrated=batch.demonstrated & (backward | (phase == TASK)))
+        reward = jnp.where(phase == RETURN, self.demo_likeness(goals, batch, method_state), batch.reward)
+        return batch._replace(reward=reward)
 
-    def reward(
-        self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Classifier
-    ) -> jax.Array:
-        """Return the task's reward in forward phases, and the classifier's at s' in backward ones.
-
-        Where a reset overwrote s', it is that at s.
-        """
+    def demo_likeness(self, goals: Goals, batch: TransitionBatch, classifier: Classifier) -> jax.Array:
+        """Return the classifier's reward [B] at s', or at s where a reset overwrote s'."""
         state = jnp.where(batch.flags.no_successor[:, None], batch.state, batch.next_state)
         obs = jnp.concatenate([state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
-        logits = method_state.logits(method_state.params, obs, self.sac.precision)
-        return jnp.where(phase == RETURN, -jnp.log(jax.nn.sigmoid(-logits) + SMALLEST), batch.reward)
+        logits = classifier.logits(classifier.params, obs, self.learner.precision)
+        return -jnp.log(jax.nn.sigmoid(-logits) + SMALLEST)
 
-    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Classifier:
+    def init(self, key: jax.Array, env: Env, goals: Goals) -> Classifier:
         params = _NETWORK.init(key, jnp.zeros((env.obs_size,)))
-        return Classifier(params, sac_lib.ADAM.init(params), jnp.zeros(()), jnp.zeros(()))
+        return Classifier(params, ADAM.init(params), jnp.zeros(()), jnp.zeros(()))
 
     def refresh(
         self,
         key: jax.Array,
         env: Env,
         goals: Goals,
-        agent: Agent,
+        agent: Any,
+        batch: TransitionBatch | None,
         method_state: Classifier,
-        own: TransitionBatch | None,
     ) -> Classifier:
         """Return the classifier after a step, or as it is before the first backward phase."""
-        assert own is not None
-        assert own.demonstrated is not None
+        assert batch is not None
+        assert batch.demonstrated is not None
         row_key, mix_key = jax.random.split(key)
         demonstrated = jnp.asarray(demonstrated_obs(env))
         positive = demonstrated[jax.random.randint(row_key, (HALF_BATCH,), 0, len(demonstrated))]
-        negative = jnp.concatenate([own.state, jnp.asarray(goals.table)[own.flags.goal]], axis=-1)
+        negative = jnp.concatenate([batch.state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
         updated = self.classify(mix_key, method_state, positive, negative)
-        none_yet = own.demonstrated[0]
+        none_yet = batch.demonstrated[0]
         return jax.tree.map(lambda new, old: jnp.where(none_yet, old, new), updated, method_state)
 
     def classify(
@@ -148,18 +147,15 @@ class MEDAL(Method):
         obs, mixed = mix(key, jnp.concatenate([positive, negative]), label)
 
         def loss(params):
-            logits = method_state.logits(params, obs, self.sac.precision)
+            logits = method_state.logits(params, obs, self.learner.precision)
             agrees = (logits > 0) == (mixed > 0.5)
             return (jax.nn.softplus(logits) - mixed * logits).mean(), agrees.mean()
 
         (value, accuracy), grads = jax.value_and_grad(loss, has_aux=True)(method_state.params)
-        params, moments = sac_lib.descend(method_state.params, grads, method_state.moments, self.sac.learning_rate)
+        params, moments = descend(method_state.params, grads, method_state.moments, self.learner.learning_rate)
         return Classifier(params, moments, value, accuracy)
 
-    def own_metrics(self, method_state: Classifier) -> dict[str, jax.Array]:
-        return {"classifier_loss": method_state.loss, "classifier_accuracy": method_state.accuracy}
-
-    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
+    def pretrain(self, key: jax.Array, env: Env, agent: Any, demos: DemoSteps | None) -> Any:
         return super().pretrain(key, env, agent, None if demos is None else demos_to_clone(env, demos))
 
 
@@ -179,14 +175,14 @@ def demonstrated_obs(env: Env) -> np.ndarray:
     return np.concatenate([states, np.concatenate([demos.goals, demos.goals[demos.ends]])], axis=-1)
 
 
-def demos_to_clone(env: Env, demos: Demonstrations) -> Demonstrations:
+def demos_to_clone(env: Env, demos: DemoSteps) -> DemoSteps:
     """Return the forward demonstrations for the forward controller, and the backward ones under each task goal."""
     size, tasks = env.state_size, env.goal_states
     is_forward = (np.abs(demos.obs[:, None, size:] - tasks).max(axis=-1) < 1e-6).any(axis=1)
     forward, back = (demos.controller == TASK) & is_forward, (demos.controller == RETURN) & ~is_forward
     count = int(back.sum())
     goals, states = np.repeat(tasks, count, axis=0), np.tile(demos.obs[back, :size], (len(tasks), 1))
-    return Demonstrations(
+    return DemoSteps(
         obs=np.concatenate([demos.obs[forward], np.concatenate([states, goals], axis=-1)]),
         action=np.concatenate([demos.action[forward], np.tile(demos.action[back], (len(tasks), 1))]),
         controller=np.repeat([TASK, RETURN], [int(forward.sum()), count * len(tasks)]),

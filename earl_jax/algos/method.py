@@ -1,17 +1,19 @@
-"""The base class of methods: a few pure functions that the training loop calls. The defaults are naive RL's."""
+"""The base class of methods: phases as data, and a few pure functions that the training loop calls.
 
+The defaults are naive RL's with episodes of H_E steps.
+"""
+
+import inspect
 from typing import Any, ClassVar, NamedTuple
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
-from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.cloning import Demonstrations, cloning_term, pretrained
+from earl_jax.algos.learner.base import Batch, Learner
+from earl_jax.algos.learner.cloning import DemoSteps, pretrained
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.learner.sac import SAC, Agent
+from earl_jax.algos.learner.sac import SAC
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
@@ -19,103 +21,115 @@ TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
 
 
-class DemoList(NamedTuple):
-    """A `direction` of demonstrations in the replay's list of a `controller`, in which each is `copies` times."""
+class PhaseDemos(NamedTuple):
+    """The demonstrations of a `direction`, as the controller of a phase uses them, if the task has them.
+
+    `every_goal`: the replay lists each transition once for every task goal, for methods that give it one in `prepare`.
+    `copies_per_step`: it lists each that many times for every later step of its demonstration, at least once.
+    """
 
     direction: str
-    controller: int
-    copies: int = 1
+    every_goal: bool = False
+    copies_per_step: float = 0.0
+
+
+class Phase(NamedTuple):
+    """One of the phases between which a method alternates; the first one pursues the task.
+
+    `demos` are those of its `controller`; `length`, the steps after which it times out, is H_E
+    for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment.
+    """
+
+    demos: tuple[PhaseDemos, ...] = (PhaseDemos("forward"),)
+    controller: int = 0
+    length: int | None = None
+    ends_on_success: bool = True
+    resets: bool = False
+
+
+class Moment(NamedTuple):
+    """Where a lane is before a step: `step` of its lifetime and `phase_step` of its `phase`, int32 [], counted from 0.
+
+    `lane_key` is the lane's own key, the same in its whole lifetime, for draws that hold for more than one step.
+    """
+
+    step: jax.Array
+    phase: jax.Array
+    phase_step: jax.Array
+    lane_key: jax.Array
 
 
 class Method(struct.PyTreeNode):
-    """A reset-free learning method. Subclasses override parts of naive RL; float fields are vmappable leaves."""
+    """A reset-free learning method: its phases, and functions of one lane. Float fields are vmappable leaves.
 
-    sac: SAC = SAC()
+    Subclasses override what differs from naive RL. A function whose parameters are not those of the base class is an
+    error when the class is defined.
+    """
+
+    learner: Learner = SAC()
 
     name: ClassVar[str]
-    controllers: ClassVar[int] = 1
-    """Number of separate actor-critics, one for each phase, each with its own part of the replay."""
-    phases: ClassVar[int] = 1
-    critics: ClassVar[int] = sac_lib.SOFT_CRITICS
-    """2, and 2 for each further pair of critics without entropy term, which follow `SAC.ensemble` in the stack."""
-    resets: ClassVar[bool] = False
-    """Whether the end of a phase also resets the environment; only the oracle does this."""
     needs_demos: ClassVar[bool] = False
-    demo_directions: ClassVar[tuple[str, ...]] = ("forward",)
-    """Directions of the demonstrations in the initial replay; with two controllers, the second samples the backward
-    ones."""
+    entropy_free_pairs: ClassVar[int] = 0
+    """Pairs of critics without an entropy term, for methods that read `Learner.value`."""
     refresh_every: ClassVar[int] = 0
     """Steps between calls of `refresh`; 0 for never."""
-    explore_hold: ClassVar[int] = 10
-    """Steps for which a random action of `explores` is held."""
-    later_steps: ClassVar[int] = 0
-    """Mean number of steps to the states `later` that `relabel` receives; 0 for none."""
-    own_rows: ClassVar[int] = 0
+    refresh_batch_size: ClassVar[int] = 0
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
+    later_steps: ClassVar[int] = 0
+    """Mean number of steps to the states `later` that `prepare` receives, for hindsight goals; 0 for none."""
 
-    def directions(self, env: Env) -> tuple[str, ...]:
-        """Return the directions of the demonstrations in the initial replay on `env`, by default `demo_directions`."""
-        del env
-        return tuple(self.demo_directions)
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        for name in FUNCTIONS & vars(cls).keys():
+            expected, own = (inspect.signature(getattr(of, name)).parameters for of in (Method, cls))
+            if list(own) != list(expected):
+                raise TypeError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(own)})")
 
-    def demo_lists(self, env: Env) -> tuple[DemoList, ...]:
-        """Return who samples which of the `directions` on `env`; by default controller i has the i-th, the last the rest."""
-        return tuple(
-            DemoList(direction, min(number, self.controllers - 1))
-            for number, direction in enumerate(self.directions(env))
-        )
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases in their order; after the last one, the first follows."""
+        return (Phase(),)
 
-    def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
-        """Return the number of times [T] that the replay lists each demonstrated transition.
+    def init(self, key: jax.Array, env: Env, goals: Goals) -> Any:
+        """Return the initial state of the method itself, a pytree of learnt or remembered values; empty by default.
 
-        `steps_left [T]` are the steps to the end of its demonstration.
+        If it has a dict `metrics` of scalars [], these are columns `METHOD/NAME` of metrics.csv.
         """
-        return np.ones_like(steps_left)
+        del key, env, goals
+        return ()
 
-    def phase_length(self, env: Env, phase: jax.Array) -> jax.Array | int:
-        """Return the number of steps after which `phase` times out, H_E by default."""
-        del phase
-        return env.eval_horizon
+    def pretrain(self, key: jax.Array, env: Env, agent: Any, demos: DemoSteps | None) -> Any:
+        """Return `agent` (leading controller axis) before the first step, cloned in `Learner.pretrain_steps`.
 
-    def phase_age(self, step: jax.Array, phase_step: jax.Array) -> jax.Array:
-        """Return the steps that count towards `phase_length` before step `step`, counted from 0; by default `phase_step`.
+        `demos` is None if there are none.
 
-        `phase_step` are the steps since the phase began.
+        Raises:
+            ValueError: there are demonstrations to clone, and the task has none.
         """
-        del step
-        return phase_step
+        if not self.learner.pretrain_steps:
+            return agent
+        if demos is None:
+            raise InputError(
+                f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
+            )
+        return pretrained(key, self.learner, agent, demos)
 
-    def ends_on_success(self, phase: jax.Array) -> jax.Array | bool:
-        """Return whether reaching the goal ends `phase` (sparse tasks only)."""
-        del phase
-        return True
+    def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
+        """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default the learner's."""
+        del env, moment, method_state
+        return self.learner.act(key, actor, obs)
 
-    def switches(
-        self,
-        key: jax.Array,
-        env: Env,
-        agent: Agent,
-        obs: jax.Array,
-        phase: jax.Array,
-        phase_step: jax.Array,
-        method_state: Any,
-    ) -> jax.Array | bool:
-        """Return whether the method itself ends `phase` after this step, as a time-out; never by default.
+    def ends_phase(
+        self, key: jax.Array, env: Env, agent: Any, obs: jax.Array, moment: Moment, method_state: Any
+    ) -> jax.Array:
+        """Return whether the phase times out after this step, bool []; by default after its `length`.
 
         `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
         """
-        del key, env, agent, obs, phase, phase_step, method_state
-        return False
-
-    def explores(
-        self, key: jax.Array, env: Env, phase: jax.Array, phase_step: jax.Array, method_state: Any
-    ) -> jax.Array | bool:
-        """Return whether this step's action is uniformly random instead of the policy's; never by default.
-
-        `key` and the random action stay the same for `explore_hold` steps, so that the exploration gets somewhere.
-        """
-        del key, env, phase, phase_step, method_state
-        return False
+        del key, agent, obs, method_state
+        lengths = [env.eval_horizon if phase.length is None else phase.length for phase in self.phases]
+        return moment.phase_step + 1 >= of_phase(lengths, moment.phase)
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
@@ -125,85 +139,52 @@ class Method(struct.PyTreeNode):
         task = goals.draw_task(key)
         return GoalIndices(goal=task, task=task)
 
-    def relabel(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    def prepare(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any
     ) -> TransitionBatch:
-        """Return the sampled transitions of one lane, `batch [B]`, with the goals to learn from.
+        """Return the sampled transitions of one lane, `batch [B]`, with the goals and rewards to learn from.
 
-        The controller that learns acted in `phase`. Rows that stay `demonstrated` are cloned with `SAC.cloning`.
+        The controller that learns acted in `phase`. A target does not bootstrap where `flags` say that the goal was
+        reached, the lifetime ended, or, without `Learner.timeout_bootstrap`, the phase timed out. Rows that stay
+        `demonstrated` are cloned with `Learner.cloning`.
         """
-        del key, env, goals, phase
+        del key, env, goals, phase, method_state
         return batch
 
-    def reward(self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any) -> jax.Array:
-        """Return the rewards [B] of sampled transitions, by default the task's."""
-        del env, goals, phase, method_state
-        return batch.reward
-
-    def terminal(self, batch: TransitionBatch, phase: jax.Array) -> jax.Array:
-        """Return the transitions, bool [B], whose TD target does not bootstrap.
-
-        These are successes, the end of a lifetime and, without `SAC.timeout_bootstrap`, time-outs.
-        """
-        del phase
-        return (
-            batch.flags.reached
-            | batch.flags.absorbed
-            | (batch.flags.timeout & ~jnp.asarray(self.sac.timeout_bootstrap, bool))
-        )
-
-    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Any:
-        """Return the initial state of the method itself, a pytree of learnt or remembered values; empty by default."""
-        del key, env, goals
-        return ()
-
-    def update_state(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any
-    ) -> Any:
-        """Return `method_state` after an update on the batch that the active controller has just learnt from."""
-        del key, env, goals, batch, phase
-        return method_state
-
-    def own_metrics(self, method_state: Any) -> dict[str, jax.Array]:
-        """Return scalars [] of the method itself by name, columns `METHOD/NAME` of metrics.csv; none by default."""
-        del method_state
-        return {}
-
-    def pretrain(self, key: jax.Array, env: Env, agent: Agent, demos: Demonstrations | None) -> Agent:
-        """Return `agent` (leading controller axis) before the first step, cloned in `SAC.pretrain_steps`.
-
-        `demos` is None if there are none.
-
-        Raises:
-            ValueError: there are demonstrations to clone, and the task has none.
-        """
-        if not self.sac.pretrain_steps:
-            return agent
-        if demos is None:
-            raise InputError(
-                f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
-            )
-        return pretrained(key, self.sac, agent, demos)
-
-    def update_agent(self, key: jax.Array, agent: Agent, batch: sac_lib.Batch) -> tuple[Agent, dict[str, jax.Array]]:
-        """Return the acting controller after learning from `batch`, and `sac.DIAGNOSTICS`; by default a SAC update."""
-        return sac_lib.update(self.sac, agent, batch, key, self.actor_term)
-
-    def actor_term(self, parameters: jax.Array, batch: sac_lib.Batch) -> jax.Array | None:
-        """Return a term [] to add to the actor's loss, or None; by default `cloning_term`.
-
-        `parameters [B, 2a]` are those of the policy at `batch.obs`: means before the tanh, then log standard deviations
-        before clipping. They are differentiated.
-        """
-        return cloning_term(self.sac, parameters, batch)
+    def learn(
+        self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
+    ) -> tuple[Any, Any, dict[str, jax.Array]]:
+        """Return the acting controller and `method_state` after learning from `batch`, and `Learner.diagnostics`."""
+        del env, phase
+        agent, diagnostics = self.learner.update(key, agent, batch)
+        return agent, method_state, diagnostics
 
     def refresh(
-        self, key: jax.Array, env: Env, goals: Goals, agent: Agent, method_state: Any, own: TransitionBatch | None
+        self, key: jax.Array, env: Env, goals: Goals, agent: Any, batch: TransitionBatch | None, method_state: Any
     ) -> Any:
         """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps.
 
-        `own [own_rows]` are transitions of the last controller's own, `demonstrated` where it has none yet; None if
-        `own_rows` is 0.
+        `batch [refresh_batch_size]` are transitions of the last controller's own, `demonstrated` where it has none yet;
+        None if `refresh_batch_size` is 0.
         """
-        del key, env, goals, agent, own
+        del key, env, goals, agent, batch
         return method_state
+
+
+FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "prepare", "learn", "refresh"})
+"""The functions of a method that the training loop calls."""
+
+
+def controller_count(method: Method) -> int:
+    """Return the number of separate agents of `method`, each with its own part of the replay."""
+    return 1 + max(phase.controller for phase in method.phases)
+
+
+def of_phase(values: list[Any], phase: jax.Array) -> Any:
+    """Return the static value of `values` that belongs to `phase []`; without a lookup where all are equal."""
+    result = values[-1]
+    if all(value == result for value in values):
+        return result
+    for number, value in reversed(list(enumerate(values[:-1]))):
+        result = jax.numpy.where(phase == number, value, result)
+    return result

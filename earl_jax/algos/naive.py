@@ -1,11 +1,11 @@
-"""Naive RL: SAC in one endless episode, with the biased TD update every 1000 steps."""
+"""Naive RL: one endless episode, with the biased TD update every 1000 steps."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 from flax import struct
 
-from earl_jax.algos.method import Method
+from earl_jax.algos.method import Method, Moment, Phase
 from earl_jax.envs import Env
 from earl_jax.options.values import COUNT, within
 
@@ -26,8 +26,12 @@ class Naive(Method):
 
     name: ClassVar[str] = "naive"
 
-    def phase_length(self, env: Env, phase: jax.Array) -> int:
-        return self.episode_length
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        return (Phase(length=self.episode_length),)
 
-    def phase_age(self, step: jax.Array, phase_step: jax.Array) -> jax.Array:
-        return step % self.episode_length if self.global_clock else phase_step
+    def ends_phase(
+        self, key: jax.Array, env: Env, agent: Any, obs: jax.Array, moment: Moment, method_state: Any
+    ) -> jax.Array:
+        age = moment.step % self.episode_length if self.global_clock else moment.phase_step
+        return age + 1 >= self.episode_length

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
-from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.networks import apply, mlp
+from earl_jax.algos.learner.base import Batch
+from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.method import RETURN, TASK, Method
+from earl_jax.algos.method import RETURN, Method, Phase
 from earl_jax.envs import Env
 from earl_jax.options.values import within
 
@@ -28,7 +28,7 @@ class RND(struct.PyTreeNode):
 
     def error(self, predictor: Any, states: jax.Array, precision: str = "tf32") -> jax.Array:
         """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
-        target, prediction = [apply(_NETWORK, params, states, precision) for params in (self.target, predictor)]
+        target, prediction = [apply(params, states, precision) for params in (self.target, predictor)]
         return jnp.square(target - prediction).mean(axis=-1)
 
 
@@ -47,11 +47,10 @@ class R3L(Method):
     """Upper bound of the intrinsic reward (released code)."""
 
     name: ClassVar[str] = "r3l"
-    controllers: ClassVar[int] = 2
-    phases: ClassVar[int] = 2
 
-    def ends_on_success(self, phase: jax.Array) -> jax.Array:
-        return phase == TASK
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        return Phase(), Phase((), controller=1, ends_on_success=False)
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
@@ -60,31 +59,37 @@ class R3L(Method):
         keep = phase == RETURN
         return GoalIndices(goal=jnp.where(keep, current.goal, task), task=jnp.where(keep, current.task, task))
 
-    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> RND:
+    def init(self, key: jax.Array, env: Env, goals: Goals) -> RND:
         example = jnp.zeros((env.state_size,))
         target, predictor = [_NETWORK.init(network_key, example) for network_key in jax.random.split(key)]
-        return RND(target, predictor, sac_lib.ADAM.init(predictor), jnp.ones(()))
+        return RND(target, predictor, ADAM.init(predictor), jnp.ones(()))
 
-    def reward(self, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: RND) -> jax.Array:
-        novelty = jnp.clip(
-            method_state.error(method_state.predictor, batch.state, self.sac.precision) / method_state.sigma,
-            0.0,
-            self.rnd_clip,
-        )
-        return jnp.where(phase == RETURN, novelty, batch.reward)
-
-    def update_state(
+    def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: RND
-    ) -> RND:
+    ) -> TransitionBatch:
+        """Return `batch` with the novelty of its states as the reward of the perturbation controller."""
+        error = method_state.error(method_state.predictor, batch.state, self.learner.precision)
+        novelty = jnp.clip(error / method_state.sigma, 0.0, self.rnd_clip)
+        return batch._replace(reward=jnp.where(phase == RETURN, novelty, batch.reward))
+
+    def learn(
+        self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: RND
+    ) -> tuple[Any, RND, dict[str, jax.Array]]:
+        """Return the controller after the learner's update, and in perturbation phases RND after one on the same states."""
+        agent, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
+        updated = self.distil(method_state, batch.obs[:, : env.state_size])
+        state = jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), updated, method_state)
+        return agent, state, diagnostics
+
+    def distil(self, rnd: RND, states: jax.Array) -> RND:
+        """Return `rnd` after an Adam step of its predictor on `states [B, s]`, and a step of its running scale."""
+
         def loss(predictor):
-            errors = method_state.error(predictor, batch.state, self.sac.precision)
+            errors = rnd.error(predictor, states, self.learner.precision)
             return errors.mean(), errors
 
-        grads, errors = jax.grad(loss, has_aux=True)(method_state.predictor)
-        predictor, moments = sac_lib.descend(
-            method_state.predictor, grads, method_state.moments, self.sac.learning_rate
-        )
-        spread = jnp.maximum((errors / method_state.sigma).std(), 1e-3)
-        sigma = self.rnd_decay * method_state.sigma + (1 - self.rnd_decay) * spread
-        updated = method_state.replace(predictor=predictor, moments=moments, sigma=sigma)
-        return jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), updated, method_state)
+        grads, errors = jax.grad(loss, has_aux=True)(rnd.predictor)
+        predictor, moments = descend(rnd.predictor, grads, rnd.moments, self.learner.learning_rate)
+        spread = jnp.maximum((errors / rnd.sigma).std(), 1e-3)
+        sigma = self.rnd_decay * rnd.sigma + (1 - self.rnd_decay) * spread
+        return rnd.replace(predictor=predictor, moments=moments, sigma=sigma)

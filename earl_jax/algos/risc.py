@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.fbrl import FBRL
-from earl_jax.algos.learner import sac as sac_lib
-from earl_jax.algos.learner.sac import SAC, Agent
+from earl_jax.algos.learner.base import Learner
+from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos.method import Moment
 from earl_jax.envs import Env
 from earl_jax.options.values import within
 
@@ -31,7 +32,7 @@ class RISC(FBRL):
     because its critics hold returns.
     """
 
-    sac: SAC = SAC(timeout_bootstrap=True, random_steps=10_000)
+    learner: Learner = SAC(timeout_bootstrap=True, random_steps=10_000)
     controllers: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 2]"))
     """1: one agent with both demonstrations, as released; 2: one for each direction."""
     switching: bool = struct.field(pytree_node=False, default=True)
@@ -48,31 +49,24 @@ class RISC(FBRL):
     name: ClassVar[str] = "risc"
 
     @property
-    def critics(self) -> int:
-        return (2 if self.switching else 1) * sac_lib.SOFT_CRITICS
+    def entropy_free_pairs(self) -> int:
+        return int(self.switching)
 
-    def switches(
-        self,
-        key: jax.Array,
-        env: Env,
-        agent: Agent,
-        obs: jax.Array,
-        phase: jax.Array,
-        phase_step: jax.Array,
-        method_state: Any,
-    ) -> jax.Array | bool:
+    def ends_phase(
+        self, key: jax.Array, env: Env, agent: Any, obs: jax.Array, moment: Moment, method_state: Any
+    ) -> jax.Array:
+        """Return whether the phase has lasted H_E steps, or the agent leaves it early."""
+        expired = super().ends_phase(key, env, agent, obs, moment, method_state)
         if not (self.switching and env.sparse):
-            return False
+            return expired
         value_key, draw_key = jax.random.split(key)
-        count = phase_step + 1
-        chance = self.success_chance(value_key, agent, obs, env.action_size) * (1 - self.conservative_factor**count)
+        count = moment.phase_step + 1
+        chance = self.success_chance(value_key, agent, obs) * (1 - self.conservative_factor**count)
         late = count >= self.earliest_switch * env.eval_horizon
-        return late & (jax.random.uniform(draw_key) < self.switch_share * chance)
+        return expired | (late & (jax.random.uniform(draw_key) < self.switch_share * chance))
 
-    def success_chance(self, key: jax.Array, agent: Agent, obs: jax.Array, action_size: int) -> jax.Array:
+    def success_chance(self, key: jax.Array, agent: Any, obs: jax.Array) -> jax.Array:
         """Return p [], the discounted probability with which `agent` reaches the goal in `obs [o]`."""
         repeated = jnp.broadcast_to(obs, (self.value_samples, len(obs)))
-        action = sac_lib.act(self.sac, agent.actor, repeated, key, action_size)
-        pair = sac_lib.critics_without_entropy(self.sac, agent)
-        values = sac_lib.q_values(self.sac, pair, repeated, action).min(axis=0) / self.sac.reward_scale
+        values = self.learner.value(key, agent, repeated) / self.learner.reward_scale
         return jnp.clip(values, 0.0, 1.0).mean()

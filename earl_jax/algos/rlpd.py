@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.naive import Naive
 
@@ -11,7 +12,7 @@ class RLPD(Naive):
 
     With E = 10 critics, a random pair M of them for each update and their layers normalised, the target is
     `y = lambda r + (1 - d) gamma min_{i in M} Q'_i(x', a')`, without an entropy term; the actor climbs the mean of all
-    E. Every step takes `SAC.utd` critic updates, each on a batch of its own, then one of actor and temperature.
+    E. Every step takes `Learner.utd` critic updates, each on a batch of its own, then one of actor and temperature.
 
     Source: Ball et al. 2023, "Efficient Online Reinforcement Learning with Offline Data" (RLPD), algorithm 1, and its
     released code, with the choices for sparse rewards (no entropy in the target). The paper is about episodes with
@@ -22,7 +23,7 @@ class RLPD(Naive):
     release has three for its sparse tasks (`hidden_sizes`); the random steps are EARL's.
     """
 
-    sac: SAC = SAC(
+    learner: Learner = SAC(
         timeout_bootstrap=True,
         layer_norm=True,
         demo_share=0.5,

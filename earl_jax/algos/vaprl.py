@@ -1,17 +1,14 @@
 """VaPRL: one goal-conditioned agent that practises from states whose value predicts success."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals, later_demonstrated, rescored
-from earl_jax.algos.learner import sac as sac_lib
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.learner.sac import Agent
-from earl_jax.algos.method import RETURN, Method
+from earl_jax.algos.method import RETURN, Method, Phase, PhaseDemos
 from earl_jax.envs import Env
 from earl_jax.options.values import COUNT, within
 
@@ -54,12 +51,15 @@ class VaPRL(Method):
     relabelled copies of an episode end at the first state that meets their goal."""
 
     name: ClassVar[str] = "vaprl"
-    phases: ClassVar[int] = 2
-    critics: ClassVar[int] = 2 * sac_lib.SOFT_CRITICS
     needs_demos: ClassVar[bool] = True
-    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+    entropy_free_pairs: ClassVar[int] = 1
 
-    def init_state(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        forward, back = (PhaseDemos(direction, copies_per_step=DEMO_SHARE) for direction in ("forward", "backward"))
+        return Phase((forward,)), Phase((back,))
+
+    def init(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
         return Curriculum(jnp.zeros((goals.tasks, len(goals.candidates))))
 
     def next_goal(
@@ -90,28 +90,28 @@ class VaPRL(Method):
         key: jax.Array,
         env: Env,
         goals: Goals,
-        agent: Agent,
+        agent: Any,
+        batch: TransitionBatch | None,
         method_state: Curriculum,
-        own: TransitionBatch | None,
     ) -> Curriculum:
         agent = jax.tree.map(lambda leaf: leaf[0], agent)
-        value_pair = sac_lib.critics_without_entropy(self.sac, agent)
         tasks, count = goals.table[: goals.tasks], len(goals.candidates)
         obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
 
         def value(sample_key):
-            action = sac_lib.act(self.sac, agent.actor, obs, sample_key, env.action_size)
-            return sac_lib.q_values(self.sac, value_pair, obs, action).min(axis=0)
+            return self.learner.value(sample_key, agent, obs)
 
         values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
-        return Curriculum(values.reshape(goals.tasks, count) / self.sac.reward_scale)
+        return Curriculum(values.reshape(goals.tasks, count) / self.learner.reward_scale)
 
-    def demo_copies(self, steps_left: np.ndarray) -> np.ndarray:
-        """Return the copies [T] of demonstrated transitions: one for every N + 1 later states of the demonstration."""
-        return np.maximum(1, np.rint(steps_left * DEMO_SHARE).astype(int))
-
-    def relabel(
-        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array
+    def prepare(
+        self,
+        key: jax.Array,
+        env: Env,
+        goals: Goals,
+        batch: TransitionBatch,
+        phase: jax.Array,
+        method_state: Curriculum,
     ) -> TransitionBatch:
         """Return `batch` with another goal for `relabel_share` of its transitions.
 

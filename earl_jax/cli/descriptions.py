@@ -52,9 +52,9 @@ def method(name: str) -> dict[str, Any]:
         "source": cited[1] if cited else None,
         "year": int(year[0]) if year else None,
         "needs_demonstrations": cls.needs_demos,
-        "uses_demonstrations": list(cls.demo_directions),
+        "uses_demonstrations": list(dict.fromkeys(demos.direction for phase in cls().phases for demos in phase.demos)),
         "details": details,
-        "options": {option: values for option, values in _options(cls).items() if option != "sac"},
+        "options": {option: values for option, values in _options(cls).items() if option != "learner"},
     }
 
 

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.algos import SAC
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.errors import InputError
@@ -105,7 +105,7 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
         if config.algo != "naive":
             raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
         returns, horizon = curves.metrics["deployed/return"], config.build_env().train_horizon
-        updates = np.resize(np.asarray(config.build_method().sac.timeout_bootstrap, bool), len(returns))
+        updates = np.resize(np.asarray(config.build_method().learner.timeout_bootstrap, bool), len(returns))
         for update in np.unique(updates).tolist():
             key = (config.env, update, horizon)
             if key in points:
@@ -119,7 +119,8 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
 
 def _run_note(run: Curves) -> str:
     """Return how long a run is, how the goal of its task changes, and with which temperature and reward scale it learns."""
-    sac = run.config.build_method().sac
+    sac = run.config.build_method().learner
+    assert isinstance(sac, SAC)
     temperatures, scales = (
         ", ".join(f"{v:g}" for v in np.unique(x)) for x in (sac.initial_temperature, sac.reward_scale)
     )
@@ -135,7 +136,7 @@ def _goals_text(config: RunConfig) -> str:
         return "one goal"
     if protocol.goal_change == protocol.train_horizon:
         return "the target stays between resets"
-    drawn = protocol.goal_change or int(config.build_method().phase_length(env, jnp.asarray(TASK)))
+    drawn = protocol.goal_change or config.build_method().phases[TASK].length
     return f"another target every {drawn:,} steps, with and without a reset"
 
 

@@ -39,19 +39,16 @@ class Rules(NamedTuple):
 class Attempt(NamedTuple):
     """The agent's attempt at a goal at the start of a step, an argument of `advance_rules`.
 
-    bool `is_task []`: the goal is a task goal, not that of a return phase; int32 `age []`: steps so far; int32 `limit
-    []`: steps after which the attempt times out; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
-    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault; bool
-    `given_up []`: the agent itself ends the attempt after this step, which is a time-out unless the goal is reached.
+    bool `is_task []`: the goal is a task goal, not that of a return phase; bool `expires []`: it times
+    out after this step unless the goal is reached; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
+    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault.
     """
 
     is_task: Any
-    age: Any
-    limit: Any
+    expires: Any
     ends_on_success: Any
     reset_at_end: Any
     invalid_reward: Any = False
-    given_up: Any = False
 
 
 class StepEnd(NamedTuple):
@@ -84,7 +81,7 @@ def advance_rules(
     intervened = rules.intervened(step, key) | fault
     goal_changes = rules.goal_changes(step)
     task_restarts = intervened | (goal_changes & attempt.is_task)
-    expired = (attempt.age + 1 >= attempt.limit) | task_restarts | attempt.given_up
+    expired = attempt.expires | task_restarts
     phase_ended = reached | expired
     return StepEnd(
         fault=fault,

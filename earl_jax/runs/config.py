@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.algos import Method, algo_class, make_algo
+from earl_jax.algos import Method, algo_class, make_algo, preset_learner
 from earl_jax.envs import Env, env_class, make
 from earl_jax.errors import InputError, brief
 from earl_jax.options.values import COUNT, SEED, Interval, check_intervals, require
@@ -105,7 +105,7 @@ class RunConfig:
         _check_count(seeds)
         require("eval_every", eval_every, COUNT)
         task, setting = split_setting(env, setting)
-        parts = [(task.name, task), (method.name, method), (method.name, method.sac), (setting.name, setting)]
+        parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
         for owner, options in parts:
             check_intervals(owner, options)
         return cls(
@@ -191,13 +191,17 @@ def deployed_metric(env: Env) -> str:
 
 
 def method_options(method: Method) -> dict[str, Any]:
-    """Return the hyper-parameters of `method` that differ from its class's defaults, as plain values."""
-    default, options = type(method)(), {}
-    for part, other in ((method.sac, default.sac), (method, default)):
+    """Return the hyper-parameters of `method` that differ from its class's defaults, as plain values.
+
+    `learner` is the name of a learner of another class than the method's own.
+    """
+    default, learner = type(method)(), type(method.learner)
+    options = {} if learner is type(default.learner) else {"learner": learner.name}
+    for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
             value = getattr(part, field.name)
             plain = np.asarray(value).tolist() if hasattr(value, "shape") else value
-            if field.name != "sac" and plain != getattr(other, field.name):
+            if field.name != "learner" and plain != getattr(other, field.name):
                 options[field.name] = plain
     return options
 

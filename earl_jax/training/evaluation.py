@@ -35,9 +35,12 @@ def _evaluate_lane(
     protocol, metrics = problem.protocol, deployed_lane(problem, method, lane, step)
     window, steps = jnp.asarray(protocol.eval_every, jnp.float32), step.astype(jnp.float32)
     counters, continuing_metrics = continuing(lane.counters, lane.env_state, steps, window)
-    phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, method.phases, problem.env.sparse)
+    phases, of_phases = phase_metrics(
+        counters.phases, step, protocol.alive_steps, len(method.phases), problem.env.sparse
+    )
     metrics |= {**continuing_metrics, **of_phases, **counters.diagnostics}
-    metrics |= {f"{method.name}/{name}": value for name, value in method.own_metrics(lane.method_state).items()}
+    own = getattr(lane.method_state, "metrics", {})
+    metrics |= {f"{method.name}/{name}": value for name, value in own.items()}
     metrics[DIVERGED] = has_diverged(lane).astype(jnp.int32)
     return lane.replace(counters=counters.replace(phases=phases)), metrics
 

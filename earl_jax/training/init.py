@@ -1,21 +1,18 @@
 """The initial state of training: new agents, s0 ~ rho, and demonstrations as the first rows of the replay."""
 
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from earl_jax.algos.goals import GoalIndices, trajectories
+from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
-from earl_jax.algos.learner import sac
-from earl_jax.algos.learner.cloning import Demonstrations
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
-from earl_jax.algos.method import TASK, Method
-from earl_jax.errors import InputError
+from earl_jax.algos.method import TASK, Method, controller_count
 from earl_jax.metrics.continuing import Counters
 from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
 from earl_jax.protocol import Rules
+from earl_jax.training.demos import DemoRows, demo_rows, demo_steps
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
 
@@ -39,16 +36,10 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
     """Return one lane at step 0."""
     env, goals = problem.env, problem.goals
     agent_key, method_key, env_key, goal_key, lane_key = jax.random.split(key, 5)
-    method_state = method.init_state(method_key, env, goals)
+    method_state = method.init(method_key, env, goals)
     task = goals.draw_task(jax.random.fold_in(goal_key, 1))
     phase, phase_step = jnp.asarray(TASK, jnp.int32), jnp.zeros((), jnp.int32)
     goal_indices = method.next_goal(goal_key, goals, phase, GoalIndices(task, task), method_state)
-
-    def init_agent(controller_key):
-        return sac.init(controller_key, method.sac, env.obs_size, env.action_size, method.critics)
-
-    agents = jax.vmap(init_agent)(jax.random.split(agent_key, method.controllers))
-    pretrain_key = jax.random.fold_in(agent_key, 1)
     env_state = env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal])
     return LaneState(
         key=lane_key,
@@ -56,15 +47,26 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
         phase=phase,
         phase_step=phase_step,
         goal_indices=goal_indices,
-        agent=method.pretrain(pretrain_key, env, agents, demonstrations(problem, method)),
+        agent=_init_agents(problem, method, agent_key),
         method_state=method_state,
-        counters=_zero_counters(init_phase_stats(env, env_state)),
+        counters=_zero_counters(method, init_phase_stats(env, env_state)),
         rules=rules,
         visits=None if env.map_bounds is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )
 
 
-def _zero_counters(phases: PhaseStats) -> Counters:
+def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
+    """Return the agents of all controllers before the first step, leaves [C, ...]."""
+    env = problem.env
+
+    def init_agent(controller_key):
+        return method.learner.init(controller_key, env.obs_size, env.action_size, method.entropy_free_pairs)
+
+    agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
+    return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
+
+
+def _zero_counters(method: Method, phases: PhaseStats) -> Counters:
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     return Counters(
         window_reward=zero,
@@ -72,80 +74,9 @@ def _zero_counters(phases: PhaseStats) -> Counters:
         interventions=none,
         faults=none,
         reached=none,
-        diagnostics=dict.fromkeys(sac.DIAGNOSTICS, zero),
+        diagnostics=dict.fromkeys(method.learner.diagnostics, zero),
         phases=phases,
     )
-
-
-class DemoRows(NamedTuple):
-    """Demonstrations in the layout of replay rows.
-
-    `states [R, s]`. The other fields belong to T listed transitions: their `rows [T]`, `actions [T, a]`, `goals [T]`,
-    `controllers [T]` and `copies [T]` in the replay's lists. A row that two controllers list is there twice.
-    """
-
-    states: np.ndarray
-    rows: np.ndarray
-    actions: np.ndarray
-    goals: np.ndarray
-    controllers: np.ndarray
-    copies: np.ndarray
-
-    def sampleable(self, controller: int) -> np.ndarray:
-        """Return the rows that `controller` samples from, each repeated by its number of copies."""
-        own = self.controllers == controller
-        return np.repeat(self.rows[own], self.copies[own])
-
-
-def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
-    """Return the demonstrations in the initial replay of `method`, or None if the task has none.
-
-    Raises:
-        ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
-    """
-    if not problem.env.has_demos:
-        if method.needs_demos:
-            raise InputError(f"{method.name} needs demonstrations, and {problem.env.name} has none")
-        return None
-    if method.needs_demos and problem.env.state_size != problem.env.goal_size:
-        raise InputError(
-            f"{method.name} needs demonstrated states that can be goals, but a state of {problem.env.name} has "
-            f"{problem.env.state_size} numbers and a goal has {problem.env.goal_size}"
-        )
-    parts, all_states, first = [], [], 0
-    lists = method.demo_lists(problem.env)
-    for direction in method.directions(problem.env):
-        demos = problem.env.demos(direction)
-        states, last = trajectories(demos)
-        rows = np.flatnonzero(np.arange(len(states)) < last)
-        goals, copies = _goal_indices(problem, demos.goals), method.demo_copies(last[rows] - rows)
-        for own in (entry for entry in lists if entry.direction == direction):
-            controllers = np.full(len(rows), own.controller)
-            parts.append((first + rows, demos.actions, goals, controllers, own.copies * copies))
-        all_states.append(states)
-        first += len(states)
-    fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
-    return DemoRows(np.concatenate(all_states), *fields)
-
-
-def demonstrations(problem: Problem, method: Method) -> Demonstrations | None:
-    """Return the demonstrations of `method` to clone, or None if the task has none. Errors as `demo_rows`."""
-    demos = demo_rows(problem, method)
-    if demos is None:
-        return None
-    obs = np.concatenate([demos.states[demos.rows], problem.goals.table[demos.goals]], axis=-1)
-    return Demonstrations(obs, demos.actions, demos.controllers)
-
-
-def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
-    """Return the goal table's indices [T] of demonstrated goals [T, g], which are task goals or initial states."""
-    known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
-    distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
-    if distance.min(axis=1).max() > 1e-6:
-        raise InputError(
-            f"a demonstration of {problem.env.name} has a goal that is neither a task goal nor an initial state"
-        )
-    return distance.argmin(axis=1)
 
 
 def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
@@ -153,7 +84,7 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
 
     If it evicts transitions, one row more holds the state after the newest one.
     """
-    demos, most = demo_rows(problem, method), method.sac.replay_capacity
+    demos, most = demo_rows(problem, method), method.learner.replay_capacity
     if most is not None:
         return min(steps, most) + 1 + (0 if demos is None else len(demos.states))
     return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
@@ -161,16 +92,16 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
 
 def sample_capacity(method: Method, demos: DemoRows | None, capacity: int) -> int:
     """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
-    if method.sac.replay_capacity is None:
+    if method.learner.replay_capacity is None:
         return capacity
     states, copies = (0, 0) if demos is None else (len(demos.states), int(demos.copies.sum()))
-    return copies + method.controllers * (capacity - states - 1)
+    return copies + controller_count(method) * (capacity - states - 1)
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
     """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    slots = None if method.sac.replay_capacity is None else sample_capacity(method, demos, capacity)
+    slots = None if method.learner.replay_capacity is None else sample_capacity(method, demos, capacity)
     replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
     if demos is None:
         return replay

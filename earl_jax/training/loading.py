@@ -14,7 +14,7 @@ from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
-from earl_jax.training.policy import Policy, plain_actor
+from earl_jax.training.policy import Policy, deployed_actors
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 
 
@@ -45,11 +45,9 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
         env, method, lanes = load_lanes(folder)
         return plain_task(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
-    plain = plain_task(env)
-    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), shape.lanes.agent.deployed_actor)
-    like = jax.eval_shape(functools.partial(plain_actor, env), like)
-    actor = policies.load_policies(folder.policies, like)
-    return plain, Policy(method.sac, actor, plain.obs_size, plain.action_size)
+    actors = deployed_actors(method, shape.lanes)
+    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), actors)
+    return plain_task(env), Policy.of_actor(env, method.learner, policies.load_policies(folder.policies, like))
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:

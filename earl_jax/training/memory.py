@@ -11,15 +11,16 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.learner import replay as replay_lib
-from earl_jax.algos.learner.sac import critic_count
+from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
-from earl_jax.training.init import demo_rows, init_train_state, replay_capacity, sample_capacity
+from earl_jax.training.demos import demo_rows
+from earl_jax.training.init import init_train_state, replay_capacity, sample_capacity
 from earl_jax.training.state import Problem, TrainState
 
-ACTIVATIONS = 16
-"""Number of copies of a batch's hidden activations in memory during a gradient step; measured: 11 to 14 (temporary_mb
-of benchmarks/results/speed)."""
+ACTIVATIONS = 1.5
+"""Numbers in memory during a gradient step for each row of the batch and each output of a layer in the agent, with its
+targets and Adam's moments; measured: 1.0 to 1.3 with SAC (temporary_mb of benchmarks/results/speed)."""
 GIGABYTE = 1e9
 
 
@@ -59,14 +60,13 @@ def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
 
 def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:
     """Return the memory that `lanes` lanes of `steps` steps need."""
-    sac = method.sac
     shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), replay_capacity(problem, method, 1))
-    networks = (1 + critic_count(sac, method.critics)) * sum(sac.hidden_sizes)
+    outputs = _layer_outputs(shape.lanes.agent) // controller_count(method)
     return MemoryEstimate(
         lanes,
         replay=replay_bytes(problem, method, steps),
         agent=_bytes(shape.lanes),
-        work=4 * ACTIVATIONS * sac.batch_size * networks // 3,
+        work=int(4 * ACTIVATIONS * method.learner.batch_size * outputs),
     )
 
 
@@ -81,7 +81,14 @@ def _single(method: Method) -> Method:
     return jax.tree.map(lambda leaf: jax.numpy.zeros((1,), jax.numpy.result_type(leaf)), method)
 
 
-def _bytes(tree: TrainState) -> int:
+def _layer_outputs(agent: Any) -> int:
+    """Return the number of outputs of all layers in `agent`, the leaves that flax calls `kernel`."""
+    leaves = jax.tree_util.tree_leaves_with_path(agent)
+    kernels = [leaf for path, leaf in leaves if "kernel" in jax.tree_util.keystr(path[-1:])]
+    return sum(math.prod(kernel.shape) // kernel.shape[-2] for kernel in kernels)
+
+
+def _bytes(tree: Any) -> int:
     return sum(math.prod(leaf.shape) * (leaf.dtype.itemsize or 8) for leaf in jax.tree.leaves(tree))
 
 

@@ -1,7 +1,6 @@
-"""The order of operations in a compiled program: a value that is available only after others.
+"""Everything in a training step that exists for the order of operations in a compiled program; no value changes.
 
-XLA orders operations by data dependencies alone. A comparison that is always false adds a dependency and changes no
-value.
+XLA orders operations by data dependencies alone, and merges what it can. Each function names what it prevents.
 """
 
 from typing import Any
@@ -9,13 +8,50 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from earl_jax.algos.learner.replay import Replay
+from earl_jax.physics import PendingStep
+
 UNLIKELY = -1.2345e38
 """A number that sums of a program's arrays never equal."""
 
 
 def after(value: jax.Array, *dependencies: Any) -> jax.Array:
-    """Return the integers `value` unchanged, but available only after every array in the trees `dependencies`."""
+    """Return the integers `value` unchanged, but available only after every array in the trees `dependencies`.
+
+    A comparison that is always false adds the dependency.
+    """
     leaves = jax.tree.leaves(dependencies)
     if not leaves:
         return value
     return value + (sum(leaf.ravel()[0].astype(jnp.float32) for leaf in leaves) == UNLIKELY)
+
+
+def in_step_with_host(pending: PendingStep, *trees: Any) -> tuple:
+    """Return `pending` and the `trees`, which are available only after each other, where the host simulates.
+
+    Before the update, it lets the host start before the device draws a batch and learns. After it, it lets the device
+    learn before it waits for the host. Without it the door took 1.35 times as long on two cores.
+    """
+    if pending.ticket is None:
+        return pending, *trees
+    ticket, *held = jax.lax.optimization_barrier((pending.ticket, *trees))
+    return pending._replace(ticket=ticket), *held
+
+
+def read_before_write(replay: Replay, batch: Any) -> tuple[Replay, Any]:
+    """Return the `replay` that the next write can use once the sampled `batch` is read, and that batch.
+
+    Otherwise XLA copies the whole buffer before the write.
+    """
+    batch = jax.lax.optimization_barrier(batch)
+    return replay.replace(row=after(replay.row, batch)), batch
+
+
+def before_update(tree: Any) -> Any:
+    """Return parameters to act with, read before the update; otherwise XLA reads them in its kernels, and acts after it."""
+    return jax.lax.optimization_barrier(tree)
+
+
+def one_controller(agent: Any, controllers: int) -> Any:
+    """Return the updated agent of one of several controllers; otherwise XLA writes all to new arrays, and copies them."""
+    return jax.lax.optimization_barrier(agent) if controllers > 1 else agent

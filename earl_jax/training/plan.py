@@ -75,8 +75,8 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
         lanes=lanes,
         steps=steps,
         capacity=replay_capacity(problem, method, steps),
-        chunk=_chunk(math.gcd(method.sac.random_steps, every)),
-        random_steps=method.sac.random_steps,
+        chunk=_chunk(math.gcd(method.learner.random_steps, every)),
+        random_steps=method.learner.random_steps,
         mesh=mesh,
         memory=need,
     )

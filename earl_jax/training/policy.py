@@ -9,12 +9,14 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from flax.traverse_util import flatten_dict, unflatten_dict
 
 from earl_jax import assets
-from earl_jax.algos.learner import networks, sac
-from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos import learner_of
+from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env, plain_task
 from earl_jax.errors import InputError
@@ -26,34 +28,30 @@ FULL_BUDGET = 1.0
 """The share of the budget for help at which a policy is evaluated, where nothing is charged."""
 
 
-def plain_actor(env: Env, actor: Any) -> Any:
-    """Return the task actor of `env` for `plain_task(env)`: it observes a full budget and has no component for help.
-
-    `actor` has any leading axes. Without a budget, it is returned as it is.
-    """
-    plain = plain_task(env)
-    if plain is env:
-        return actor
-    return networks.drop_action(networks.fix_input(actor, plain.state_size, FULL_BUDGET), plain.action_size)
-
-
 class Policy(struct.PyTreeNode, eq=False):
     """The greedy task policy of one lane: `policy(obs [..., o]) -> action [..., a]`, pure, works under jit and vmap.
 
-    Sizes are those of the plain task, also after training with a budget for help (`plain_actor`).
+    Sizes are those of the plain task, also after training with a budget for help. Then the actor observes a full budget
+    at index `budget_at` of its observation, and its component for help is left out.
     """
 
-    sac: SAC
+    learner: Learner
     actor: Any
     obs_size: int = struct.field(pytree_node=False)
     action_size: int = struct.field(pytree_node=False)
+    budget_at: int | None = struct.field(pytree_node=False, default=None)
 
     @classmethod
     def of(cls, env: Env, method: Method, lane: LaneState) -> "Policy":
         """Return the policy of one lane (no lane axis) of `method` on `env`."""
-        actor = plain_actor(env, jax.tree.map(lambda leaf: leaf[TASK], lane.agent.deployed_actor))
+        return cls.of_actor(env, method.learner, jax.tree.map(lambda leaf: leaf[TASK], deployed_actors(method, lane)))
+
+    @classmethod
+    def of_actor(cls, env: Env, learner: Learner, actor: Any) -> "Policy":
+        """Return the policy of an `actor` that was trained on `env`."""
         plain = plain_task(env)
-        return cls(method.sac, actor, plain.obs_size, plain.action_size)
+        budget_at = None if plain is env else plain.state_size
+        return cls(learner, actor, plain.obs_size, plain.action_size, budget_at)
 
     def __call__(self, obs: jax.Array) -> jax.Array:
         """Return the greedy action [..., a] at `obs [..., o]`.
@@ -63,7 +61,14 @@ class Policy(struct.PyTreeNode, eq=False):
         """
         if obs.shape[-1] != self.obs_size:
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
-        return sac.greedy(self.sac, self.actor, obs, self.action_size)
+        if self.budget_at is not None:
+            obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
+        return self.learner.greedy(self.actor, obs)[..., : self.action_size]
+
+
+def deployed_actors(method: Method, lane: LaneState) -> Any:
+    """Return the deployed actors of all controllers of a lane or of lanes, leaves [..., C, ...]."""
+    return method.learner.deployed(lane.agent)
 
 
 def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
@@ -80,9 +85,8 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
     lane = 0 if seed is None else seeds.index(seed)
-    config = _config(info)
-    env, actor = config.build_env(), actor_of_arrays({name: array[lane] for name, array in arrays.items()})
-    return Policy(config.build_method().sac, actor, env.obs_size, env.action_size)
+    config, actor = _config(info), actor_of_arrays({name: array[lane] for name, array in arrays.items()})
+    return Policy.of_actor(config.build_env(), learner_of(config.options), actor)
 
 
 def pretrained_env(task: str, method: str) -> Env:
@@ -112,11 +116,9 @@ def arrays_of_actor(actor: Any) -> Arrays:
     Raises:
         ValueError: a weight is not finite in float16.
     """
-    layers = actor["params"]
     with np.errstate(over="ignore"):  # reported below
-        arrays = {
-            f"{layer}.{kind}": np.asarray(leaf, np.float16) for layer in layers for kind, leaf in layers[layer].items()
-        }
+        leaves = flatten_dict(actor["params"], sep=".").items()
+        arrays = {name: np.asarray(leaf, np.float16) for name, leaf in leaves}
     broken = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if broken:
         raise InputError(f"{broken[0]} has a weight that is not finite in float16")
@@ -125,11 +127,8 @@ def arrays_of_actor(actor: Any) -> Arrays:
 
 def actor_of_arrays(arrays: Arrays) -> Any:
     """Return the actor with float32 parameters whose `arrays_of_actor` are `arrays`."""
-    layers: dict[str, dict[str, jax.Array]] = {}
-    for name, array in arrays.items():
-        layer, _, kind = name.partition(".")
-        layers.setdefault(layer, {})[kind] = jax.numpy.asarray(array, np.float32)
-    return {"params": layers}
+    leaves = {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
+    return {"params": unflatten_dict(leaves, sep=".")}
 
 
 def _config(info: dict[str, Any]) -> RunConfig:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from earl_jax.algos.method import Method
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
-from earl_jax.training.loop import sample, sample_own, train_step
+from earl_jax.training.loop import sample, sample_for_refresh, train_step
 from earl_jax.training.state import Problem, TrainState, Warmup, step_keys
 
 
@@ -71,11 +71,11 @@ def host_simulates(problem: Problem, state: TrainState) -> bool:
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
     """Return the lanes with their method's state refreshed from the agent and rows of its own."""
-    state, own = sample_own(method, state) if method.own_rows else (state, None)
+    state, batch = sample_for_refresh(method, state) if method.refresh_batch_size else (state, None)
 
-    def refresh_lane(m, lane, rows):
+    def refresh_lane(m, lane, batch):
         key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
-        return m.refresh(key, problem.env, problem.goals, lane.agent, lane.method_state, rows)
+        return m.refresh(key, problem.env, problem.goals, lane.agent, batch, lane.method_state)
 
-    refreshed = jax.vmap(refresh_lane)(method, state.lanes, own)
+    refreshed = jax.vmap(refresh_lane)(method, state.lanes, batch)
     return state.replace(lanes=state.lanes.replace(method_state=refreshed))

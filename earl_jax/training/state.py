@@ -10,7 +10,6 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals, goal_table
 from earl_jax.algos.learner.replay import Replay
-from earl_jax.algos.learner.sac import Agent
 from earl_jax.envs import Env, State
 from earl_jax.metrics.continuing import Counters
 from earl_jax.protocol import Protocol, Rules
@@ -34,7 +33,7 @@ class LaneState(struct.PyTreeNode):
     phase: jax.Array
     phase_step: jax.Array
     goal_indices: GoalIndices
-    agent: Agent
+    agent: Any
     method_state: Any
     counters: Counters
     rules: Rules

@@ -1,0 +1,126 @@
+"""The protocol of a learner: what the training loop, the methods and the policies know of one.
+
+`SAC` and `TD3` are the two that ship. docs/extending.md has a third in a file of its own.
+"""
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+from flax import struct
+
+from earl_jax.algos.learner.networks import check_precision
+from earl_jax.errors import InputError
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
+
+
+class Batch(NamedTuple):
+    """Transitions to learn from: `obs, next_obs [B, o]`, `action [B, a]`, `reward [B]`, bool `terminal [B]`.
+
+    `demonstrated [B]`, bool, marks demonstrations of what the controller is to do, and `step []` is that of the
+    lifetime. With `utd` batches in one, B is `utd * batch_size`.
+    """
+
+    obs: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    terminal: jax.Array
+    next_obs: jax.Array
+    demonstrated: jax.Array | None = None
+    step: jax.Array | None = None
+
+    def split(self, count: int) -> "Batch":
+        """Return `count` batches of the same size, leaves [count, B / count, ...], without `step`."""
+        return jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), self._replace(step=None))
+
+
+class Learner(struct.PyTreeNode, abc.ABC):
+    """An off-policy actor-critic: its options, and pure functions of one agent without a leading axis.
+
+    An agent is a pytree with the field `actor`, the parameters that `act` and `greedy` take. Subclasses write `init`,
+    `act`, `greedy` and `update`, and override the others where they have more. Options that are floats are vmappable
+    leaves, so the lanes of one program can have different values.
+    """
+
+    learning_rate: float = struct.field(default=3e-4, metadata=within("(0, 1]"))
+    """Adam's step size for all networks, those of the method itself too (paper)."""
+    discount: float = struct.field(default=0.99, metadata=within("[0, 1)"))
+    """gamma (paper)."""
+    reward_scale: float = struct.field(default=10.0, metadata=within("(0, 1000000]"))
+    """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
+    10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
+    timeout_bootstrap: bool = False
+    """Whether to bootstrap through the end of a phase that timed out; not in EARL, where every phase end is
+    terminal."""
+    demo_share: float = struct.field(default=0.0, metadata=within("[0, 1]"))
+    """Share of a batch drawn from the demonstrations alone; 0 as in EARL, which samples all transitions uniformly."""
+    batch_size: int = struct.field(pytree_node=False, default=256, metadata=within("[1, 1048576]"))
+    """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
+    utd: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 1000]"))
+    """Updates of the critics in a step, each on a batch of its own, before the one of the actor (paper: 1; RLPD: 20)."""
+    replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
+    """Own transitions of a lane that the replay keeps, first in, first out; None: all. The paper gives 20M and 10M, more
+    than any of its runs has."""
+    random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
+    """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
+    pretrain_steps: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
+    """Cloning steps before the first step of the lifetime, each on a batch of demonstrated steps; 0 as in EARL."""
+    pretrain_rate: float = struct.field(default=1e-3, metadata=within("(0, 1]"))
+    """Adam's step size in these steps."""
+    cloning: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
+    """Weight, relative to `reward_scale`, of a cloning term in the actor's loss: the mean squared distance of the greedy
+    action to demonstrated actions of the batch. None: no such term, as in EARL."""
+    cloning_final: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
+    """That weight at the end of its linear schedule; None: it stays."""
+    cloning_start: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
+    """Step of the lifetime at which the schedule begins."""
+    cloning_steps: int = struct.field(pytree_node=False, default=300_000, metadata=within(COUNT))
+    """Steps of the schedule."""
+
+    precision: str = struct.field(pytree_node=False, default="tf32")
+    """Precision of the networks' matrix products: "float32" (on every device), "tf32" (XLA's default: TF32 on NVIDIA
+    GPUs, float32 on CPUs) or "bf16" (bfloat16 operands and activations; parameters, sums, losses and Adam stay
+    float32)."""
+
+    name: ClassVar[str]
+    diagnostics: ClassVar[tuple[str, ...]] = ()
+    """Names of the scalars that `update` returns, columns of metrics.csv."""
+
+    def __post_init__(self):
+        check_precision(self.precision)
+
+    @abc.abstractmethod
+    def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Any:
+        """Return a fresh agent for observations [o] and actions [a].
+
+        With `entropy_free_pairs`, `value` is that of pairs of critics that are trained without an entropy term. A
+        learner without such a term needs no additional ones.
+        """
+
+    @abc.abstractmethod
+    def act(self, key: jax.Array, actor: Any, obs: jax.Array) -> jax.Array:
+        """Return actions [..., a] in [-1, 1] with which the agent lives, at `obs [..., o]`."""
+
+    @abc.abstractmethod
+    def greedy(self, actor: Any, obs: jax.Array) -> jax.Array:
+        """Return the actions [..., a] of evaluations at `obs [..., o]`; differentiable in `actor` for cloning."""
+
+    @abc.abstractmethod
+    def update(self, key: jax.Array, agent: Any, batch: Batch) -> tuple[Any, dict[str, jax.Array]]:
+        """Return the agent after a gradient step on `batch`, and its `diagnostics`, scalars []."""
+
+    def deployed(self, agent: Any) -> Any:
+        """Return the actor of evaluations and saved policies."""
+        return agent.actor
+
+    def with_actor(self, agent: Any, actor: Any) -> Any:
+        """Return a fresh agent with an `actor` that was cloned from demonstrations."""
+        return agent.replace(actor=actor)
+
+    def value(self, key: jax.Array, agent: Any, obs: jax.Array) -> jax.Array:
+        """Return the discounted scaled reward [...] that the agent expects from `obs [..., o]`, without an entropy term.
+
+        Raises:
+            ValueError: this learner has no such critics.
+        """
+        raise InputError(f"learner {self.name!r} has no values without an entropy term, which this method needs")

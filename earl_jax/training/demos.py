@@ -1,0 +1,87 @@
+"""The demonstrations of a task as a method uses them: rows of the replay that controllers sample, and steps to clone."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from earl_jax.algos.goals import trajectories
+from earl_jax.algos.learner.cloning import DemoSteps
+from earl_jax.algos.method import Method
+from earl_jax.errors import InputError
+from earl_jax.training.state import Problem
+
+
+class DemoRows(NamedTuple):
+    """Demonstrations in the layout of replay rows.
+
+    `states [R, s]`. The other fields belong to T demonstrated transitions, once for each controller that samples them:
+    their `rows [T]`, `actions [T, a]`, `goals [T]`, `controllers [T]`, and `copies [T]` in the replay's lists.
+    """
+
+    states: np.ndarray
+    rows: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    controllers: np.ndarray
+    copies: np.ndarray
+
+    def sampleable(self, controller: int) -> np.ndarray:
+        """Return the rows that `controller` samples from, each repeated by its number of copies."""
+        own = self.controllers == controller
+        return np.repeat(self.rows[own], self.copies[own])
+
+
+def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
+    """Return the demonstrations in the initial replay of `method`, or None if the task has none of its directions.
+
+    Raises:
+        ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
+    """
+    env = problem.env
+    if not env.has_demos:
+        if method.needs_demos:
+            raise InputError(f"{method.name} needs demonstrations, and {env.name} has none")
+        return None
+    if method.needs_demos and env.state_size != env.goal_size:
+        raise InputError(
+            f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
+            f"{env.state_size} numbers and a goal has {env.goal_size}"
+        )
+    uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
+    wanted = dict.fromkeys(demos.direction for _, demos in uses)
+    parts, all_states, first = [], [], 0
+    for direction in (direction for direction in wanted if direction in env.demo_directions):
+        recorded = env.demos(direction)
+        states, last = trajectories(recorded)
+        rows = np.flatnonzero(np.arange(len(states)) < last)
+        goals, later = _goal_indices(problem, recorded.goals), last[rows] - rows
+        for controller, demos in (use for use in uses if use[1].direction == direction):
+            copies = np.maximum(1, np.rint(later * demos.copies_per_step).astype(int))
+            copies = copies * (len(env.goal_states) if demos.every_goal else 1)
+            parts.append((first + rows, recorded.actions, goals, np.full(len(rows), controller), copies))
+        all_states.append(states)
+        first += len(states)
+    if not parts:
+        return None
+    fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
+    return DemoRows(np.concatenate(all_states), *fields)
+
+
+def demo_steps(problem: Problem, method: Method) -> DemoSteps | None:
+    """Return the demonstrated steps of `method`, once for each controller, or None. Errors as `demo_rows`."""
+    demos = demo_rows(problem, method)
+    if demos is None:
+        return None
+    obs = np.concatenate([demos.states[demos.rows], problem.goals.table[demos.goals]], axis=-1)
+    return DemoSteps(obs, demos.actions, demos.controllers)
+
+
+def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
+    """Return the goal table's indices [T] of demonstrated goals [T, g], which are task goals or initial states."""
+    known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
+    distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
+    if distance.min(axis=1).max() > 1e-6:
+        raise InputError(
+            f"a demonstration of {problem.env.name} has a goal that is neither a task goal nor an initial state"
+        )
+    return distance.argmin(axis=1)
