@@ -154,7 +154,7 @@ def sweep(problem, rates, keys):
     """Return deployed returns [rates, seeds, evaluations], and the summary over seeds of their areas, [rates] each."""
 
     def run(rate):
-        chosen = method.replace(sac=method.sac.replace(learning_rate=rate))
+        chosen = method.replace(learner=method.learner.replace(learning_rate=rate))
         _, metrics = earl_jax.lifetime(problem, chosen, keys)
         returns = metrics["deployed/return"]
         return returns, summarise(deployed_area(evaluated, returns))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
-from earl_jax.algos.method import RETURN, Method, Phase, PhaseDemos
+from earl_jax.algos.method import BACKWARD, RETURN, Method, Phase
 from earl_jax.options.values import within
 
 
@@ -29,7 +29,7 @@ class FBRL(Method):
     @property
     def phases(self) -> tuple[Phase, ...]:
         on_success = not self.fixed_phases
-        back = Phase((PhaseDemos("backward"),), controller=self.controllers - 1, ends_on_success=on_success)
+        back = Phase((BACKWARD,), controller=self.controllers - 1, ends_on_success=on_success)
         return Phase(ends_on_success=on_success), back
 
     def next_goal(

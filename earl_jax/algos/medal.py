@@ -13,7 +13,7 @@ from earl_jax.algos.learner.cloning import DemoSteps
 from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC
-from earl_jax.algos.method import RETURN, TASK, Method, Phase, PhaseDemos
+from earl_jax.algos.method import FORWARD, RETURN, TASK, Method, Phase, PhaseDemos
 from earl_jax.envs import Env
 from earl_jax.options.values import COUNT, within
 
@@ -76,7 +76,7 @@ class MEDAL(Method):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        sampled = PhaseDemos("forward"), PhaseDemos("backward", every_goal=True)
+        sampled = FORWARD, PhaseDemos("backward", every_goal=True)
         back = Phase(sampled, controller=1, length=self.phase_steps, ends_on_success=False)
         return Phase(length=self.phase_steps), back
 

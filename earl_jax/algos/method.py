@@ -33,6 +33,9 @@ class PhaseDemos(NamedTuple):
     copies_per_step: float = 0.0
 
 
+FORWARD, BACKWARD = PhaseDemos("forward"), PhaseDemos("backward")
+
+
 class Phase(NamedTuple):
     """One of the phases between which a method alternates; the first one pursues the task.
 
@@ -40,7 +43,7 @@ class Phase(NamedTuple):
     for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment.
     """
 
-    demos: tuple[PhaseDemos, ...] = (PhaseDemos("forward"),)
+    demos: tuple[PhaseDemos, ...] = (FORWARD,)
     controller: int = 0
     length: int | None = None
     ends_on_success: bool = True
@@ -83,7 +86,8 @@ class Method(struct.PyTreeNode):
         super().__init_subclass__(**options)
         for name in FUNCTIONS & vars(cls).keys():
             expected, own = (inspect.signature(getattr(of, name)).parameters for of in (Method, cls))
-            if list(own) != list(expected):
+            takes_any = any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in own.values())
+            if not takes_any and list(own) != list(expected):
                 raise TypeError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(own)})")
 
     @property

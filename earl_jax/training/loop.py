@@ -111,7 +111,7 @@ def learn(
     env, phase = problem.env, lane.phase
     sampled = sampled._replace(demonstrated=sampled.row < first_row)
     sampled = method.prepare(keys.relabel, env, problem.goals, sampled, phase, lane.method_state)
-    batch, controller = _batch(problem, method.learner, sampled, step), controller_of(method, phase)
+    batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     agent = _controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.update, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
@@ -125,7 +125,7 @@ def learn(
     return lane.replace(agent=learnt[0], method_state=learnt[1], counters=counters)
 
 
-def _batch(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
+def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
     """Return the `sampled` transitions as a learner takes them."""
     flags = sampled.flags
     goal = jnp.asarray(problem.goals.table)[flags.goal] if sampled.goal is None else sampled.goal

@@ -6,10 +6,9 @@ import pytest
 
 from earl_jax import InputError
 from earl_jax.algos import make_algo
-from earl_jax.algos.learner import sac
 from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.envs import make
-from earl_jax.training.init import demonstrations
+from earl_jax.training.demos import demo_steps
 from earl_jax.training.plan import prepare
 from tests.algos.lives import OPTIONS, lived
 from tests.conftest import assert_equal_trees, make_problem, make_train_state, take_lane, tiny_method
@@ -21,59 +20,63 @@ def lane_actor(state):
 
 
 def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(problem):
-    method, agent_sac = tiny_method("bc", controllers=2), make_algo("bc", hidden_sizes=[16], batch_size=64).sac
-    demos = demonstrations(problem, method)
-    agents = jax.jit(jax.vmap(lambda key: sac.init(key, agent_sac, 12, 3)))(jax.random.split(jax.random.key(0), 2))
-    actors, losses = jax.jit(lambda key, actors: clone(key, agent_sac, actors, demos, 150, 3e-3))(
+    method, learner = tiny_method("bc", controllers=2), make_algo("bc", hidden_sizes=[16], batch_size=64).learner
+    demos = demo_steps(problem, method)
+    agents = jax.jit(jax.vmap(lambda key: learner.init(key, 12, 3)))(jax.random.split(jax.random.key(0), 2))
+    actors, losses = jax.jit(lambda key, actors: clone(key, learner, actors, demos, 150, 3e-3))(
         jax.random.key(1), agents.actor
     )
     assert losses.shape == (2, 150)
     assert (losses[:, -20:].mean(axis=1) < 0.6 * losses[:, 0]).all()
     both = [jax.tree.map(lambda leaf, c=c: leaf[c], actors) for c in (0, 1)]
-    loss = jax.jit(lambda actor, obs, action: cloning_loss(actor, agent_sac, obs, action))
+    loss = jax.jit(lambda actor, obs, action: cloning_loss(actor, learner, obs, action))
     cross = [[float(loss(actor, part.obs, part.action)) for actor in both] for part in (demos.of(0), demos.of(1))]
     assert cross[0][0] < cross[0][1]
     assert cross[1][1] < cross[1][0]
 
 
-def test_bc_acts_by_its_mode_and_does_not_learn():
+def test_bc_acts_greedily_and_does_not_learn():
     method, first, last = lived("bc")
     assert_equal_trees(last.lanes.agent, first.lanes.agent)
     lane, own = take_lane(first.lanes, 0), take_lane(method, 0)
-    obs, actor, key = lane.env_state.obs, lane_actor(first), jax.random.key(3)
-    drawn, mode = jax.jit(lambda: (sac.act(own.sac, actor, obs, key, 3), sac.greedy(own.sac, actor, obs, 3)))()
-    np.testing.assert_allclose(drawn, mode, atol=1e-6)
+    mode = jax.jit(own.learner.greedy)(lane_actor(first), lane.env_state.obs)
     np.testing.assert_allclose(last.replay.action[int(first.replay.row), 0], mode, atol=1e-5)
     assert all(not np.asarray(value).any() for value in last.lanes.counters.diagnostics.values())
 
 
 def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program(problem):
-    assert make_algo("bc").sac.random_steps == 0
-    assert make_algo("bc", random_steps=20).sac.random_steps == 20
-    assert make_algo("naive").sac.random_steps == 1000
+    assert make_algo("bc").learner.random_steps == 0
+    assert make_algo("bc", random_steps=20).learner.random_steps == 20
+    assert make_algo("naive").learner.random_steps == 1000
     assert prepare(problem, tiny_method("bc", random_steps=0), 2, 120).random_steps == 0
     method, cloned, _ = lived("bc")
-    demos, blank = demonstrations(problem, method), make_train_state(problem, tiny_method("naive"), [0, 1])
-    error = jax.jit(lambda actor: cloning_loss(actor, method.sac, demos.obs, demos.action))
+    demos, blank = demo_steps(problem, method), make_train_state(problem, tiny_method("naive"), [0, 1])
+    error = jax.jit(lambda actor: cloning_loss(actor, method.learner, demos.obs, demos.action))
     assert error(lane_actor(cloned)) < 0.8 * error(lane_actor(blank))
 
 
-def test_any_method_can_clone_first_and_has_the_actor_of_bc_with_its_own_noise(problem):
-    noisy = make_train_state(problem, tiny_method("risc", **OPTIONS["bc"], pretrain_log_std=None), [0, 1])
-    layers, expected = (state.lanes.agent.actor["params"] for state in (noisy, lived("bc").start))
-    tolerance = {"rtol": 1e-4, "atol": 1e-5}
-    assert_equal_trees(layers["hidden_0"], expected["hidden_0"], **tolerance)
+def test_any_method_can_clone_first_with_a_noise_of_its_choice(problem):
+    """It has the actor of BC, whose noise plays no part."""
+    noisy, quiet = (
+        make_train_state(problem, tiny_method("risc", **OPTIONS["bc"], pretrain_log_std=std), [0, 1]).lanes.agent.actor[
+            "params"
+        ]
+        for std in (None, -3.0)
+    )
+    cloned, tolerance = lived("bc").start.lanes.agent.actor["params"], {"rtol": 1e-4, "atol": 1e-5}
+    for layers in (noisy, quiet):
+        assert_equal_trees(layers["hidden_0"], cloned["hidden_0"], **tolerance)
     for name in ("kernel", "bias"):
-        own, cloned = layers["hidden_1"][name], expected["hidden_1"][name]
-        np.testing.assert_allclose(own[..., :3], cloned[..., :3], **tolerance)
-        assert (own[..., 3:] != cloned[..., 3:]).any()
-    assert not expected["hidden_1"]["kernel"][..., 3:].any()
+        own, fixed, expected = (layers["hidden_1"][name] for layers in (noisy, quiet, cloned))
+        np.testing.assert_allclose(own, expected, **tolerance)
+        np.testing.assert_allclose(fixed[..., :3], expected[..., :3], **tolerance)
+        np.testing.assert_array_equal(fixed[..., 3:], 0.0 if name == "kernel" else -3.0)
 
 
 def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(problem, monkeypatch):
-    both = demonstrations(problem, tiny_method("bc"))
+    both = demo_steps(problem, tiny_method("bc"))
     monkeypatch.setattr(type(problem.env), "demo_directions", property(lambda self: ("forward",)))
-    forward = demonstrations(problem, tiny_method("bc", controllers=2))
+    forward = demo_steps(problem, tiny_method("bc", controllers=2))
     assert 0 < len(forward.obs) < len(both.obs)
     assert set(forward.controller.tolist()) == {0}
     assert len(forward.of(1).obs) == len(forward.obs)

@@ -10,7 +10,7 @@ from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
-from earl_jax.training.init import demo_rows, demonstrations
+from earl_jax.training.demos import demo_rows, demo_steps
 from tests.algos.lives import PHASE, lived
 from tests.algos.transitions import make_batch
 from tests.conftest import take_lane, tiny_method
@@ -23,14 +23,14 @@ sample_own = jax.jit(replay_lib.sample_own, static_argnums=(2, 3))
 def medal(env):
     """Return the method, the goals and the classifier's first state."""
     method, goals = make_algo("medal", learning_rate=1e-2), goal_table(env)
-    return method, goals, jax.jit(lambda key: method.init_state(key, env, goals))(jax.random.key(0))
+    return method, goals, jax.jit(lambda key: method.init(key, env, goals))(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
 def reward(env, medal):
     """Return the method's rewards as a program of batch, phase and classifier."""
     method, goals, _ = medal
-    return jax.jit(lambda *arguments: method.reward(env, goals, *arguments))
+    return jax.jit(lambda *arguments: method.prepare(KEYS[0], env, goals, *arguments).reward)
 
 
 def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(medal):
@@ -88,12 +88,12 @@ def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_o
     method, goals, classifier = medal
     _, start, end = lived("medal")
     keys, first = jax.random.split(jax.random.key(5), 2), int(start.replay.row)
-    before, after = (sample_own(state.replay, keys, RETURN, method.own_rows) for state in (start, end))
+    before, after = (sample_own(state.replay, keys, RETURN, method.refresh_batch_size) for state in (start, end))
     for lane in (0, 1):
         assert set(after.row[lane].tolist()) == set(range(first + PHASE, first + 2 * PHASE))
     assert not after.demonstrated.any()
     assert before.demonstrated.all()
-    refresh = jax.jit(lambda own: method.refresh(KEYS[0], problem.env, goals, None, classifier, own))
+    refresh = jax.jit(lambda own: method.refresh(KEYS[0], problem.env, goals, None, own, classifier))
     leaf, unchanged, moved = (
         jax.tree.leaves(state.params)[0]
         for state in (classifier, *(refresh(take_lane(own, 0)) for own in (before, after)))
@@ -111,22 +111,22 @@ def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_
 
 
 def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_own(medal, env):
-    method, goals, _ = medal
+    method, goals, classifier = medal
     demonstrated, backward = np.arange(400) % 2 == 0, np.arange(400) >= 200
     batch = make_batch(*np.zeros((2, 400, 6)), np.where(backward, goals.tasks, 1), demonstrated=demonstrated)
-    relabel = jax.jit(lambda phase: method.relabel(KEYS[0], env, goals, batch, phase))
-    back = relabel(RETURN)
+    prepare = jax.jit(lambda phase: method.prepare(KEYS[0], env, goals, batch, phase, classifier))
+    back = prepare(RETURN)
     goal = np.asarray(back.flags.goal)
     np.testing.assert_array_equal(goal[~backward], 1)
     assert set(goal[backward & demonstrated].tolist()) == {0, 1, 2, 3}
     np.testing.assert_array_equal(goal[backward & ~demonstrated], goals.tasks)
     np.testing.assert_array_equal(back.demonstrated, demonstrated & backward)
-    np.testing.assert_array_equal(relabel(TASK).demonstrated, demonstrated)
+    np.testing.assert_array_equal(prepare(TASK).demonstrated, demonstrated)
 
 
 def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):
     env = problem.env
-    demos = demos_to_clone(env, demonstrations(problem, tiny_method("medal")))
+    demos = demos_to_clone(env, demo_steps(problem, tiny_method("medal")))
     forward, backward = env.demos("forward"), env.demos("backward")
     assert len(demos.of(TASK).obs) == len(forward.ends)
     demonstrated = demonstrated_obs(env)

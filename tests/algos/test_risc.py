@@ -11,8 +11,8 @@ from flax import struct
 from earl_jax.algos import make_algo
 from earl_jax.algos.fbrl import FBRL
 from earl_jax.algos.learner import replay as replay_lib
-from earl_jax.algos.learner import sac
-from earl_jax.algos.method import TASK
+from earl_jax.algos.learner.sac import SOFT_CRITICS
+from earl_jax.algos.method import TASK, Moment
 from earl_jax.training.plan import per_lane
 from tests.conftest import make_train_state, run_whole, tiny_method
 
@@ -26,8 +26,12 @@ class Impatient(FBRL):
     controllers: int = struct.field(pytree_node=False, default=1)
     name = "impatient"
 
-    def switches(self, key, env, agent, obs, phase, phase_step, method_state):
-        return phase_step + 1 >= 5
+    def ends_phase(self, key, env, agent, obs, moment, method_state):
+        return moment.phase_step + 1 >= 5
+
+
+def moment(phase_step):
+    return Moment(jnp.asarray(phase_step), jnp.asarray(TASK), phase_step, KEYS[0])
 
 
 @pytest.fixture(scope="module")
@@ -37,20 +41,20 @@ def switch_share(env):
     Its further critics are `value` everywhere, before the division by the reward scale.
     """
     first = make_algo("risc", hidden_sizes=[16])
-    agent = jax.jit(lambda key: sac.init(key, first.sac, 12, 3, first.critics))(jax.random.key(0))
+    agent = jax.jit(lambda key: first.learner.init(key, 12, 3, first.entropy_free_pairs))(jax.random.key(0))
 
     @jax.jit
     def share(method, value, count):
-        critics = jax.tree.map(lambda leaf: leaf.at[sac.SOFT_CRITICS :].set(0.0), agent.critics["params"])
-        bias = critics["hidden_1"]["bias"].at[sac.SOFT_CRITICS :].set(value)
+        critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].set(0.0), agent.critics["params"])
+        bias = critics["hidden_1"]["bias"].at[SOFT_CRITICS:].set(value)
         own = agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
-        return jax.vmap(lambda key: method.switches(key, env, own, OBS, TASK, count - 1, ()))(KEYS).mean()
+        return jax.vmap(lambda key: method.ends_phase(key, env, own, OBS, moment(count - 1), ()))(KEYS).mean()
 
     return lambda value, count, **options: float(share(make_algo("risc", hidden_sizes=[16], **options), value, count))
 
 
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
-    method = per_lane(Impatient(tiny_method("fbrl").sac, fixed_phases=True), 2)
+    method = per_lane(Impatient(tiny_method("fbrl").learner, fixed_phases=True), 2)
     start = make_train_state(problem, method, [0, 1])
     end = run_whole(problem, method, start, 20, warmup=True)
     rows = slice(int(start.replay.row), int(end.replay.row))
@@ -71,8 +75,9 @@ def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env, s
         (make_algo("risc"), dataclasses.replace(env, reward_type="dense")),
         (make_algo("risc", switching=False), env),
     ):
-        assert method.switches(KEYS[0], task, None, OBS, TASK, 150, ()) is False
-    assert make_algo("risc", switching=False).critics == 2
+        ends = [bool(method.ends_phase(KEYS[0], task, None, OBS, moment(jnp.asarray(age)), ())) for age in (150, 199)]
+        assert ends == [False, True]
+    assert make_algo("risc", switching=False).entropy_free_pairs == 0
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ ERRORS = {
     "UnicodeDecodeError": lambda: b"\xff".decode(),
 }
 TASK_PARTS = ("reset", "success", "reward", "sample_goal", "transition")
-METHOD_PARTS = ("init_state", "phase_length", "next_goal", "update_state")
+METHOD_PARTS = ("init", "act", "ends_phase", "next_goal", "prepare", "learn")
 CASES = [("task", part, "FileNotFoundError") for part in TASK_PARTS]
 CASES += [("method", part, "ValueError") for part in METHOD_PARTS]
 CASES += [("task", "transition", kind) for kind in ERRORS] + [("method", "next_goal", kind) for kind in ERRORS]

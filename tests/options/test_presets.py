@@ -31,9 +31,9 @@ def test_a_preset_is_arguments_of_train(name):
     options = {key: value for key, value in values.items() if key not in LENGTHS}
     assert set(values) - set(options) == set(LENGTHS)
     assert values["seeds"] == 3
-    changed = earl_jax.make_algo("fbrl", **options).sac
+    changed = earl_jax.make_algo("fbrl", **options).learner
     assert {key: getattr(changed, key) for key in options} == options
-    assert all(getattr(earl_jax.make_algo("fbrl").sac, key) != value for key, value in options.items())
+    assert all(getattr(earl_jax.make_algo("fbrl").learner, key) != value for key, value in options.items())
 
 
 def test_published_steps_need_a_task_of_the_paper():

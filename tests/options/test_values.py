@@ -95,7 +95,7 @@ def test_values_outside_their_interval_are_refused_with_the_interval(build, mess
 def test_objects_are_checked_where_they_are_trained():
     method = make_algo("naive")
     with pytest.raises(InputError, match=r"naive: discount must lie in \[0, 1\), not 1\.0"):
-        train("tabletop_organization", method.replace(sac=method.sac.replace(discount=1.0)), steps=10)
+        train("tabletop_organization", method.replace(learner=method.learner.replace(discount=1.0)), steps=10)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tests.envs.chain import Chain
 
 GOAL = 3
 NEVER = Rules(horizon=0, chance=0.0, goal_change=0)
-TASK = Attempt(is_task=True, age=0, limit=10, ends_on_success=True, reset_at_end=False)
+TASK = Attempt(is_task=True, expires=False, ends_on_success=True, reset_at_end=False)
 
 
 def step_end(state, attempt=TASK, rules=NEVER, step=1, env=None, key=0):
@@ -29,19 +29,16 @@ def state_at(position, env=None):
     ("position", "changes", "expected"),
     [
         (1, {}, set()),
-        (GOAL, {}, {"reached", "over"}),
+        (GOAL, {}, {"reached", "phase_ended"}),
         (GOAL, {"ends_on_success": False}, set()),
-        (GOAL, {"reset_at_end": True}, {"reached", "over", "reset"}),
-        (1, {"age": 8}, set()),
-        (1, {"age": 9}, {"timeout", "over"}),
-        (1, {"age": 9, "reset_at_end": True}, {"timeout", "over", "reset"}),
-        (GOAL, {"age": 9}, {"reached", "over"}),
-        (1, {"given_up": True}, {"timeout", "over"}),
-        (GOAL, {"given_up": True}, {"reached", "over"}),
+        (GOAL, {"reset_at_end": True}, {"reached", "phase_ended", "env_reset"}),
+        (1, {"expires": True}, {"timeout", "phase_ended"}),
+        (1, {"expires": True, "reset_at_end": True}, {"timeout", "phase_ended", "env_reset"}),
+        (GOAL, {"expires": True}, {"reached", "phase_ended"}),
     ],
     ids=[
-        "goes on", "reaches its goal", "goes on at its goal", "success resets", "is young", "times out", "time-out resets",
-        "reaches its goal on its last step", "is given up", "is given up at its goal",
+        "goes on", "reaches its goal", "goes on at its goal", "success resets", "times out", "time-out resets",
+        "reaches its goal on its last step",
     ],
 )  # fmt: skip
 def test_an_attempt_ends_at_its_goal_or_at_its_limit(position, changes, expected):
@@ -57,7 +54,7 @@ def test_a_dense_reward_and_a_state_after_the_absorbing_end_end_no_attempt():
 @pytest.mark.parametrize("position", [1, GOAL])
 def test_a_fault_resets_the_lane_and_is_never_a_success(position):
     broken = state_at(position).replace(data=jnp.full(1, jnp.nan))
-    assert step_end(broken) == {"fault", "timeout", "over", "restarts", "reset"}
+    assert step_end(broken) == {"fault", "timeout", "phase_ended", "task_restarts", "env_reset"}
 
 
 @pytest.mark.parametrize("is_task", [True, False])
@@ -66,15 +63,18 @@ def test_an_intervention_comes_every_horizon_steps_and_restarts_the_task(is_task
     for step in (4, 6):
         assert step_end(state_at(1), attempt, rules, step) == set()
     for step in (5, 10):
-        assert step_end(state_at(1), attempt, rules, step) == {"timeout", "over", "restarts", "reset"}
-    assert step_end(state_at(GOAL), attempt, rules, 5) == {"reached", "over", "restarts", "reset"}
+        assert step_end(state_at(1), attempt, rules, step) == {"timeout", "phase_ended", "task_restarts", "env_reset"}
+    assert step_end(state_at(GOAL), attempt, rules, 5) == {"reached", "phase_ended", "task_restarts", "env_reset"}
 
 
 def test_an_intervention_by_chance_depends_on_the_key_alone():
     rules = NEVER._replace(chance=0.25)
     ends = [step_end(state_at(1), rules=rules, key=key) for key in range(80)]
     assert ends == [step_end(state_at(1), rules=rules, step=2, key=key) for key in range(80)]
-    assert {frozenset(end) for end in ends} == {frozenset(), frozenset({"timeout", "over", "restarts", "reset"})}
+    assert {frozenset(end) for end in ends} == {
+        frozenset(),
+        frozenset({"timeout", "phase_ended", "task_restarts", "env_reset"}),
+    }
     keys = jax.random.split(jax.random.key(0), 4000)
     rates = [jax.vmap(rules.intervened, (None, 0))(1, keys).mean() for rules in (rules, NEVER._replace(chance=1.0))]
     assert rates == pytest.approx([0.25, 1.0], abs=0.02)
@@ -83,9 +83,9 @@ def test_an_intervention_by_chance_depends_on_the_key_alone():
 def test_a_goal_change_ends_an_attempt_at_the_task_and_not_a_return():
     rules, returning = NEVER._replace(goal_change=5), TASK._replace(is_task=False)
     assert step_end(state_at(1), TASK, rules, 4) == set()
-    assert step_end(state_at(1), TASK, rules, 5) == {"goal_changes", "timeout", "over", "restarts"}
+    assert step_end(state_at(1), TASK, rules, 5) == {"goal_changes", "timeout", "phase_ended", "task_restarts"}
     assert step_end(state_at(1), returning, rules, 5) == {"goal_changes"}
-    assert step_end(state_at(GOAL), returning, rules, 5) == {"goal_changes", "reached", "over"}
+    assert step_end(state_at(GOAL), returning, rules, 5) == {"goal_changes", "reached", "phase_ended"}
 
 
 def test_reset_where_selects_the_state_after_an_intervention():

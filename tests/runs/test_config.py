@@ -56,13 +56,13 @@ def test_an_explicit_h_t_is_restored_and_a_config_without_it_keeps_its_h_t(env):
 
 def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
     sparse, dense = (earl_jax.make("tabletop_organization", reward_type=kind) for kind in ("sparse", "dense"))
-    assert earl_jax.method_for(sparse, "naive").sac.reward_scale == 10.0
-    assert earl_jax.method_for(dense, "naive").sac.reward_scale == dense.reward_scale == 1.0
-    assert earl_jax.method_for(dense, "naive", reward_scale=10.0).sac.reward_scale == 10.0
+    assert earl_jax.method_for(sparse, "naive").learner.reward_scale == 10.0
+    assert earl_jax.method_for(dense, "naive").learner.reward_scale == dense.reward_scale == 1.0
+    assert earl_jax.method_for(dense, "naive", reward_scale=10.0).learner.reward_scale == 10.0
     for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
         config = RunConfig.from_objects(env, earl_jax.method_for(env, "naive"), Deployment(), **LENGTHS)
         assert config.deployed_metric == metric
-        assert config.build_method().sac.reward_scale == env.reward_scale
+        assert config.build_method().learner.reward_scale == env.reward_scale
 
 
 def test_a_class_that_its_name_does_not_build_is_recorded_and_required(env):

@@ -55,28 +55,28 @@ def test_a_seed_trains_the_same_alone_and_beside_others(problem):
     np.testing.assert_array_equal(beside.replay.index[:, 1], alone.replay.index[:, 0])
 
 
-def warmup(problem, method, steps, rules=None):
-    """Return four fresh lanes after `steps` steps without updates, in one program, since the tests replace its actions."""
+def acted(problem, method, steps, rules=None):
+    """Return four fresh lanes after `steps` steps, in one program, since the tests replace its actions and its updates."""
     state = make_train_state(problem, method, range(4), EXPERT_STEPS, rules)
-    return run_whole(problem, method, state, steps, warmup=True)
+    return run_whole(problem, method, state, steps)
 
 
 @pytest.fixture
 def expert_acts(monkeypatch):
     """Let the scripted expert act in place of every learnt controller, which returns home in R3L's second phase."""
 
-    def act(problem, method, lane, key, warmup):
-        home = problem.env.with_goal(lane.env_state, jnp.asarray(problem.env.initial_states[0])).obs
-        returns = (lane.phase == RETURN) & (method.name == "r3l")
-        return problem.env.expert(jnp.where(returns, home, lane.env_state.obs))
+    def act(self, key, env, actor, obs, moment, method_state):
+        home = jnp.concatenate([obs[: env.state_size], env.initial_states[0]])
+        return env.expert(jnp.where((moment.phase == RETURN) & (self.name == "r3l"), home, obs))
 
-    monkeypatch.setattr(loop, "_act", act)
+    monkeypatch.setattr(Method, "act", act)
+    monkeypatch.setattr(loop, "learn", lambda problem, method, lane, *rest: lane)
 
 
 @pytest.mark.parametrize(("algo", "published"), [("oracle", 41.0), ("fbrl", 82.5), ("r3l", 240.0)])
 def test_experts_in_the_loop_earn_at_the_published_rate(problem, expert_acts, algo, published):
     """Scripted optima that the converged reward rates of the paper's runs imply, in env steps per reached goal."""
-    counters = warmup(problem, tiny_method(algo, 4), EXPERT_STEPS).lanes.counters
+    counters = acted(problem, tiny_method(algo, 4), EXPERT_STEPS).lanes.counters
     assert 4 * EXPERT_STEPS / float(counters.reached.sum()) == pytest.approx(published, rel=0.05)
     interventions = np.asarray(counters.interventions)
     assert (interventions == counters.reached).all() if algo == "oracle" else not interventions.any()
@@ -86,7 +86,7 @@ def test_experts_in_the_loop_earn_at_the_published_rate(problem, expert_acts, al
 
 def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expert_acts):
     """An attempt at the task follows a goal change at once; a return goes on to its own end."""
-    state = warmup(problem, tiny_method("fbrl", 4), 400, lane_rules([0] * 4, [0.0] * 4, [100] * 4))
+    state = acted(problem, tiny_method("fbrl", 4), 400, lane_rules([0] * 4, [0.0] * 4, [100] * 4))
     goals = stored_flags(state, 400).goal
     is_task = goals < len(problem.env.goal_states)
     assert 0.1 < is_task.mean() < 0.9
@@ -101,19 +101,23 @@ def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expe
 
 
 class Recorder(Method):
-    """Counts its refreshes and remembers the latest row of the batch that it learnt from."""
+    """Counts its refreshes and remembers the latest row of the batch that it learnt from, which its rewards tell."""
 
     name = "recorder"
     refresh_every = 16
 
-    def init_state(self, key, env, goals):
+    def init(self, key, env, goals):
         return {"refreshes": jnp.zeros((), jnp.int32), "row": jnp.zeros((), jnp.int32)}
 
-    def refresh(self, key, env, goals, agent, method_state, own):
+    def refresh(self, key, env, goals, agent, batch, method_state):
         return {**method_state, "refreshes": method_state["refreshes"] + 1}
 
-    def update_state(self, key, env, goals, batch, phase, method_state):
-        return {**method_state, "row": batch.row.max()}
+    def prepare(self, key, env, goals, batch, phase, method_state):
+        return batch._replace(reward=batch.row.astype(jnp.float32))
+
+    def learn(self, key, env, agent, batch, phase, method_state):
+        agent, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
+        return agent, {**method_state, "row": batch.reward.max().astype(jnp.int32)}, diagnostics
 
 
 def test_a_batch_holds_transitions_stored_before_its_step_and_a_refresh_begins_every_block():

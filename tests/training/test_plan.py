@@ -34,9 +34,9 @@ def test_steps_must_be_a_multiple_of_eval_every(problem):
 
 def test_integer_leaves_become_floats_and_flags_stay_flags():
     method = per_lane(make_algo("naive", reward_scale=3, timeout_bootstrap=True), 3)
-    assert method.sac.reward_scale.dtype == jnp.float32
-    assert method.sac.timeout_bootstrap.dtype == bool
-    assert method.sac.discount.shape == (3,)
+    assert method.learner.reward_scale.dtype == jnp.float32
+    assert method.learner.timeout_bootstrap.dtype == bool
+    assert method.learner.discount.shape == (3,)
 
 
 @pytest.mark.parametrize(

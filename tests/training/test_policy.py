@@ -11,7 +11,6 @@ import pytest
 import earl_jax
 from benchmarks import pretrained as packing
 from earl_jax import assets
-from earl_jax.algos.learner import sac
 from earl_jax.envs import HelpBudget, make
 from earl_jax.metrics.deployed import deployed
 from earl_jax.protocol import Deployment
@@ -40,14 +39,14 @@ def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_ac
     runner.save_policies_of([run], types.SimpleNamespace(lanes=lanes), 40)
     with np.load(run.folder.policies) as saved:
         assert (int(saved["obs_size"]), int(saved["action_size"])) == (12, 3)
-        assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 12, 16)
-        assert saved["actor['params']['hidden_1']['bias']"].shape == (2, 6)
+        assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 13, 16), "with the budget"
+        assert saved["actor['params']['hidden_1']['bias']"].shape == (2, 8)
     env, policy = load_policies(run.folder)
     assert env == task
     obs = env.reset(jax.random.key(3)).obs
     with_full_budget = jnp.insert(obs, task.state_size, 1.0)
     for lane in (0, 1):
-        expected = sac.greedy(method.sac, take_lane(actor, lane), with_full_budget, helped.action_size)[:-1]
+        expected = method.learner.greedy(take_lane(actor, lane), with_full_budget)[:-1]
         of_lane = Policy.of(helped, take_lane(method, lane), take_lane(lanes, lane))
         for loaded in (select_seed(policy, lane), of_lane):
             np.testing.assert_allclose(loaded(obs), expected, atol=1e-6)

@@ -32,7 +32,7 @@ class Patient(Naive):
 
 
 def make_patient(**options):
-    return Patient(sac=earl_jax.make_algo("naive", **{**TINY, **options}).sac)
+    return Patient(learner=earl_jax.make_algo("naive", **{**TINY, **options}).learner)
 
 
 def train_meadow(**options):

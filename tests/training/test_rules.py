@@ -42,7 +42,7 @@ def test_lanes_of_one_program_follow_their_own_rules(env, problem):
 
 def test_a_bootstrapped_timeout_without_successor_is_not_listed(problem):
     method = tiny_method("naive")
-    method = method.replace(sac=method.sac.replace(timeout_bootstrap=jnp.array([False, True])))
+    method = method.replace(learner=method.learner.replace(timeout_bootstrap=jnp.array([False, True])))
     start = make_train_state(problem, method, [0, 1], rules=lane_rules([40, 40], [0.0, 0.0], [0, 0]))
     counts = advance(problem, method, start, 120, warmup=True).replay.counts[:, 0]
     assert counts[0] - counts[1] == 3

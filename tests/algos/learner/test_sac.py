@@ -1,6 +1,5 @@
 """The learner against closed forms: targets, densities, precisions, and a problem of known value."""
 
-import functools
 import itertools
 
 import jax
@@ -10,17 +9,17 @@ import pytest
 from scipy import stats
 
 from earl_jax.algos import make_algo
-from earl_jax.algos.learner import sac as sac_lib
+from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.cloning import cloning_term, cloning_weight
-from earl_jax.algos.learner.networks import TanhNormal, apply, mlp
-from earl_jax.algos.learner.sac import SAC, Batch
+from earl_jax.algos.learner.networks import apply, mlp, mode, tanh_log_prob
+from earl_jax.algos.learner.sac import SAC
 
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
 
 # Each is one program; called eagerly, every operation would be one.
-init = jax.jit(sac_lib.init, static_argnames=("obs_size", "action_size", "critics"))
-q_values = jax.jit(sac_lib.q_values)
+init = jax.jit(SAC.init, static_argnames=("obs_size", "action_size", "entropy_free_pairs"))
+q_values = jax.jit(SAC.q_values)
 
 
 def make_batch(size=64):
@@ -35,8 +34,8 @@ def test_tanh_normal_has_the_paper_s_density():
     raw = jnp.array([0.1, -0.4])
     std = np.exp([-0.5, 2.0])
     density = stats.norm.logpdf([0.1, -0.4], [0.3, -0.8], std) - np.log(1 - np.tanh([0.1, -0.4]) ** 2)
-    np.testing.assert_allclose(TanhNormal(2).log_prob(parameters, raw), density.sum(), rtol=1e-5)
-    np.testing.assert_allclose(TanhNormal(2).mode(parameters), np.tanh([0.3, -0.8]), rtol=1e-5)
+    np.testing.assert_allclose(tanh_log_prob(parameters, raw), density.sum(), rtol=1e-5)
+    np.testing.assert_allclose(mode(parameters), np.tanh([0.3, -0.8]), rtol=1e-5)
 
 
 def test_networks_start_glorot_uniform_with_zero_biases():
@@ -57,10 +56,10 @@ def relative_errors(actual, exact):
 
 
 def test_an_update_in_bf16_differs_from_float32_only_by_rounding():
-    agent, after = init(jax.random.key(0), SMALL, 4, 2, critics=4), []
+    agent, after = init(SMALL, jax.random.key(0), 4, 2, entropy_free_pairs=1), []
     for precision in ("bf16", "float32"):
-        update = jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
-        after.append(update(agent, make_batch(), jax.random.key(1))[0])
+        update = jax.jit(SMALL.replace(precision=precision).update)
+        after.append(update(jax.random.key(1), agent, make_batch())[0])
     for network in ("critics", "actor"):
         coarse, exact = (state.moments[network].mu for state in after)
         assert 0 < max(relative_errors(coarse, exact)) < 0.15
@@ -68,10 +67,10 @@ def test_an_update_in_bf16_differs_from_float32_only_by_rounding():
 
 
 def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not():
-    agent, texts = init(jax.random.key(0), SMALL, 4, 2), {}
+    agent, texts = init(SMALL, jax.random.key(0), 4, 2), {}
     for precision in ("float32", "tf32"):
-        update = jax.jit(functools.partial(sac_lib.update, SMALL.replace(precision=precision)))
-        texts[precision] = update.lower(agent, make_batch(), jax.random.key(1)).as_text()
+        update = jax.jit(SMALL.replace(precision=precision).update)
+        texts[precision] = update.lower(jax.random.key(1), agent, make_batch()).as_text()
     products = [line for line in texts["float32"].splitlines() if "dot_general" in line]
     assert len(products) > 15
     assert all("HIGHEST" in line for line in products)
@@ -91,13 +90,13 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, laye
     x = 0.3 * jax.random.normal(keys[1], (3, 40, 7))
 
     def outputs_and_gradients(precision):
-        out, pull = jax.vjp(lambda p, x: apply(network, p, x, precision), params, x)
+        out, pull = jax.vjp(lambda p, x: apply(p, x, precision), params, x)
         return out, *pull(1 + 0.5 * jnp.cos(jnp.arange(out.size, dtype=jnp.float32)).reshape(out.shape))
 
     exact, coarse = [jax.jit(outputs_and_gradients, static_argnums=0)(precision) for precision in ("float32", "bf16")]
     assert max(relative_errors(coarse, exact)) < 0.02
     assert {leaf.dtype for leaf in jax.tree.leaves(coarse)} == {jnp.dtype("float32")}
-    single = jax.jit(lambda: apply(network, params, x[0, 0], "bf16"))()
+    single = jax.jit(lambda: apply(params, x[0, 0], "bf16"))()
     np.testing.assert_allclose(single, coarse[0][0, 0], rtol=1e-5, atol=1e-5)
 
 
@@ -108,8 +107,8 @@ def test_an_unknown_precision_is_an_error_that_lists_the_choices():
 
 
 def test_an_update_moves_actor_targets_and_temperature():
-    agent = init(jax.random.key(0), SMALL, 4, 2)
-    after, diagnostics = jax.jit(lambda a, b, k: sac_lib.update(SMALL, a, b, k))(agent, make_batch(), jax.random.key(1))
+    agent = init(SMALL, jax.random.key(0), 4, 2)
+    after, diagnostics = jax.jit(SMALL.update)(jax.random.key(1), agent, make_batch())
     before, after = jax.device_get((agent, after))
     drift = jax.tree.map(
         lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, before.targets, after.critics
@@ -121,9 +120,9 @@ def test_an_update_moves_actor_targets_and_temperature():
 
 
 def test_a_fixed_temperature_stays():
-    agent = init(jax.random.key(0), SMALL, 4, 2)
+    agent = init(SMALL, jax.random.key(0), 4, 2)
     for fixed in (True, False):
-        after = sac_lib._update_temperature(SMALL.replace(fixed_temperature=fixed), agent, jnp.float32(-3.0), 2)
+        after = SMALL.replace(fixed_temperature=fixed).update_temperature(agent, jnp.float32(-3.0), 2)
         assert (float(after.log_temperature) == float(agent.log_temperature)) == fixed
 
 
@@ -145,13 +144,13 @@ def test_sac_solves_a_chain_of_known_value():
     def learn(agent, keys):
         def step(agent, key):
             pick = jax.random.randint(key, (64,), 0, 2000)
-            return sac_lib.update(sac, agent, jax.tree.map(lambda leaf: jnp.asarray(leaf)[pick], data), key)
+            return sac.update(key, agent, jax.tree.map(lambda leaf: jnp.asarray(leaf)[pick], data))
 
         return jax.lax.scan(step, agent, keys)[0]
 
-    agent = learn(init(jax.random.key(0), sac, 2, 1, critics=4), jax.random.split(jax.random.key(9), 3000))
+    agent = learn(init(sac, jax.random.key(0), 2, 1, entropy_free_pairs=1), jax.random.split(jax.random.key(9), 3000))
     states = np.float32([[0.0, 1.0], [1.0, 0.0]])
-    best = jax.jit(lambda: sac_lib.greedy(sac, agent.actor, states, 1))()
+    best = jax.jit(lambda: sac.greedy(agent.actor, states))()
     assert (best > 0.1).all()
     for action, expected in ((best, [0.9, 1.0]), (-np.full((2, 1), 0.6, np.float32), [0.2, 0.0])):
         values = q_values(sac, agent.critics, states, action)[2:]
@@ -161,8 +160,8 @@ def test_sac_solves_a_chain_of_known_value():
 SHALLOW = SAC(hidden_sizes=(16,), batch_size=8, reward_scale=2.0, initial_temperature=0.3)
 """A learner for its options beyond EARL's: ensembles, several critic updates a step, and the cloning term."""
 ROWS, SIZE = 8, 2
-td_targets = jax.jit(jax.vmap(sac_lib.td_target, (None, None, None, 0)))
-act_with_log_prob = jax.jit(sac_lib.act_with_log_prob, static_argnums=4)
+td_targets = jax.jit(jax.vmap(SAC.td_target, (None, 0, None, None)))
+act_with_log_prob = jax.jit(SAC.act_with_log_prob)
 
 
 @pytest.fixture(scope="module")
@@ -174,14 +173,17 @@ def batch():
 
 
 @pytest.mark.parametrize(
-    ("ensemble", "subset", "entropy", "critics"), [(2, 2, True, 4), (5, 2, True, 2), (5, 1, False, 4), (5, 5, True, 2)]
+    ("ensemble", "subset", "entropy", "pairs"), [(2, 2, True, 1), (5, 2, True, 0), (5, 1, False, 1), (5, 5, True, 0)]
 )
-def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, ensemble, subset, entropy, critics):
+def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, ensemble, subset, entropy, pairs):
     sac = SHALLOW.replace(ensemble=ensemble, target_subset=subset, backup_entropy=entropy)
-    agent, keys = init(jax.random.key(1), sac, 4, SIZE, critics=critics), jax.random.split(jax.random.key(2), 12)
-    targets, used = np.asarray(td_targets(sac, agent, batch, keys)), set()
+    agent, keys = (
+        init(sac, jax.random.key(1), 4, SIZE, entropy_free_pairs=pairs),
+        jax.random.split(jax.random.key(2), 12),
+    )
+    targets, used = np.asarray(td_targets(sac, keys, agent, batch)), set()
     for key, target in zip(keys, targets, strict=True):
-        action, log_prob = act_with_log_prob(sac, agent.actor, batch.next_obs, key, SIZE)
+        action, log_prob = act_with_log_prob(sac, key, agent.actor, batch.next_obs)
         q = np.asarray(q_values(sac, agent.targets, batch.next_obs, action))
         live = ~np.asarray(batch.terminal)
         expected = {
@@ -193,7 +195,7 @@ def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, en
         ]
         assert len(matches) == 1
         used.add(matches[0])
-        free = [2.0 * batch.reward + live * 0.99 * q[ensemble:].min(axis=0)] * 2 if critics > 2 else np.zeros((0, ROWS))
+        free = [2.0 * batch.reward + live * 0.99 * q[ensemble:].min(axis=0)] * 2 if pairs else np.zeros((0, ROWS))
         np.testing.assert_allclose(target[ensemble:], free, rtol=1e-4)
     assert len(used) > 2 or subset == ensemble
 
@@ -203,17 +205,16 @@ def test_the_actor_climbs_the_minimum_of_two_and_the_mean_of_more_beside_the_clo
     batch, ensemble, lowest, cloning
 ):
     method = make_algo("naive", hidden_sizes=[16], reward_scale=2.0, cloning=cloning, ensemble=ensemble)
-    sac, key = method.sac.replace(initial_temperature=0.3), jax.random.key(3)
-    agent = init(jax.random.key(1), sac, 4, SIZE, critics=4)
-    after, _ = jax.jit(lambda a: sac_lib._update_actor(sac, a, batch, key, method.actor_term))(agent)
+    sac, key = method.learner.replace(initial_temperature=0.3), jax.random.key(3)
+    agent = init(sac, jax.random.key(1), 4, SIZE, entropy_free_pairs=1)
+    after, _ = jax.jit(sac.update_actor)(key, agent, batch)
 
     @jax.jit
     @jax.grad
     def expected(actor):
-        action, log_prob = sac_lib.act_with_log_prob(sac, actor, batch.obs, key, SIZE)
-        q = sac_lib.q_values(sac, agent.critics, batch.obs, action)[:ensemble]
-        mode = TanhNormal(SIZE).mode(sac_lib._policy(sac, actor, batch.obs, SIZE))
-        errors = jnp.square(mode - batch.action)[batch.demonstrated]
+        action, log_prob = sac.act_with_log_prob(key, actor, batch.obs)
+        q = sac.q_values(agent.critics, batch.obs, action)[:ensemble]
+        errors = jnp.square(sac.greedy(actor, batch.obs) - batch.action)[batch.demonstrated]
         value = q.min(axis=0) if lowest else q.mean(axis=0)
         return (0.3 * log_prob - value).mean() + 2.0 * cloning * errors.mean()
 
@@ -223,19 +224,19 @@ def test_the_actor_climbs_the_minimum_of_two_and_the_mean_of_more_beside_the_clo
 
 
 def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
-    sac, agent = SHALLOW.replace(utd=4), init(jax.random.key(1), SHALLOW, 4, SIZE)
+    sac, agent = SHALLOW.replace(utd=4), init(SHALLOW, jax.random.key(1), 4, SIZE)
     whole = jax.tree.map(lambda leaf: np.concatenate([leaf] * 4), batch._replace(step=None))
     whole = whole._replace(
         reward=np.arange(4, dtype=np.float32).repeat(ROWS), terminal=np.ones(4 * ROWS, bool), step=batch.step
     )
-    after, _ = jax.jit(lambda a, b: sac_lib.update(sac, a, b, jax.random.key(4)))(agent, whole)
+    after, _ = jax.jit(sac.update)(jax.random.key(4), agent, whole)
     counts = {name: int(moments.count) for name, moments in after.moments.items()}
     assert counts == {"critics": 4, "actor": 1, "temperature": 1}
 
     @jax.jit
     def update_critics(agent, number):
         part = batch._replace(reward=jnp.full(ROWS, number), terminal=np.ones(ROWS, bool))
-        agent, _ = sac_lib._update_critics(sac, agent, part, jax.random.key(0))  # terminal: no action is drawn
+        agent, _ = sac.update_critics(jax.random.key(0), agent, part)  # terminal: no action is drawn
         slow = jax.tree.map(lambda s, f: s + 0.005 * (f - s), agent.targets, agent.critics)
         return agent.replace(targets=slow)
 
@@ -248,26 +249,26 @@ def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
 
 
 def test_the_averaged_actor_follows_the_actor_is_deployed_and_changes_no_learning(batch):
-    update, key = jax.jit(sac_lib.update), jax.random.key(4)
+    update, key = jax.jit(SAC.update), jax.random.key(4)
     averaging = SHALLOW.replace(actor_average_rate=0.25)
-    first, plain = init(jax.random.key(1), averaging, 4, SIZE), init(jax.random.key(1), SHALLOW, 4, SIZE)
+    first, plain = init(averaging, jax.random.key(1), 4, SIZE), init(SHALLOW, jax.random.key(1), 4, SIZE)
     agent = first.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, first.actor))
-    after, without = update(averaging, agent, batch, key)[0], update(SHALLOW, plain, batch, key)[0]
+    after, without = update(averaging, key, agent, batch)[0], update(SHALLOW, key, plain, batch)[0]
     for slow, old, new in zip(*map(jax.tree.leaves, (after.averaged, agent.averaged, after.actor)), strict=True):
         np.testing.assert_allclose(slow, 0.75 * old + 0.25 * new, atol=1e-6)
-    assert after.deployed_actor is after.averaged
-    other = after.with_actor(agent.actor)
+    assert averaging.deployed(after) is after.averaged
+    other = averaging.with_actor(after, agent.actor)
     assert other.actor is other.averaged is agent.actor
     assert without.averaged is None
-    assert without.deployed_actor is without.actor
+    assert SHALLOW.deployed(without) is without.actor
     for beside, alone in zip(*map(jax.tree.leaves, (after.actor, without.actor)), strict=True):
         np.testing.assert_allclose(beside, alone, rtol=1e-6)
 
 
 def test_without_demonstrated_rows_or_a_weight_there_is_no_cloning_term(batch):
-    parameters, none = np.ones((ROWS, 2 * SIZE), np.float32), batch._replace(demonstrated=np.zeros(ROWS, bool))
-    assert float(cloning_term(SHALLOW.replace(cloning=0.5), parameters, none)) == 0.0
-    assert cloning_term(SHALLOW, parameters, batch) is None
+    greedy, none = np.ones((ROWS, SIZE), np.float32), batch._replace(demonstrated=np.zeros(ROWS, bool))
+    assert float(cloning_term(SHALLOW.replace(cloning=0.5), greedy, none)) == 0.0
+    assert float(cloning_term(SHALLOW, greedy, batch)) == 0.0
 
 
 def test_the_weight_of_the_cloning_term_follows_its_schedule():
@@ -281,4 +282,4 @@ def test_the_weight_of_the_cloning_term_follows_its_schedule():
 def test_a_subset_larger_than_the_ensemble_is_an_error():
     with pytest.raises(ValueError, match="target_subset 3 is larger than the ensemble of 2 critics"):
         make_algo("naive", target_subset=3)
-    assert make_algo("naive", ensemble=3, target_subset=3).sac.ensemble == 3
+    assert make_algo("naive", ensemble=3, target_subset=3).learner.ensemble == 3
