@@ -1,0 +1,148 @@
+"""TD3 against updates by hand, and on a problem of known value."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.algos import make_algo
+from earl_jax.algos.learner.base import Batch
+from earl_jax.algos.learner.td3 import TD3
+from earl_jax.runs.config import method_options
+from tests.conftest import tiny_train
+
+SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
+ROWS, SIZE = 8, 2
+init = jax.jit(SMALL.init, static_argnums=(1, 2))
+update = jax.jit(TD3.update)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng, rows = np.random.default_rng(0), np.arange(ROWS)
+    obs, next_obs = rng.normal(size=(2, ROWS, 4)).astype(np.float32)
+    action, reward = rng.uniform(-1, 1, (ROWS, SIZE)).astype(np.float32), rng.normal(size=ROWS).astype(np.float32)
+    return Batch(obs, action, reward, rows == 0, next_obs, demonstrated=rows % 4 == 1, step=np.int32(0))
+
+
+@pytest.fixture(scope="module")
+def agent():
+    """An agent whose targets differ from its networks."""
+    agent, other = (init(jax.random.key(seed), 4, SIZE) for seed in (1, 2))
+    return agent.replace(target_actor=other.actor, target_critics=other.critics)
+
+
+def network(params, x):
+    """Return the outputs of one hidden layer of ReLUs, by NumPy."""
+    first, last = (jax.device_get(params["params"][name]) for name in ("hidden_0", "hidden_1"))
+    return np.maximum(x @ first["kernel"] + first["bias"], 0) @ last["kernel"] + last["bias"]
+
+
+def value(critics, obs, action):
+    """Return the values [2, B] of both critics, by NumPy."""
+    pair = np.concatenate([obs, action], axis=1)
+    return np.stack([network(jax.tree.map(lambda leaf, k=k: leaf[k], critics), pair)[:, 0] for k in (0, 1)])
+
+
+@pytest.mark.parametrize("noise", [0.2, 3.0])
+def test_the_target_is_the_smaller_value_at_a_smoothed_action_of_the_target_policy(agent, batch, noise):
+    learner, key = SMALL.replace(target_noise=noise, discount=0.9), jax.random.key(3)
+    drawn = np.clip(noise * np.asarray(jax.random.normal(key, (ROWS, SIZE))), -0.5, 0.5)
+    action = np.clip(np.tanh(network(agent.target_actor, batch.next_obs)) + drawn, -1, 1)
+    lowest = value(agent.target_critics, batch.next_obs, action).min(axis=0)
+    expected = 2.0 * batch.reward + ~batch.terminal * 0.9 * lowest
+    target = jax.jit(learner.td_target)(key, agent, batch)
+    np.testing.assert_allclose(target, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("cloning", [None, 3.0])
+def test_the_critics_learn_every_step_and_the_policy_and_all_targets_every_second_one(agent, batch, cloning):
+    learner, key = SMALL.replace(cloning=cloning, pretrain_steps=0), jax.random.key(4)
+    early, late = (update(learner, key, agent, batch._replace(step=np.int32(step)))[0] for step in (0, 1))
+    target = jax.jit(learner.td_target)(jax.random.split(key, 1)[0], agent, batch)
+
+    @jax.jit
+    def gradients(agent):
+        def critic_loss(critics):
+            return jnp.square(learner.q_values(critics, batch.obs, batch.action) - target).mean(axis=1).sum()
+
+        def actor_loss(actor, critics):
+            action = learner.greedy(actor, batch.obs)
+            error = jnp.square(action - batch.action).mean(axis=1)[np.flatnonzero(batch.demonstrated)].mean()
+            return -learner.q_values(critics, batch.obs, action)[0].mean() + 2.0 * (cloning or 0.0) * error
+
+        return jax.grad(critic_loss)(agent.critics), jax.grad(actor_loss)(agent.actor, late.critics)
+
+    of_critics, of_actor = gradients(agent)
+    for after, moments, grads in ((early, "critic_moments", of_critics), (late, "actor_moments", of_actor)):
+        for mean, grad in zip(*map(jax.tree.leaves, (getattr(after, moments).mu, grads)), strict=True):
+            np.testing.assert_allclose(10 * np.asarray(mean), grad, rtol=1e-3, atol=1e-5)
+    for field in ("actor", "target_actor", "target_critics"):
+        for old, kept, moved in zip(*(jax.tree.leaves(getattr(of, field)) for of in (agent, early, late)), strict=True):
+            np.testing.assert_array_equal(old, kept)
+            assert (np.asarray(moved) != old).any()
+    for slow, old, new in zip(*map(jax.tree.leaves, (late.target_actor, agent.target_actor, late.actor)), strict=True):
+        np.testing.assert_allclose(slow, old + 0.005 * (new - old), atol=1e-6)
+
+
+def test_with_utd_the_critics_learn_from_each_batch_and_the_policy_once(agent, batch):
+    whole = jax.tree.map(lambda leaf: np.concatenate([leaf] * 3), batch._replace(step=None))._replace(step=np.int32(1))
+    after, _ = update(SMALL.replace(utd=3), jax.random.key(4), agent, whole)
+    assert (int(after.critic_moments.count), int(after.actor_moments.count)) == (3, 1)
+
+
+def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, batch):
+    obs = 0.2 * batch.obs  # for actions far from the bounds
+    greedy = np.asarray(SMALL.greedy(agent.actor, obs))
+    np.testing.assert_allclose(greedy, np.tanh(network(agent.actor, obs)), rtol=1e-4)
+    acted = jax.vmap(lambda key: SMALL.act(key, agent.actor, obs))(jax.random.split(jax.random.key(5), 4000))
+    np.testing.assert_allclose((acted - greedy).std(axis=0), 0.1, atol=0.01)
+    assert (np.abs(SMALL.replace(exploration_noise=5.0).act(jax.random.key(6), agent.actor, batch.obs)) <= 1).all()
+
+
+def test_td3_solves_a_chain_of_known_value():
+    """That of SAC's test: only an action > 0 leads on from the first state, and earns 1 in the second, where all ends."""
+    learner = TD3(hidden_sizes=(32, 32), reward_scale=1.0, learning_rate=3e-3, target_rate=0.02, discount=0.9)
+    rng = np.random.default_rng(0)
+    is_second, action = rng.random(2000) < 0.5, rng.uniform(-1, 1, (2000, 1)).astype(np.float32)
+    go = action[:, 0] > 0
+    obs = np.stack([is_second, ~is_second], axis=1).astype(np.float32)
+    reward = np.where(is_second, go, 0.2 * ~go).astype(np.float32)
+    data = Batch(obs, action, reward, is_second | ~go, np.tile(np.float32([1.0, 0.0]), (2000, 1)))
+
+    @jax.jit
+    def learn(agent):
+        def step(agent, number):
+            key = jax.random.fold_in(jax.random.key(9), number)
+            rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jax.random.randint(key, (64,), 0, 2000)], data)
+            return learner.update(key, agent, rows._replace(step=number)), None
+
+        return jax.lax.scan(lambda a, n: (step(a, n)[0][0], None), agent, jnp.arange(3000))[0]
+
+    agent = learn(learner.init(jax.random.key(0), 2, 1))
+    states = np.float32([[0.0, 1.0], [1.0, 0.0]])
+    best = learner.greedy(agent.actor, states)
+    assert (best > 0.1).all()
+    np.testing.assert_allclose(learner.q_values(agent.critics, states, best).mean(axis=0), [0.9, 1.0], atol=0.1)
+    np.testing.assert_allclose(learner.value(jax.random.key(1), agent, states), [0.9, 1.0], atol=0.15)
+
+
+def test_a_method_takes_another_learner_by_name_and_keeps_what_it_presets_for_all():
+    method = make_algo("rlpd", learner="td3", policy_delay=3)
+    assert isinstance(method.learner, TD3)
+    assert (method.learner.demo_share, method.learner.timeout_bootstrap, method.learner.policy_delay) == (0.5, True, 3)
+    assert method_options(method) == {"learner": "td3", "policy_delay": 3}
+    assert make_algo("rlpd", **method_options(method)) == method
+    with pytest.raises(ValueError, match=r"no option 'ensemble'; choose from .*policy_delay"):
+        make_algo("naive", learner="td3", ensemble=5)
+    with pytest.raises(ValueError, match="unknown learner 'ppo'; choose from sac, td3"):
+        make_algo("naive", learner="ppo")
+
+
+def test_td3_trains_by_name_also_where_a_method_reads_its_values():
+    result = tiny_train("vaprl", learner="td3")
+    assert isinstance(result.method.learner, TD3)
+    assert result.config.build_method().learner == make_algo("vaprl", **result.config.options).learner
+    assert (result.metrics["critic_loss"][:, -1] > 0).all()
+    assert result.train_state.lanes.method_state.values.any()
+    assert result.policy(1)(np.zeros(12, np.float32)).shape == (3,)
