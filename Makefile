@@ -12,6 +12,7 @@ STAMP := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
 MORE := $(VENV)/.more
 QUICK := plot,render,report,tensorboard,test
+EXAMPLE := examples/cfbrl
 ALL := $(QUICK),notebook,peers,wandb
 NEWEST := .venv-newest
 DOCS := .venv-docs
@@ -30,8 +31,8 @@ $(STAMP): pyproject.toml requirements.lock
 	$(call install,-e '.[plot]')
 	touch $@
 
-$(TOOLS): $(STAMP)
-	$(call install,-e '.[$(QUICK)]')
+$(TOOLS): $(STAMP) $(EXAMPLE)/pyproject.toml
+	$(call install,-e '.[$(QUICK)]' -e $(EXAMPLE))
 	touch $@
 
 $(MORE): $(TOOLS)

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import make_algo
+from earl_jax.algos import list_algos, locate_algo, make_algo
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
 from earl_jax.metrics.phase_stats import BACK, FORWARD
@@ -106,6 +106,11 @@ def graphics(env):
 def make_problem(env, **protocol):
     """Return the problem of `env` with its own horizons and the other fields of its `protocol`."""
     return Problem(env, Protocol(env.train_horizon, env.eval_horizon, **protocol))
+
+
+def own_algos():
+    """Return the names of the methods of this package, without those of packages that are installed beside it."""
+    return [name for name in list_algos() if locate_algo(name)[1] == "earl_jax"]
 
 
 def tiny_options(algo, **options):

@@ -10,11 +10,13 @@ import pytest
 
 import earl_jax
 from earl_jax import algos, envs
-from tests.conftest import CHUNK, advance, assert_all_finite, make_train_state, tiny_method
+from tests.conftest import CHUNK, advance, assert_all_finite, make_train_state, own_algos, tiny_method
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "notebooks").glob("*.py")])
+PAGES = sorted(
+    [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("examples/*/*.md"), *(ROOT / "notebooks").glob("*.py")]
+)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -36,7 +38,7 @@ def table_rows(text, first):
     return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
 
 
-@pytest.mark.parametrize("name", ["sac", *algos.list_algos()])
+@pytest.mark.parametrize("name", ["sac", *own_algos()])
 def test_the_page_of_algorithms_has_every_hyper_parameter(name):
     page = (DOCS / "algorithms.md").read_text()
     cls = algos.SAC if name == "sac" else type(algos.make_algo(name))

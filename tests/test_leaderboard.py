@@ -9,7 +9,7 @@ import pytest
 from benchmarks.paper import leaderboard
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.report.leaderboard import shipped_rows
-from tests.report.run_files import write_page_run
+from tests.report.run_files import DOOR, write_page_run
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
 
@@ -20,10 +20,10 @@ def run(tmp_path):
     return written(tmp_path / "run", SCORES)
 
 
-def written(path, scores, **options):
+def written(path, scores, algo="naive", **options):
     """Write a run that evaluates every 10,000 steps with ten episodes, and has success from wide starts."""
     steps = [10_000 * number for number in range(1, scores.shape[1] + 1)]
-    folder = write_page_run(path, "naive", scores, steps=steps, **options)
+    folder = write_page_run(path, algo, scores, steps=steps, **options)
     table = (folder / "metrics.csv").read_text().splitlines()
     wide = [f"{line},{WIDE if number == 0 else 0.25}" for number, line in enumerate(table)]
     (folder / "metrics.csv").write_text("\n".join(wide) + "\n")
@@ -66,6 +66,17 @@ def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
     assert text.count("| naive (layer_norm=True, reward_scale=1.5) |") == 2
     assert "+" not in text
     assert "0.500 [" in text
+
+
+def test_only_runs_with_scripted_corrections_say_so(tmp_path):
+    for name, env, options in (("on", "sawyer_peg", {}), ("off", "sawyer_peg", {"corrected": 0.0}), ("on", DOOR, {})):
+        written(tmp_path / "leaderboard" / env / name, SCORES, "cfbrl", env=env, **options)
+    labels = [(group.env, group.label) for group, _ in leaderboard.entries(tmp_path)]
+    assert labels == [
+        (DOOR, "cfbrl"),
+        ("sawyer_peg", "cfbrl (corrected=0.0)"),
+        ("sawyer_peg", "cfbrl (scripted corrections of this task)"),
+    ]
 
 
 @pytest.mark.parametrize(

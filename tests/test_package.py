@@ -55,7 +55,8 @@ def test_wheel_contains_every_asset(wheel):
         if path.is_file():
             assert f"earl_jax/assets/{path.relative_to(ROOT / 'assets')}" in names
     assert "earl_jax/py.typed" in names
-    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "assets/"))]
+    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "assets/", "examples/"))]
+    assert not [name for name in names if "cfbrl" in name and not name.startswith("earl_jax/assets/")]
 
 
 def test_the_wheel_works_outside_the_checkout_and_imports_load_no_simulator_or_learner(wheel, tmp_path):

@@ -1,7 +1,7 @@
 """CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.paper.cfbrl`.
 
 Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning
-(trials of learning on the peg), and writes the tables of docs/cfbrl.md and the picture results/cfbrl/curves.png.
+(trials of learning on the peg), and writes the tables of examples/cfbrl/README.md and the picture results/cfbrl/curves.png.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.output import DOCS, RESULTS, with_tables, write_files
+from benchmarks.output import RESULTS, ROOT, with_tables, write_files
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
@@ -235,7 +235,7 @@ def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style:
 
 
 def files() -> dict[Path, str]:
-    """Return docs/cfbrl.md with its tables."""
+    """Return the page of the example with its tables."""
     tables = {
         "goals": goals_text(),
         "lanes": lanes_text(),
@@ -244,7 +244,7 @@ def files() -> dict[Path, str]:
         **{f"learners of {env}": learners_text(env) for env in LEARNERS},
         "options": options_text(),
     }
-    page = DOCS / "cfbrl.md"
+    page = ROOT / "examples" / "cfbrl" / "README.md"
     return {page: with_tables(page.read_text(), tables)}
 
 

@@ -40,6 +40,9 @@ from earl_jax.runs.provenance import CHANGED, short_commit
 FOLDERS = ("paper", "cloning", "leaderboard")
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
+CORRECTED = "cfbrl", "sawyer_peg", "corrected"
+"""The method and the task whose runs have scripted corrections, unless this option is 0."""
+SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 FILES = ("config.json", "metrics.csv")
 
@@ -59,7 +62,16 @@ def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
         (curves, short_commit(commit_of(folder))) for folder in folders(root) if (curves := read(folder)).comparable
     ]
     commits = {id(curves): commit for curves, commit in runs}
-    return [(group, commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
+    return [(_marked(group), commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
+
+
+def _marked(group: MethodRuns) -> MethodRuns:
+    """Return `group` with `SCRIPTED` in its label where that is so."""
+    algo, env, option = CORRECTED
+    if (group.algo, group.env) != (algo, env) or group.curves.options.get(option) == 0:
+        return group
+    name, _, options = group.label.removesuffix(")").partition(" (")
+    return group._replace(label=f"{name} ({'; '.join(filter(None, (SCRIPTED, options)))})")
 
 
 def rows_of(runs: list[tuple[MethodRuns, str]]) -> list[Row]:

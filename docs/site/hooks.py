@@ -20,12 +20,14 @@ FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 UNKNOWN_COMMANDS = {r"\arg": r"\operatorname{arg}", r"\big\|": r"\|"}
 """Commands that the converter of formulas does not know, and what it knows in their place."""
+OUTSIDE = {"CHANGELOG.md": "changelog.md", "examples/cfbrl/README.md": "cfbrl.md"}
+"""Pages outside docs/ that have a place in the navigation, with their paths on the site."""
 PICTURES = (".png", ".webp", ".gif", ".svg")
 log = logging.getLogger("mkdocs.hooks.earl_jax")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the notebooks, the changelog, and what pages link to outside docs/: pictures and pages."""
+    """Add the notebooks, the pages `OUTSIDE`, and what pages link to outside docs/: pictures and pages."""
     from mkdocs.structure.files import File
 
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
@@ -34,17 +36,18 @@ def on_files(files: Any, config: Any) -> Any:
         for name, data in pictures.items():
             files.append(File.generated(config, f"notebooks/{name}", content=data))
     files.append(File.generated(config, "notebooks/index.md", content=notebooks.index(ROOT / "notebooks")))
-    for source in ["CHANGELOG.md", *outside_files(ROOT / "docs")]:
+    for source in [*OUTSIDE, *outside_files(ROOT / "docs")]:
         files.append(File.generated(config, site_path(source), abs_src_path=str(ROOT / source)))
     return files
 
 
 def outside_files(folder: Path) -> list[str]:
-    """Return the pages and pictures outside docs/ that the pages of `folder` link to, as paths in the repository."""
+    """Return the pages and pictures of benchmarks/ that the pages of `folder` and `OUTSIDE` link to, as repository paths."""
     targets = set()
-    for page in folder.glob("*.md"):
+    for page in [*folder.glob("*.md"), *(ROOT / source for source in OUTSIDE)]:
+        base = page.parent.relative_to(ROOT).as_posix()
         for _, target in LINK.findall(page.read_text()):
-            source = posixpath.normpath(posixpath.join("docs", target.partition("#")[0]))
+            source = posixpath.normpath(posixpath.join(base, target.partition("#")[0]))
             if source.startswith("benchmarks/") and source.endswith((".md", *PICTURES)):
                 targets.add(source)
     return sorted(targets)
@@ -52,8 +55,8 @@ def outside_files(folder: Path) -> list[str]:
 
 def site_path(source: str) -> str | None:
     """Return the path on the site of the file `source` of the repository, or None if it is not on the site."""
-    if source == "CHANGELOG.md":
-        return "changelog.md"
+    if source in OUTSIDE:
+        return OUTSIDE[source]
     if source.startswith("docs/"):
         return source.removeprefix("docs/")
     if source.rstrip("/") == "notebooks":
@@ -65,8 +68,9 @@ def site_path(source: str) -> str | None:
 
 def repository_path(page: str) -> str:
     """Return the path in the repository of the page `page` of the site."""
-    if page == "changelog.md":
-        return "CHANGELOG.md"
+    sources = {path: source for source, path in OUTSIDE.items()}
+    if page in sources:
+        return sources[page]
     return page if page.startswith(("notebooks/", "benchmarks/")) else f"docs/{page}"
 
 

@@ -53,7 +53,6 @@ _ALGOS = Registry(
     "algo",
     {
         "bc": "earl_jax.algos.bc:BC",
-        "cfbrl": "earl_jax.algos.cfbrl:CFBRL",
         "fbrl": "earl_jax.algos.fbrl:FBRL",
         "medal": "earl_jax.algos.medal:MEDAL",
         "naive": "earl_jax.algos.naive:Naive",

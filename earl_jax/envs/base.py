@@ -11,7 +11,6 @@ import numpy as np
 
 from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrated import Demonstrated
-from earl_jax.envs.relabelling import Relabelled
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
@@ -21,7 +20,7 @@ REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
-class Env(Demonstrated, Relabelled, Conventions, abc.ABC):
+class Env(Demonstrated, Conventions, abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
     Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie

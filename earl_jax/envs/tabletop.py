@@ -116,21 +116,6 @@ class TabletopOrganization(Env):
         """Positions of gripper and mug in the goals, [5, 2]: home and the coasters."""
         return np.concatenate([HOME[None, :2], COASTERS])
 
-    def goal_from(self, state: jax.Array) -> jax.Array | None:
-        """Return None unless success counts the mug alone: else a later state meets a goal that asks for a gripper at home
-        too, at the end of a phase only."""
-        if not (self.wide or self.mug_only):
-            return None
-        goal = jnp.asarray(self.goal_states[0])
-        return jnp.broadcast_to(goal, state.shape).at[..., 2:4].set(state[..., 2:4])
-
-    def translation(self, key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
-        """Return a vector [6] that moves gripper and mug alike, where neither touches a wall before or after."""
-        offset = jax.random.uniform(key, (2,), minval=-LIMIT, maxval=LIMIT) - state[2:4]
-        positions = jnp.stack([state[:4], next_state[:4]]).reshape(4, 2)
-        inside = (jnp.abs(jnp.stack([positions, positions + offset])) < LIMIT).all()
-        return jnp.where(inside, jnp.concatenate([offset, offset, jnp.zeros(2)]), 0.0)
-
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
 

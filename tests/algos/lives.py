@@ -10,7 +10,6 @@ PHASE = 8
 """Steps of a phase of MEDAL in these lives."""
 OPTIONS = {
     "bc": {"random_steps": 0, "pretrain_steps": 60, "pretrain_rate": 3e-3},
-    "cfbrl": {"pretrain_steps": 0, "warmup": 0.0, "patience": 0.0, "exploration": 1.0},
     "medal": {"phase_steps": PHASE},
     "risc": {},
     "rlpd": {"utd": 3, "ensemble": 4},

@@ -19,6 +19,7 @@ from tests.conftest import (
     CHUNK,
     assert_all_finite,
     make_train_state,
+    own_algos,
     run_whole,
     take_lane,
     tiny_method,
@@ -31,7 +32,6 @@ CURRENT = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
 ANY, START = {0, 1, 2, 3}, {4}
 METHODS = {
     "bc": (1, 0, (True, True), 200, (ANY, ANY), (START, {3})),
-    "cfbrl": (1, 0, (True, True), 200, (ANY, ANY), (START, {3})),
     "fbrl": (2, 0, (True, True), 200, (ANY, ANY), (START, {3})),
     "medal": (2, 0, (True, False), 300, ({3}, {3}), (ANY, ANY)),
     "naive": (1, 0, (True,), 1000, (ANY, ANY)),
@@ -51,8 +51,8 @@ def next_goals(method, goals, phase, method_state=()):
 
 
 def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
-    assert list_algos() == list(METHODS)
-    with pytest.raises(ValueError, match=", ".join(METHODS)):
+    assert own_algos() == list(METHODS)
+    with pytest.raises(ValueError, match=", ".join(list_algos())):
         make_algo("ppo")
     with pytest.raises(ValueError, match=r"no option 'gamma'.*discount.*epsilon"):
         make_algo("vaprl", gamma=0.9)

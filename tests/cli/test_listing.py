@@ -11,6 +11,14 @@ from earl_jax.cli import catalog, descriptions, listing
 from tests.cli.process import run
 from tests.conftest import write_files
 
+LIST_OWN = """
+import sys
+from importlib import metadata
+from earl_jax.cli import main
+metadata.entry_points = lambda **group: []  # classes of other packages are imported
+main(["list"])
+print({"jax", "numpy"} & set(sys.modules))
+"""
 THEIRS = '''
 import dataclasses
 from earl_jax.algos.naive import Naive
@@ -90,8 +98,7 @@ def test_trained_policies_that_ship_are_listed(everything):
 
 
 def test_listing_loads_no_jax_and_no_numpy():
-    code = "import sys; from earl_jax.cli import main; main(['list']); print({'jax', 'numpy'} & set(sys.modules))"
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    process = subprocess.run([sys.executable, "-c", LIST_OWN], capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "set()"
 
 

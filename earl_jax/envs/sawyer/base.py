@@ -187,10 +187,6 @@ class Sawyer(MujocoEnv):
         """Return the observed position [..., 3] of the object in `obs [..., o]`, metres."""
         return obs[..., self.state_size - 3 : self.state_size]
 
-    def goal_from(self, state: jax.Array) -> jax.Array:
-        goal = jnp.broadcast_to(jnp.asarray(self.goal_states[0]), state.shape)
-        return goal.at[..., -3:].set(state[..., -3:])
-
     def to_goal(self, obs: jax.Array) -> jax.Array:
         """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""
         return jnp.linalg.norm(self.object_in(obs) - obs[..., self.obs_size - 3 : self.obs_size], axis=-1)

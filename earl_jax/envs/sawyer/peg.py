@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.relabelling import Correction
-from earl_jax.envs.sawyer import experts, peg_relabelling
+from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
 from earl_jax.envs.state import State
@@ -47,6 +46,8 @@ FAR_HEADS = np.array(
     np.float32,
 )  # fmt: skip
 """x, y of the peg's head in the 22 starts of `wide`."""
+BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
+"""Position [m] of the block, which is 0.2 m high, deep and wide."""
 LIPS = np.array([[[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]], [[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]]], np.float32)
 """Two boxes in front of the block, below and above the hole, in the block's frame: corners of dense reward 0 and 1."""
 HOME = Pose(
@@ -164,14 +165,6 @@ class SawyerPeg(Sawyer):
         middle = self.object_in(state.obs) - HEAD
         return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
 
-    def translation(self, key: jax.Array, state: jax.Array, next_state: jax.Array) -> jax.Array:
-        """Return a vector [s] that moves hand and peg alike across the table, clear of the block."""
-        return peg_relabelling.translation(key, state, next_state)
-
-    def correction(self, key: jax.Array, state: jax.Array, action: jax.Array, next_state: jax.Array) -> Correction:
-        """Return a transition from `state [7]` with the hand, the carried peg or the inserted peg elsewhere."""
-        return peg_relabelling.correction(key, state, action, next_state)
-
     def map_position(self, obs: jax.Array) -> jax.Array:
         """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
         return self.object_in(obs)[..., :2]
@@ -247,7 +240,7 @@ def _lying_peg(heads: np.ndarray, key: jax.Array) -> jax.Array:
 def _from_block(corners: np.ndarray) -> np.ndarray:
     """Return world positions of `corners [n, 3]` in the block's frame, which is turned by 90 degrees to the left."""
     turned = np.stack([-corners[:, 1], corners[:, 0], corners[:, 2]], axis=-1)
-    return turned + peg_relabelling.BLOCK
+    return turned + BLOCK
 
 
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:

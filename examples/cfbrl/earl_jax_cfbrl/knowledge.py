@@ -1,8 +1,11 @@
-"""What a task knows about its transitions beyond one goal and one place: goals, translations, corrective actions."""
+"""What can be known of a task's transitions beyond one goal and one place: goals, translations, corrective actions."""
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
+
+from earl_jax.envs import Env
 
 
 class Correction(NamedTuple):
@@ -17,8 +20,11 @@ class Correction(NamedTuple):
     approach: jax.Array
 
 
-class Relabelled:
-    """Goals that later states met, and the other transitions of an `Env` that one transition tells about."""
+@dataclasses.dataclass(frozen=True)
+class Knowledge:
+    """Goals that later states of `env` met, and the other transitions that one transition tells about; here none."""
+
+    env: Env
 
     def goal_from(self, state: jax.Array) -> jax.Array | None:
         """Return the goals [..., g] that ask for the object where it is in `state [..., s]`; None without an object.

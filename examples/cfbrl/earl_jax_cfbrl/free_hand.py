@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from earl_jax.envs.relabelling import Correction
 from earl_jax.envs.sawyer.base import GRIPPER, HAND_HIGH, HAND_LOW
 from earl_jax.envs.sawyer.experts import GAIN, limited
 from earl_jax.envs.state import tree_where
+from earl_jax_cfbrl.knowledge import Correction
 
 STILL = 0.001
 """Metres per step up to which the object rests."""

@@ -17,6 +17,7 @@ from earl_jax.algos.risc import RISC
 from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
 from earl_jax.options.values import within
+from earl_jax_cfbrl.tasks import knowledge_of
 
 COPIES = 64
 """Transformed copies of each demonstrated step from which the cloning before the first step draws."""
@@ -40,7 +41,7 @@ class CFBRL(RISC):
 
     The actor starts as `BC` does, with little noise, and keeps a cloning term. For `warmup` steps only the critics
     learn. Demonstrated steps are also cloned from other states of the robot, with actions that lead back
-    (`Env.correction`). Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the
+    (`Knowledge.correction`). Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the
     object in a later state as the goal; and moved to another place of the workspace, where the dynamics are the same.
     The cloning uses the second form too, and the third together with it, since then the action keeps its meaning. A
     phase that lasts longer than `patience` is stuck: from then on, blocks of steps take a random action that is held.
@@ -49,8 +50,8 @@ class CFBRL(RISC):
     (Andrychowicz et al. 2017, HER), moved transitions (Lin et al. 2020, "Invariant Transform Experience Replay"), half of
     each batch from demonstrations, normalised layers and bootstrapped time-outs (Ball et al. 2023; Patil et al. 2024).
     Corrective labels are those of Ke et al. 2023 ("CCIL"), which takes them from a learnt model of the dynamics.
-    `Env.translation` and `Env.correction` are knowledge of the task that no method of the paper has; `translated=0` and
-    `corrected=0` omit them. Switching is RISC's, and off by default.
+    Translations and corrections are knowledge of the task (`tasks.KNOWN`) that no method of the paper has;
+    `translated=0` and `corrected=0` omit them. Switching is RISC's, and off by default.
     """
 
     learner: Learner = SAC(
@@ -71,9 +72,9 @@ class CFBRL(RISC):
     hindsight: float = struct.field(default=0.5, metadata=within("[0, 1]"))
     """Share of a batch whose goal is the place of the object in a later state."""
     translated: float = struct.field(default=0.5, metadata=within("[0, 1]"))
-    """Share of a batch that is moved by `Env.translation`, where it can be."""
+    """Share of a batch that is moved by `Knowledge.translation`, where it can be."""
     corrected: float = struct.field(default=0.5, metadata=within("[0, 1]"))
-    """Share of the demonstrated steps that start from a state of `Env.correction`, where there is one."""
+    """Share of the demonstrated steps that start from a state of `Knowledge.correction`, where there is one."""
     warmup: float = struct.field(default=20_000.0, metadata=within("[0, 1000000000]"))
     """Steps at the start of a lifetime in which actor and temperature stay as cloned."""
     learning: bool = struct.field(pytree_node=False, default=True)
@@ -145,7 +146,7 @@ class CFBRL(RISC):
         offset = _offsets(offset_key, env, steps, moved)
         moved = (offset != 0).any(axis=-1)
         state, following, later = (part + offset for part in (steps.state, steps.next_state, steps.later))
-        goal, hindsight, achieved = steps.goal, jnp.zeros_like(allowed), env.goal_from(later)
+        goal, hindsight, achieved = steps.goal, jnp.zeros_like(allowed), knowledge_of(env).goal_from(later)
         if achieved is not None:
             hindsight = allowed & jax.random.bernoulli(goal_key, self.hindsight, allowed.shape)
             goal = jnp.where(hindsight[:, None], achieved, goal)
@@ -159,7 +160,7 @@ class CFBRL(RISC):
         """Return `steps [B]` with corrections of some of the `allowed [B]`; which, and which are approaches, bool [B]."""
         draw_key, goal_key, choice_key, env_key = jax.random.split(key, 4)
         keys = jax.random.split(env_key, len(allowed))
-        correction = jax.vmap(env.correction)(keys, steps.state, steps.action, steps.next_state)
+        correction = jax.vmap(knowledge_of(env).correction)(keys, steps.state, steps.action, steps.next_state)
         if correction is None:
             return steps, jnp.zeros_like(allowed), jnp.zeros_like(allowed)
         drawn = [
@@ -208,7 +209,7 @@ def _later_states(key: jax.Array, goals: Goals, batch: TransitionBatch) -> jax.A
 
 def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Array:
     """Return a translation [B, s] of each of the `moved` steps, and 0 for the others and without translations."""
-    offset = jax.vmap(env.translation)(jax.random.split(key, len(moved)), steps.state, steps.next_state)
+    offset = jax.vmap(knowledge_of(env).translation)(jax.random.split(key, len(moved)), steps.state, steps.next_state)
     return jnp.zeros_like(steps.state) if offset is None else jnp.where(moved[:, None], offset, 0.0)
 
 

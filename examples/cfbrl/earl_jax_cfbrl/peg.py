@@ -4,14 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.relabelling import Correction
-from earl_jax.envs.sawyer import corrections, experts
+from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER
+from earl_jax.envs.sawyer.peg import BLOCK
 from earl_jax.envs.state import tree_where
+from earl_jax_cfbrl.free_hand import CLOSED, SPEED, free_hand
+from earl_jax_cfbrl.knowledge import Correction
 
-BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
-"""Position [m] of the block, which is 0.2 m high, deep and wide."""
 HALF_WIDTH = 0.1
+"""Half of the block's width [m]."""
 BEHIND, PEG_BESIDE, HAND_BESIDE = -0.17, 0.125, 0.16
 """Metres: neither a peg's head nor a hand touches the block from a larger x or a larger |y - 0.6| on."""
 FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87], np.float32)
@@ -63,11 +64,11 @@ def correction(key: jax.Array, state: jax.Array, action: jax.Array, next_state: 
     depth = jnp.where(inside, jax.random.uniform(jax.random.fold_in(key, 1), maxval=DEEPER), 0.0)
     deeper = jnp.zeros_like(state).at[4].set(-depth)
     grasp = state[4:7] + experts.GRASP
-    free_hand = corrections.free_hand(key, state + deeper, action, next_state + deeper, grasp)
+    approach = free_hand(key, state + deeper, action, next_state + deeper, grasp)
     carried, valid = _carried(jax.random.fold_in(key, 2), state, action, next_state)
-    lying = free_hand.approach & (state[6] < HOLE_LOW)
+    lying = approach.approach & (state[6] < HOLE_LOW)
     around = lying & jax.random.bernoulli(jax.random.fold_in(key, 3), SHARE_AROUND)
-    approach = tree_where(around, _around(jax.random.fold_in(key, 4), state), free_hand)
+    approach = tree_where(around, _around(jax.random.fold_in(key, 4), state), approach)
     return tree_where(valid, carried, approach)
 
 
@@ -87,9 +88,9 @@ def _around(key: jax.Array, state: jax.Array) -> Correction:
     turn = jnp.stack([jnp.asarray(TURN), BLOCK[1] + side * ASIDE, jnp.asarray(experts.HOVER)])
     onward = experts.travel(hand, experts.peg_grasp(head), 0.02)
     action = experts.steer(hand, jnp.where(blocked, turn, onward), experts.OPEN)
-    grip = jax.random.uniform(grip_key, (1,), minval=corrections.CLOSED)
+    grip = jax.random.uniform(grip_key, (1,), minval=CLOSED)
     moved = jnp.concatenate([hand, grip, head])
-    following = moved.at[:3].add(corrections.SPEED * action[:3])
+    following = moved.at[:3].add(SPEED * action[:3])
     return Correction(moved, action, following, jnp.ones((), bool))
 
 
@@ -99,7 +100,7 @@ def _carried(
     """Return the transition with hand and carried peg at another place, and whether that is possible, bool [].
 
     The action leads to the demonstrated place and adds the demonstrated one. From beside the block it leads up and past
-    the block's corner first. The next state is approximate: the hand moves by `corrections.SPEED` for each unit of action.
+    the block's corner first. The next state is approximate: the hand moves by `SPEED` for each unit of action.
     """
     near_key, far_key, choice_key = jax.random.split(key, 3)
     head = state[4:7]
@@ -115,7 +116,7 @@ def _carried(
     free = _free((state[:2] + offset[:2])[None], other[None, :2])
     back = action[:3] - experts.GAIN * offset
     move = experts.limited(jnp.where(beside, experts.GAIN * past, back))
-    following = next_state + _moved_by(offset + corrections.SPEED * (move - action[:3]))
+    following = next_state + _moved_by(offset + SPEED * (move - action[:3]))
     moved = Correction(state + _moved_by(offset), jnp.append(move, action[GRIPPER]), following, jnp.zeros((), bool))
     return moved, _in_hand(state, action) & outside & free & ahead
 
