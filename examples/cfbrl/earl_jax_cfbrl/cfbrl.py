@@ -16,14 +16,14 @@ from earl_jax.algos.method import Moment
 from earl_jax.algos.risc import RISC
 from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
+from earl_jax.errors import InputError
 from earl_jax.options.values import within
 from earl_jax_cfbrl.tasks import knowledge_of
 
 COPIES = 64
 """Transformed copies of each demonstrated step from which the cloning before the first step draws."""
-
-HELD = 10
-"""Steps for which a random action is held, so that the exploration gets somewhere."""
+RANDOM_ACTION_REPEAT = 10
+"""Steps for which a random action is repeated, so that the exploration gets somewhere."""
 
 
 class Steps(NamedTuple):
@@ -41,10 +41,10 @@ class CFBRL(RISC):
 
     The actor starts as `BC` does, with little noise, and keeps a cloning term. For `warmup` steps only the critics
     learn. Demonstrated steps are also cloned from other states of the robot, with actions that lead back
-    (`Knowledge.correction`). Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of the
-    object in a later state as the goal; and moved to another place of the workspace, where the dynamics are the same.
+    (`Knowledge.correction`). Transitions are learnt from in three forms, on sparse tasks: as they are; with the place of
+    the object in a later state as the goal; and moved to another place of the workspace, where the dynamics are the same.
     The cloning uses the second form too, and the third together with it, since then the action keeps its meaning. A
-    phase that lasts longer than `patience` is stuck: from then on, blocks of steps take a random action that is held.
+    phase that lasts longer than `patience` is stuck: from then on, blocks of steps repeat a random action.
 
     Source: this project, 2026. The parts are known: the cloning term (Rajeswaran et al. 2018, DAPG), hindsight goals
     (Andrychowicz et al. 2017, HER), moved transitions (Lin et al. 2020, "Invariant Transform Experience Replay"), half of
@@ -88,18 +88,27 @@ class CFBRL(RISC):
     later_steps: ClassVar[int] = 50
 
     def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
-        """Return the learner's action [a], or in a stuck phase often a random one that is held for `HELD` steps."""
-        held = jax.random.fold_in(jax.random.fold_in(moment.lane_key, moment.step // HELD), 3)
-        late = moment.phase_step >= self.patience * env.eval_horizon
-        explores = late & (jax.random.uniform(jax.random.fold_in(held, 1)) < self.exploration)
-        uniform = jax.random.uniform(held, (env.action_size,), minval=-1.0, maxval=1.0)
-        return jnp.where(explores, uniform, super().act(key, env, actor, obs, moment, method_state))
+        """Return the learner's action [a], or in a stuck phase often a random one, the same for a block of steps."""
+        block_key = jax.random.fold_in(jax.random.fold_in(moment.lane_key, moment.step // RANDOM_ACTION_REPEAT), 3)
+        stuck = moment.phase_step >= self.patience * env.eval_horizon
+        explores = stuck & (jax.random.uniform(jax.random.fold_in(block_key, 1)) < self.exploration)
+        random_action = jax.random.uniform(block_key, (env.action_size,), minval=-1.0, maxval=1.0)
+        return jnp.where(explores, random_action, super().act(key, env, actor, obs, moment, method_state))
 
     def learn(
         self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
     ) -> tuple[Any, Any, dict[str, jax.Array]]:
+        """Return the agent after an update, of its critics alone in the warm-up, or as it is without `learning`.
+
+        Raises:
+            ValueError: the learner is not SAC, of which the parts of the critics are known here.
+        """
         if not self.learning:
             return agent, method_state, dict.fromkeys(self.learner.diagnostics, jnp.zeros(()))
+        if not isinstance(self.learner, SAC):
+            raise InputError(
+                f"cfbrl can keep an actor as cloned with the learner 'sac' only, not {self.learner.name!r}"
+            )
         updated, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
         assert batch.step is not None
         critics_only = agent.replace(
@@ -181,7 +190,7 @@ class CFBRL(RISC):
 
     def transformed_demos(self, key: jax.Array, env: Env) -> DemoSteps:
         """Return `COPIES` of each demonstrated step, transformed where their action can be cloned, else as they are."""
-        original, last = _demonstrated(env, env.demo_directions)
+        original, last = _demonstrated(env)
         index = np.tile(np.arange(len(last)), COPIES)
         later_key, transform_key = jax.random.split(key)
         draw = jax.random.uniform(later_key, index.shape) * (last[index] - index + 1)
@@ -213,9 +222,9 @@ def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Ar
     return jnp.zeros_like(steps.state) if offset is None else jnp.where(moved[:, None], offset, 0.0)
 
 
-def _demonstrated(env: Env, directions: tuple[str, ...]) -> tuple[Steps, np.ndarray]:
+def _demonstrated(env: Env) -> tuple[Steps, np.ndarray]:
     """Return all demonstrated steps, and for each the last step of its demonstration, [T]."""
-    parts = [env.demos(direction) for direction in directions]
+    parts = [env.demos(direction) for direction in env.demo_directions]
     states, following, goals, actions, ends = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("states", "next_states", "goals", "actions", "ends")

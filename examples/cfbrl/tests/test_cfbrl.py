@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import re
+from importlib import metadata
 from pathlib import Path
 
 import jax
@@ -12,15 +13,15 @@ import pytest
 
 import earl_jax
 from earl_jax.algos.goals import goal_table
-from earl_jax.algos.learner import sac
+from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import TransitionBatch, TransitionFlags
-from earl_jax.algos.method import TASK
+from earl_jax.algos.method import TASK, Moment
 from earl_jax.cli import main
 from earl_jax_cfbrl import CFBRL, cfbrl
 from earl_jax_cfbrl.cfbrl import Steps
 
 KEY = jax.random.key(3)
-PEG = earl_jax.make("sawyer_peg")
+PEG, TABLETOP = earl_jax.make("sawyer_peg"), earl_jax.make("tabletop_organization")
 HEAD = slice(4, 7)
 PAGE = Path(__file__).parents[1] / "README.md"
 
@@ -37,7 +38,7 @@ def demonstrated_rows():
 ROWS = demonstrated_rows()
 transform = jax.jit(lambda method, *arguments: method.transform(KEY, PEG, *arguments))
 success = jax.jit(PEG.success)
-relabel = jax.jit(lambda method, batch: method.relabel(KEY, PEG, goal_table(PEG), batch, TASK))
+prepare = jax.jit(lambda method, batch: method.prepare(KEY, PEG, goal_table(PEG), batch, TASK, ()))
 
 
 @functools.cache
@@ -122,12 +123,12 @@ def test_a_demonstrated_row_gets_goals_of_its_own_demonstration():
     other = goals.candidates[goals.ends[end + 1]]
     later, no = np.broadcast_to(other, (len(row), 7)), np.zeros(len(row), bool)
     batch = make_batch(goals.candidates[row], goals.candidates[row + 1], later, row)
-    demonstrated = np.asarray(relabel(method, batch._replace(demonstrated=~no)).goal)[:, HEAD]
+    demonstrated = np.asarray(prepare(method, batch._replace(demonstrated=~no)).goal)[:, HEAD]
     own = goals.candidates[: end + 1, HEAD]
     places = np.abs(demonstrated[:, None] - own[None]).max(axis=-1).argmin(axis=1)
     np.testing.assert_allclose(demonstrated, own[places], atol=1e-6)
     assert len(set(places.tolist())) > 20
-    lived = np.asarray(relabel(method, batch).goal)[:, HEAD]
+    lived = np.asarray(prepare(method, batch).goal)[:, HEAD]
     np.testing.assert_allclose(lived, np.broadcast_to(other[HEAD], lived.shape), atol=1e-6)
 
 
@@ -136,7 +137,7 @@ def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal():
     kept = np.arange(size) % 5 == 0
     batch = make_batch(ROWS.state, ROWS.next_state, ROWS.later, no_successor=kept)
     batch = batch._replace(demonstrated=np.arange(size) % 2 == 0)
-    new = jax.device_get(relabel(method, batch))
+    new = jax.device_get(prepare(method, batch))
     reached = success(np.concatenate([new.next_state, new.goal], axis=-1))
     changed = (new.goal != goals.table[0]).any(axis=1)
     assert (reached & changed).any()
@@ -147,7 +148,7 @@ def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal():
     assert not new.demonstrated[1::2].any()
     assert 0 < new.demonstrated.sum() < batch.demonstrated.sum()
     dense = dataclasses.replace(PEG, reward_type="dense")
-    assert method.relabel(KEY, dense, goals, batch, jnp.asarray(TASK)) is batch
+    assert method.prepare(KEY, dense, goals, batch, jnp.asarray(TASK), ()) is batch
 
 
 def test_the_cloning_draws_from_transformed_demonstrations(monkeypatch):
@@ -165,56 +166,71 @@ def test_the_cloning_draws_from_transformed_demonstrations(monkeypatch):
 def test_only_the_critics_learn_in_the_warmup_and_nothing_without_learning():
     rows = np.random.default_rng(0).normal(size=(2, 16, 12)).astype(np.float32)
     no = np.arange(16) < 4
-    batch = sac.Batch(rows[0], rows[0, :, :3], rows[0, :, 0], no, rows[1], demonstrated=no, step=np.int32(0))
+    batch = Batch(rows[0], rows[0, :, :3], rows[0, :, 0], no, rows[1], demonstrated=no, step=np.int32(0))
     first = earl_jax.make_algo("cfbrl", hidden_sizes=[16], batch_size=16, actor_average_rate=0.5)
-    agent = jax.jit(lambda key: sac.init(key, first.sac, 12, 3))(KEY)
-    update = jax.jit(lambda method: method.update_agent(KEY, agent, batch)[0])
+    agent = jax.jit(lambda key: first.learner.init(key, 12, 3))(KEY)
+    learn = jax.jit(lambda method: method.learn(KEY, TABLETOP, agent, batch, TASK, ())[0])
     for warmup, learns in ((4.0, False), (0.0, True)):
-        after = update(first.replace(warmup=warmup))
+        after = learn(first.replace(warmup=warmup))
         for name in ("actor", "averaged", "log_temperature"):
             pairs = zip(*(jax.tree.leaves(getattr(state, name)) for state in (agent, after)), strict=True)
             assert any((np.asarray(old) != np.asarray(new)).any() for old, new in pairs) == learns, name
         assert (jax.tree.leaves(after.critics)[-1] != jax.tree.leaves(agent.critics)[-1]).any()
-    assert earl_jax.make_algo("cfbrl", learning=False).update_agent(KEY, agent, batch)[0] is agent
+    assert earl_jax.make_algo("cfbrl", learning=False).learn(KEY, TABLETOP, agent, batch, TASK, ())[0] is agent
+    with pytest.raises(ValueError, match="the learner 'sac' only, not 'td3'"):
+        earl_jax.make_algo("cfbrl", learner="td3").learn(KEY, TABLETOP, agent, batch, TASK, ())
+
+
+def test_a_stuck_phase_explores_with_random_actions_that_are_repeated():
+    actor = earl_jax.make_algo("cfbrl", hidden_sizes=[16]).learner.init(KEY, 12, 3).actor
+
+    @jax.jit
+    def is_random(method, step, phase_step, lane_keys):
+        def of_lane(lane_key):
+            moment = Moment(step, jnp.asarray(TASK), phase_step, lane_key)
+            action = method.act(KEY, TABLETOP, actor, jnp.zeros(12), moment, ())
+            return action, (action != method.learner.act(KEY, actor, jnp.zeros(12))).any()
+
+        return jax.vmap(of_lane)(lane_keys)
+
+    lanes, horizon = jax.random.split(KEY, 2000), TABLETOP.eval_horizon
+    method = earl_jax.make_algo("cfbrl", patience=0.5, exploration=0.25, hidden_sizes=[16])
+    assert not is_random(method, 0, horizon // 2 - 1, lanes)[1].any()
+    actions, random = is_random(method, 0, horizon // 2, lanes)
+    assert 0.2 < random.mean() < 0.3
+    np.testing.assert_array_equal(is_random(method, 9, horizon // 2, lanes)[0], actions)
+    following = is_random(method, 10, horizon // 2, lanes)
+    assert (following[1] != random).any()
+    assert (following[0] != actions)[following[1] & random].all()
 
 
 TINY = {"hidden_sizes": [16], "batch_size": 16, "pretrain_steps": 3, "warmup": 0.0}
 STEPS = 40
 
 
-@pytest.fixture(scope="module")
-def life():
-    """A tabletop life of two lanes in which every step explores: the first state of the learners, the last, the metrics."""
-    env = earl_jax.make("tabletop_organization", eval_horizon=20)
+def test_a_life_on_tabletop_is_finite():
+    env = dataclasses.replace(TABLETOP, eval_horizon=20)
     protocol = earl_jax.Protocol(env.train_horizon, env.eval_horizon, eval_every=STEPS, eval_episodes=1)
-    method = earl_jax.make_algo("cfbrl", patience=0.0, exploration=1.0, **TINY)
-    problem = earl_jax.Problem(env, protocol, steps=STEPS)
-    return jax.jit(earl_jax.lifetime)(problem, method, jax.random.split(KEY, 2))
-
-
-def test_a_life_is_finite_and_holds_its_random_actions(life):
-    state, metrics = life
+    problem, method = earl_jax.Problem(env, protocol, steps=STEPS), earl_jax.make_algo("cfbrl", **TINY)
+    state, metrics = jax.jit(earl_jax.lifetime)(problem, method, jax.random.split(KEY, 2))
+    assert int(state.step) == STEPS
     assert all(np.isfinite(values).all() for values in metrics.values())
     assert (metrics["critic_loss"] > 0).all()
-    actions = np.asarray(state.replay.action[-STEPS:])
-    blocks = actions.reshape(STEPS // CFBRL.explore_hold, CFBRL.explore_hold, 2, -1)
-    np.testing.assert_array_equal(blocks, np.broadcast_to(blocks[:, :1], blocks.shape))
-    assert (blocks[0] != blocks[1]).any()
-
-
-def test_a_phase_explores_after_its_patience():
-    env = earl_jax.make("tabletop_organization")
-    method = earl_jax.make_algo("cfbrl", patience=0.5, exploration=0.25)
-    explores = jax.jit(jax.vmap(lambda key, step: method.explores(key, env, TASK, step, ()), in_axes=(0, None)))
-    keys = jax.random.split(KEY, 2000)
-    assert not explores(keys, env.eval_horizon // 2 - 1).any()
-    assert 0.2 < explores(keys, env.eval_horizon // 2).mean() < 0.3
 
 
 def test_the_page_has_every_option():
     rows = re.findall(r"^\| `(\w+)` \| (\S+) \|", PAGE.read_text().split("| field of `CFBRL` |")[1], flags=re.MULTILINE)
-    options = {field.name: repr(field.default) for field in dataclasses.fields(CFBRL) if field.name != "sac"}
+    options = {field.name: repr(field.default) for field in dataclasses.fields(CFBRL) if field.name != "learner"}
     assert {name: default for name, default in rows if name in options} == options
+
+
+def test_the_policies_that_ship_load_without_this_package(monkeypatch):
+    monkeypatch.setattr(metadata, "entry_points", lambda **group: [])
+    assert "cfbrl" not in earl_jax.list_algos()
+    for task, methods in earl_jax.list_pretrained().items():
+        if "cfbrl" in methods:
+            env = earl_jax.make(task)
+            assert earl_jax.pretrained(task, "cfbrl")(np.zeros(env.obs_size)).shape == (env.action_size,)
 
 
 @pytest.mark.slow

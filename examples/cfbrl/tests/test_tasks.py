@@ -32,26 +32,34 @@ class Meadow(TabletopOrganization):
     """A task of another package, on the table."""
 
 
-@pytest.mark.parametrize(
-    ("env", "goals", "moves", "corrections"),
-    [
-        (earl_jax.make("sawyer_peg"), True, True, True),
-        (earl_jax.make("sawyer_peg", variant="paper"), True, False, False),
-        (earl_jax.make("sawyer_door"), True, False, False),
-        (earl_jax.make("tabletop_organization"), False, True, False),
-        (earl_jax.make("tabletop_organization", mug_only=True), True, True, False),
-        (Meadow(), False, True, False),
-        (earl_jax.make("minitaur_pen"), False, False, False),
-        (earl_jax.HelpBudget(earl_jax.make("sawyer_peg"), budget=5.0), False, False, False),
-    ],
-    ids=repr,
-)
-def test_a_task_has_the_knowledge_of_its_class_and_others_have_none(env, goals, moves, corrections):
+KNOWLEDGE = {
+    "peg": (PEG.env, True, True, True),
+    "peg without its gripper": (earl_jax.make("sawyer_peg", variant="paper"), True, False, False),
+    "peg with a budget": (earl_jax.HelpBudget(PEG.env, budget=5.0), False, False, False),
+    "door": (earl_jax.make("sawyer_door"), True, False, False),
+    "tabletop": (earl_jax.make("tabletop_organization"), False, True, False),
+    "tabletop with goals of the mug": (earl_jax.make("tabletop_organization", mug_only=True), True, True, False),
+    "subclass": (Meadow(), False, True, False),
+    "minitaur": (earl_jax.make("minitaur_pen"), False, False, False),
+}
+"""Tasks, and whether goals from states, translations and corrections are known of them."""
+
+
+@pytest.mark.parametrize("name", KNOWLEDGE)
+def test_a_task_has_the_knowledge_of_its_class_and_others_have_none(name):
+    env, *expected = KNOWLEDGE[name]
     known, state, action = knowledge_of(env), np.zeros(env.state_size), np.zeros(env.action_size)
-    found = known.goal_from(state), known.translation(KEY, state, state), known.correction(KEY, state, action, state)
-    assert [part is not None for part in found] == [goals, moves, corrections]
-    assert not goals or found[0].shape == (env.goal_size,)
-    assert not moves or found[1].shape == (env.state_size,)
+    goal, offset, correction = jax.eval_shape(
+        lambda: (
+            known.goal_from(state),
+            known.translation(KEY, state, state),
+            known.correction(KEY, state, action, state),
+        )
+    )
+    assert [part is not None for part in (goal, offset, correction)] == expected
+    assert goal is None or goal.shape == (env.goal_size,)
+    assert offset is None or offset.shape == (env.state_size,)
+    assert correction is None or correction.action.shape == (env.action_size,)
 
 
 def test_a_move_of_the_peg_shifts_hand_and_peg_alike_and_stays_clear_of_the_block():
