@@ -48,7 +48,7 @@ import numpy as np
 
 import earl_jax
 from earl_jax.algos.goals import GoalIndices, goal_table
-from earl_jax.algos.method import RETURN, TASK, Method
+from earl_jax.algos.method import BACKWARD, RETURN, TASK, Method, Phase
 from earl_jax.metrics.statistics import difference
 from earl_jax.options.presets import PRESETS
 from earl_jax.report.style import step_axis
@@ -64,15 +64,16 @@ RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to
 
 # %% [markdown]
 """
-## The hooks
+## The functions
 
-All methods share one loop: act, store, sample, update. A method overrides the hooks in which it differs
-from naive RL (`earl_jax/algos/method.py` has them all). This method overrides two.
+All methods share one loop: act, step, store, sample, learn. A method names its phases and overrides the
+functions in which it differs from naive RL (`earl_jax/algos/method.py` has them all). This method has two
+phases, the second with the backward demonstrations, and overrides two functions.
 
 **`next_goal`** returns the next goal. A task phase gets a task goal; a return phase gets an initial state.
 Goals are indices into one table: task goals, initial states, then every state of the demonstrations.
 
-**`relabel`** returns the sampled transitions with the goals to learn them under. Most keep their own goal.
+**`prepare`** returns the sampled transitions with the goals and rewards to learn from. Most keep their own.
 A share of them gets another goal from the table, with reward and success recomputed for it. A transition
 without a successor, whose next state was overwritten by a reset, keeps its goal.
 
@@ -87,8 +88,7 @@ class AsIf(Method):
     share: float = 0.5
 
     name: ClassVar[str] = "as_if"
-    phases: ClassVar[int] = 2
-    demo_directions: ClassVar[tuple[str, ...]] = ("forward", "backward")
+    phases: ClassVar[tuple[Phase, ...]] = (Phase(), Phase((BACKWARD,)))
 
     def next_goal(self, key, goals, phase, current, method_state):
         """Return the goal for the policy and the task that the environment rewards, as indices."""
@@ -98,7 +98,7 @@ class AsIf(Method):
         back = phase == RETURN
         return GoalIndices(goal=jnp.where(back, home, task), task=jnp.where(back, current.task, task))
 
-    def relabel(self, key, env, goals, batch, phase):
+    def prepare(self, key, env, goals, batch, phase, method_state):
         """Return the sampled transitions `batch [B]`, a share of them under another goal."""
         share_key, goal_key = jax.random.split(key)
         other = jax.random.randint(goal_key, batch.reward.shape, 0, len(goals.table))
@@ -183,6 +183,6 @@ print(f"difference {gap.value:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}]")
 """
 Three seeds of a small preset do not show whether the method is good. [02](02_compare_two_methods.py) shows
 how to decide it, [04](04_run_on_a_gpu.py) how to train enough seeds. Methods that learn something of their
-own override three more hooks: `init_state`, `update_state` and `refresh`. `earl_jax/algos/r3l.py` is an
+own override three more functions: `init`, `learn` and `refresh`. `earl_jax/algos/r3l.py` is an
 example of fewer than 90 lines.
 """

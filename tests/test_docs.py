@@ -38,12 +38,16 @@ def table_rows(text, first):
     return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
 
 
-@pytest.mark.parametrize("name", ["sac", *own_algos()])
-def test_the_page_of_algorithms_has_every_hyper_parameter(name):
+@pytest.mark.parametrize("cls", [algos.Learner, algos.SAC, algos.TD3, *map(algos.algo_class, own_algos())])
+def test_the_page_of_algorithms_has_every_hyper_parameter(cls):
     page = (DOCS / "algorithms.md").read_text()
-    cls = algos.SAC if name == "sac" else type(algos.make_algo(name))
+    shared = {"learner"} | (
+        set() if cls is algos.Learner else {field.name for field in dataclasses.fields(algos.Learner)}
+    )
     defaults = {row[0].strip("`"): row[1].replace('"', "'") for row in table_rows(page, f"field of `{cls.__name__}`")}
-    assert defaults == {field.name: repr(field.default) for field in dataclasses.fields(cls) if field.name != "sac"}
+    assert defaults == {
+        field.name: repr(field.default) for field in dataclasses.fields(cls) if field.name not in shared
+    }
 
 
 def test_the_page_of_environments_has_the_numbers_of_every_task():

@@ -30,6 +30,9 @@ main(["train", "pasture", "--algo", "detour", *LENGTHS, "--out", "run", "--set",
 main(["evaluate", "run", "--episodes", "2"])
 main(["resume", "run", "--steps", "80"])
 main(["train", "pasture", "--algo", "subsets", *LENGTHS, "--out", "subsets", "--set", "reward_type=dense", *TINY])
+learner = ["--learner", "ddpg", "--set", "noise=0.2", *TINY]
+main(["train", "pasture", "--algo", "detour", *LENGTHS, "--out", "ddpg", *learner])
+main(["evaluate", "ddpg", "--episodes", "2"])
 exec(DEMOS)
 demos = f"demo_file={Path('pasture.npz').resolve()}"
 main(["train", "pasture", "--algo", "vaprl", *LENGTHS, "--out", "vaprl", "--set", demos, *TINY])

@@ -97,7 +97,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     """Return the method `name`; options are its own fields and those of its learner, whose defaults it can replace.
 
     A float field also takes a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
-    lanes. `learner` is a name of `list_learners()` or an object, by default `sac`.
+    lanes. `learner` is a name of `list_learners()`, or an object, which gets these options too; by default `sac`.
 
     Raises:
         ValueError: the name or an option is unknown; the message lists the choices.

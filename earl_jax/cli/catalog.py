@@ -1,4 +1,4 @@
-"""The names of all tasks, methods and presets, and the stored descriptions of the package's own classes.
+"""The names of all tasks, methods, learners and presets, and the stored descriptions of the package's own classes.
 
 Importing the classes loads jax, which takes about two seconds. `make catalog` therefore stores their descriptions in
 catalog.json, and a test compares the two.
@@ -10,20 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax import algos, envs
+from earl_jax.algos import learner
 from earl_jax.options.presets import PRESETS
 
 CATALOG = Path(__file__).with_name("catalog.json")
-LOCATE = {"task": envs.locate_env, "method": algos.locate_algo}
+LOCATE = {"task": envs.locate_env, "method": algos.locate_algo, "learner": learner.locate_learner}
 TASK_CELLS = ("obs_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon", "goal_change")
 """The attributes of a task that are cells of its row."""
 
 
 def names() -> dict[str, list[str]]:
-    """Return the names of all tasks, methods and presets, by kind."""
-    return {"task": envs.list_envs(), "method": algos.list_algos(), "preset": list(PRESETS)}
+    """Return the names of all tasks, methods, learners and presets, by kind."""
+    known = {"task": envs.list_envs(), "method": algos.list_algos(), "learner": learner.list_learners()}
+    return {**known, "preset": list(PRESETS)}
 
 
 @functools.cache
 def stored() -> dict[str, Any]:
-    """Return the stored descriptions by class, and under `learner` the options of every method."""
+    """Return the stored descriptions by class, and under `shared` the options of every learner."""
     return json.loads(CATALOG.read_text())

@@ -1,4 +1,4 @@
-"""Descriptions of tasks and methods, taken from their classes; as a program, it stores those of the package for `list`."""
+"""Descriptions of tasks, methods and learners from their classes; as a program, it stores the package's own for `list`."""
 
 import ast
 import dataclasses
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import algos, envs
+from earl_jax.algos.learner import learner_class
 from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_CELLS, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
@@ -44,26 +45,37 @@ def task(name: str) -> dict[str, Any]:
 def method(name: str) -> dict[str, Any]:
     """Return what a method does, its source, year, demonstrations and own options."""
     cls = algos.algo_class(name)
-    summary, details = _summary_and_details(cls)
-    cited = SOURCE.search(" ".join(details))
-    year = YEAR.search(cited[1]) if cited else None
     return {
-        "summary": summary,
-        "source": cited[1] if cited else None,
-        "year": int(year[0]) if year else None,
+        **_sourced(cls),
         "needs_demonstrations": cls.needs_demos,
         "uses_demonstrations": list(dict.fromkeys(demos.direction for phase in cls().phases for demos in phase.demos)),
-        "details": details,
         "options": {option: values for option, values in _options(cls).items() if option != "learner"},
     }
 
 
-DESCRIBE = {"task": task, "method": method}
+def _sourced(cls: type) -> dict[str, Any]:
+    """Return the summary and details of a class, and the source and year that they name."""
+    summary, details = _summary_and_details(cls)
+    cited = SOURCE.search(" ".join(details))
+    year = YEAR.search(cited[1]) if cited else None
+    source = {"source": cited[1] if cited else None, "year": int(year[0]) if year else None}
+    return {"summary": summary, **source, "details": details}
+
+
+def learner(name: str) -> dict[str, Any]:
+    """Return what a learner does, its source, year and own options."""
+    cls = learner_class(name)
+    shared = {field.name for field in dataclasses.fields(algos.Learner)}
+    options = {option: values for option, values in _options(cls).items() if option not in shared}
+    return {**_sourced(cls), "options": options}
+
+
+DESCRIBE = {"task": task, "method": method, "learner": learner}
 
 
 def catalog() -> dict[str, Any]:
-    """Return the descriptions of the package's own classes by class, and under `learner` the options of every method."""
-    described: dict[str, Any] = {"learner": _options(algos.SAC)}
+    """Return the descriptions of the package's own classes by class, and under `shared` the options of every learner."""
+    described: dict[str, Any] = {"shared": _options(algos.Learner)}
     for kind, locate in LOCATE.items():
         for name in names()[kind]:
             target, package = locate(name)

@@ -1,4 +1,4 @@
-"""The command that describes tasks, methods and presets: list. It imports only the classes of other packages."""
+"""The command that describes tasks, methods, learners and presets: list. It imports only the classes of other packages."""
 
 import textwrap
 from importlib.metadata import EntryPoint
@@ -6,6 +6,7 @@ from itertools import chain
 from typing import Any
 
 from earl_jax import assets
+from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.cli.catalog import LOCATE, TASK_CELLS, names, stored
 from earl_jax.errors import InputError
@@ -18,21 +19,23 @@ TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --se
 H_T: steps between hard interventions; H_E: steps of an evaluation episode; change: steps between goal changes in the \
 continuing setting. demos: demonstrations that ship. engine: MuJoCo's is auto, mjx, warp or c; "none" is plain arithmetic."""
 METHOD_ROW = "{:<12}{:<6}{:<16}"
+LEARNER_ROW = "{:<12}{:<6}"
+LEARNER_NOTE = "A method learns with sac, or with another learner: train --learner NAME. Both have options (--set)."
 PRESET_ROW = "{:<12}{:>5}{:>12}{:>10}"
 PRESET_NOTE = """A preset is a name for seeds, lengths and options of the learner: train --preset NAME, \
 preset = "NAME" in a sweep file, earl_jax.preset(NAME, TASK) in Python. What is given besides wins."""
-MORE = "earl-jax list NAME describes a task or a method with all of its options; --json prints everything."
+MORE = "earl-jax list NAME describes a task, a method or a learner with all of its options; --json prints everything."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 IN_COLUMNS = ("reward_type", "train_horizon", "eval_horizon", "demo_file", "engine")
 """Options of a task that its row shows, or that every task has."""
-NOT_FACTS = ("name", "kind", "options", "learner", "details", "summary", "values", "policies")
+NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
 
 
 def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
-    """List the tasks, methods and presets, with those of installed packages, or describe one of them.
+    """List the tasks, methods, learners and presets, with those of installed packages, or describe one of them.
 
     Args:
-        name: Task, method or preset to describe with all of its options. By default all are listed.
+        name: Task, method, learner or preset to describe with all of its options. By default all are listed.
     """
     if name is None:
         everything = describe_all()
@@ -41,24 +44,26 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
     kind = next((kind for kind, known in names().items() if name in known), None)
     if kind is None:
         choices = ", ".join(chain(*names().values()))
-        raise InputError(f"there is no task, method or preset {name!r}; choose from {choices}")
+        raise InputError(f"there is no task, method, learner or preset {name!r}; choose from {choices}")
     described = describe(kind, name)
     if kind == "method":
-        described = {**described, "learner": stored()["learner"]}
+        described = {**described, "learner": {**stored()["shared"], **describe("learner", DEFAULT)["options"]}}
+    if kind == "learner":
+        described = {**described, "shared": stored()["shared"]}
     emit(described, json, _details(described))
 
 
 def describe_all() -> dict[str, Any]:
-    """Return the names of the tasks (`envs`) and methods (`algos`), all descriptions, and the learner's options."""
+    """Return the names of tasks (`envs`) and methods (`algos`), all descriptions, and the options of every learner."""
     known = names()
     described = {f"{kind}s": {name: describe(kind, name) for name in known[kind]} for kind in known}
-    return {"envs": known["task"], "algos": known["method"], **described, "learner": stored()["learner"]}
+    return {"envs": known["task"], "algos": known["method"], **described, "shared": stored()["shared"]}
 
 
 def describe(kind: str, name: str) -> dict[str, Any]:
-    """Return what a task, method or preset is: its sizes or source, policies and options; of a preset its lengths.
+    """Return what a task, method, learner or preset is: sizes or source, policies and options; of a preset its lengths.
 
-    A task or method whose class cannot be loaded, or that several packages claim, has the key `error` instead.
+    One whose class cannot be loaded, or that several packages claim, has the key `error` instead.
     """
     if kind == "preset":
         return _preset(name)
@@ -98,10 +103,13 @@ def _preset(name: str) -> dict[str, Any]:
 
 def _overview(everything: dict[str, Any]) -> str:
     """Return the tables of all tasks, methods and presets, each row with lines below it."""
-    tasks, methods, presets = (everything[kind].values() for kind in ("tasks", "methods", "presets"))
+    kinds = ("tasks", "methods", "learners", "presets")
+    tasks, methods, learners, presets = (everything[kind].values() for kind in kinds)
     lines = [TASK_HEADER, *chain(*map(_rows, tasks)), "", *_wrap(TASK_NOTE), ""]
     lines += [METHOD_ROW.format("method", "year", "demonstrations") + "source", *chain(*map(_rows, methods)), ""]
-    lines += [*_wrap(f"Every method also has the learner's options: {', '.join(everything['learner'])}."), ""]
+    lines += [LEARNER_ROW.format("learner", "year") + "source", *chain(*map(_rows, learners)), ""]
+    lines += [*_wrap(f"Every learner also has these options: {', '.join(everything['shared'])}."), ""]
+    lines += [*_wrap(LEARNER_NOTE), ""]
     lines += [PRESET_ROW.format("preset", "seeds", "steps", "episodes"), *chain(*map(_rows, presets)), ""]
     return "\n".join(line.rstrip() for line in [*lines, *_wrap(PRESET_NOTE), "", *_wrap(MORE)])
 
@@ -133,12 +141,17 @@ def _method_row(method: dict[str, Any]) -> list[str]:
     return textwrap.wrap(method["source"] or "-", WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
 
 
+def _learner_row(learner: dict[str, Any]) -> list[str]:
+    start = LEARNER_ROW.format(learner["name"], learner["year"] or "-")
+    return textwrap.wrap(learner["source"] or "-", WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
+
+
 def _preset_row(preset: dict[str, Any]) -> list[str]:
     steps = _number(preset["steps"] or "published")
     return [PRESET_ROW.format(preset["name"], preset["seeds"], steps, preset["eval_episodes"])]
 
 
-ROWS = {"task": _task_row, "method": _method_row, "preset": _preset_row}
+ROWS = {"task": _task_row, "method": _method_row, "learner": _learner_row, "preset": _preset_row}
 
 
 def _details(described: dict[str, Any]) -> str:
@@ -152,7 +165,8 @@ def _details(described: dict[str, Any]) -> str:
         lines += ["", *_wrap(paragraph)] if paragraph != described["summary"] else []
     lines += _policies_text(described)
     lines += _options_text("options", described.get("options"))
-    lines += _options_text("options of the learner, which every method has", described.get("learner"))
+    lines += _options_text(f"options of the learner {DEFAULT}; --learner takes another", described.get("learner"))
+    lines += _options_text("options that every learner has", described.get("shared"))
     return "\n".join(line.rstrip() for line in lines)
 
 

@@ -28,6 +28,7 @@ from earl_jax.options.values import parse_seeds
 def train(
     env: Positional[str | None] = None,
     algo: str = ALGO,
+    learner: str | None = None,
     seeds: Seeds = None,
     steps: int | None = None,
     out: Path = Path("runs/latest"),
@@ -51,6 +52,7 @@ def train(
     Args:
         env: Task, a name from `earl-jax list`.
         algo: Method, a name from `earl-jax list`.
+        learner: Learner of the method, a name from `earl-jax list`. By default sac.
         seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8. By
             default 5, or those of --config or --preset.
         steps: Training steps of each seed. By default 100,000, or those of --preset.
@@ -70,7 +72,15 @@ def train(
 
     join_hosts(hosts)
     every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
-    given = {"algo": algo, "steps": steps, **every, "preset": preset, "setting": setting, "set": set}
+    given = {
+        "algo": algo,
+        "learner": learner,
+        "steps": steps,
+        **every,
+        "preset": preset,
+        "setting": setting,
+        "set": set,
+    }
     task, values = _objects_by_name(env, given) if config is None else _objects_of_run(config, env, given)
     if seeds is not None:
         values["seeds"] = parse_seeds(seeds, SEEDS)
@@ -92,6 +102,7 @@ def _objects_by_name(env: str | None, given: dict[str, Any]) -> tuple[Any, dict[
     options = {key: value for key, value in values.items() if key not in LENGTHS}
     task, setting, options = api.split_options(env, {**options, "setting": given["setting"], **pairs})
     lengths = {key: values[key] for key in LENGTHS}
+    options = options if given["learner"] is None else {"learner": given["learner"], **options}
     return task, {**lengths, "setting": setting, "algo": algos.method_for(task, given["algo"], **options)}
 
 

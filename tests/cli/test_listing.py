@@ -53,7 +53,12 @@ def test_the_catalog_is_what_the_classes_are():
 
 
 def test_every_name_is_described_with_the_meaning_of_its_options(everything):
-    groups = [*everything["tasks"].values(), *everything["methods"].values(), {"options": everything["learner"]}]
+    groups = [
+        *everything["tasks"].values(),
+        *everything["methods"].values(),
+        *everything["learners"].values(),
+        {"options": everything["shared"]},
+    ]
     assert [group["error"] for group in groups if "error" in group] == []
     options = [(name, option["meaning"]) for group in groups for name, option in group["options"].items()]
     assert [name for name, meaning in options if len(meaning) < 10] == []
@@ -68,6 +73,7 @@ def test_every_name_is_described_with_the_meaning_of_its_options(everything):
         (["sawyer_peg"], ["reset_at_goal", "obs size"]),
         (["sawyer_door"], ["(earl_jax.pretrained('sawyer_door', METHOD))", "seeds 3, 4; success 1.0, 1.0; return 211.86"]),
         (["vaprl"], ["epsilon=0.1", "discount=0.99  (float; in [0, 1))", "Sharma et al. 2021"]),
+        (["td3"], ["policy_delay=2", "discount=0.99", "Fujimoto, van Hoof and Meger 2018"]),
         (["strong"], ["steps                 published\n", "layer_norm            true\n"]),
     ],
 )  # fmt: skip
@@ -84,11 +90,12 @@ def test_json_describes_one_name_or_all():
     assert everything["algos"] == list(everything["methods"]) == earl_jax.list_algos()
     assert json.loads(run("list", "sawyer_door", "--json")[1]) == everything["tasks"]["sawyer_door"]
     fbrl = json.loads(run("list", "fbrl", "--json")[1])
-    assert fbrl == {**everything["methods"]["fbrl"], "learner": everything["learner"]}
+    learner = {**everything["shared"], **everything["learners"]["sac"]["options"]}
+    assert fbrl == {**everything["methods"]["fbrl"], "learner": learner}
     assert json.loads(run("list", "quick", "--json")[1]) == everything["presets"]["quick"]
     code, _, err = run("list", "ppo")
     assert code == 2
-    assert "no task, method or preset 'ppo'; choose from cheetah_run" in err
+    assert "no task, method, learner or preset 'ppo'; choose from cheetah_run" in err
 
 
 def test_trained_policies_that_ship_are_listed(everything):

@@ -4,7 +4,7 @@ Rows are steps: row t of `state` is s_t, row t of `action` is a_t, and s_{t+1} i
 static table, so relabelling needs no copies. A list for each lane holds the rows that its controllers can sample: the
 task controller's rows fill it from the left, the other controller's rows from the right.
 
-With a capacity (`SAC.replay_capacity`), the rows after the demonstrations and both lists are rings, in which the oldest
+With a capacity (`Learner.replay_capacity`), the rows after the demonstrations and both lists are rings, in which the oldest
 transition makes room for a new one. Demonstrations stay.
 
 Every function works on the whole batch of lanes. `jax.vmap` would turn a write into a scatter over the buffer and a
@@ -48,7 +48,7 @@ class Transition(NamedTuple):
 class TransitionBatch(NamedTuple):
     """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
 
-    In the hooks of a method, `demonstrated [N, B]`, bool, marks demonstrations, and `later [N, B, s]` are states of the
+    In the functions of a method, `demonstrated [N, B]`, bool, marks demonstrations, and `later [N, B, s]` are states of the
     same lane some steps later, for methods with `later_steps`. `goal [N, B, g]` replaces the goals of `flags`, which are
     indices, where a method learns from others.
     """

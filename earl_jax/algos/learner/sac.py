@@ -39,7 +39,11 @@ class Agent(struct.PyTreeNode):
 
 
 class SAC(Learner):
-    """The learner of all methods by default, with the hyper-parameters of Sharma et al. 2022."""
+    """Climb the minimum of two critics plus the policy's entropy, with a learnt temperature; the learner by default.
+
+    Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications", with the hyper-parameters of Sharma et
+    al. 2022.
+    """
 
     target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
     """tau of the target critics, which are updated every step (paper)."""

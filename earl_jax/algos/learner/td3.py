@@ -28,13 +28,15 @@ class Agent(struct.PyTreeNode):
 
 
 class TD3(Learner):
-    """A deterministic policy and two critics; the policy and all targets take a step for every `policy_delay` of the critics.
+    """Climb the first of two critics with a deterministic policy, which takes a step for every `policy_delay` of theirs.
 
     With noise e ~ clip(N(0, target_noise), -noise_clip, noise_clip), both critics regress on
     `scale r + (1 - terminal) gamma min_i Q'_i(s', clip(pi'(s') + e, -1, 1))`, and the policy climbs Q_1(s, pi(s)).
     Deliberate differences: networks and their start are those of `SAC`, whose widths and step size (EARL's) are the
     defaults (TD3: 400 and 300, 1e-3); the delay counts the steps of the lifetime; with `utd`, the critics learn from
     every batch and the policy from the last.
+
+    Source: Fujimoto, van Hoof and Meger 2018, "Addressing Function Approximation Error in Actor-Critic Methods" (TD3).
     """
 
     target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
