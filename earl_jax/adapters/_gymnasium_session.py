@@ -5,9 +5,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from earl_jax.adapters._session import Session, SessionState, StepResult, checked_array, jitted
+from earl_jax.adapters._session import Outputs, Session, checked_array, jitted
 from earl_jax.envs import State
 from earl_jax.errors import InputError
+from earl_jax.protocol import ProtocolState
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
@@ -29,12 +30,12 @@ class GymnasiumSession:
             raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
         self.session, self.render_mode = session, render_mode
         self.metadata = {**self.metadata, "render_fps": round(1 / session.env.step_seconds)}
-        self._state: SessionState | None = None
+        self._state: ProtocolState | None = None
         self._scene: Any = None
         self._picture_size = (height, width)
 
     @property
-    def state(self) -> SessionState:
+    def state(self) -> ProtocolState:
         """The current state of the lifetime or the episode; in a vector environment, of all lanes.
 
         Raises:
@@ -48,25 +49,23 @@ class GymnasiumSession:
         """Return the result of the session's method `name`, of all lanes if there are several."""
         return jitted(self.session, name, self.has_lanes)(*arguments)
 
-    def _infos(self, result: StepResult) -> dict[str, np.ndarray]:
+    def _infos(self, outputs: Outputs) -> dict[str, np.ndarray]:
         """Return the infos of one lane, or of all with a leading axis."""
         values = {
-            "goal": np.array(result.obs[..., self.session.env.state_size :]),
-            "success": np.array(result.success),
-            "interventions": np.array(result.interventions, np.int64),
+            "goal": np.array(outputs.obs[..., self.session.env.state_size :]),
+            "success": np.array(outputs.success),
+            "interventions": np.array(outputs.interventions, np.int64),
         }
         if not self.session.is_training:
-            values["is_success"] = np.array(result.reached)
+            values["is_success"] = np.array(outputs.reached)
         if self.session.starts == "wide":
-            values["is_success_wide"] = np.array(result.reached)
+            values["is_success_wide"] = np.array(outputs.reached)
         return values
 
     def _change_goal(self, name: str, goal: np.ndarray | None, shape: tuple[int, ...], mask: Any) -> np.ndarray:
-        """Return the observations with `goal`, whose argument is called `name`, or a drawn one, where `mask`."""
-        if goal is None:
-            self._state = self._call("draw_goal", self.state, mask)
-        else:
-            self._state = self._call("set_goal", self.state, checked_array(name, goal, shape), mask)
+        """Return the observations with `goal`, an argument called `name`, or with the environment's own, where `mask`."""
+        goal = None if goal is None else checked_array(name, goal, shape)
+        self._state = self._call("set_goal", self.state, goal, mask)
         return np.array(self.state.env_state.obs)
 
     def _picture(self, env_state: State) -> np.ndarray:

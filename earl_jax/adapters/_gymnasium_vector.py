@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
-from earl_jax.adapters._session import Session, StepResult, checked_array
+from earl_jax.adapters._session import Outputs, Session, checked_array
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
@@ -56,11 +56,11 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         from_seed = mask & (first or seed is not None)
         generators = [self.np_random if seed is None else np_random(seed + i)[0] for i in range(self.num_envs)]
         seeds = np.stack([draw_seed(generator) for generator in generators])
-        states = self._call("start", seeds) if first else self._state
-        self._state, result = self._call("restart", states, seeds, from_seed, mask)
+        states = self._call("start", seeds)[0] if first else self._state
+        self._state, outputs = self._call("restart", states, seeds, from_seed, mask)
         self._over &= ~mask
-        result = jax.device_get(result)
-        return np.array(result.obs), self._masked_infos(result, mask)
+        outputs = jax.device_get(outputs)
+        return np.array(outputs.obs), self._masked_infos(outputs, mask)
 
     def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
         options = {"reset_mask": np.ones(self.num_envs, bool), **(options or {})}
@@ -79,30 +79,30 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         """
         actions = checked_array("actions", actions, (self.num_envs, self.session.env.action_size))
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            self._state, result, last = self._call("step_and_reset", self.state, actions)
+            self._state, outputs, last = self._call("step_and_reset", self.state, actions)
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            self._state, result = self._call("step_or_reset", self.state, actions, self._over)
-            last = result
+            self._state, outputs = self._call("step_or_reset", self.state, actions, self._over)
+            last = outputs
         else:
-            self._state, result = self._call("step", self.state, actions)
-            last = result
-        result, last = jax.device_get((result, last))
+            self._state, outputs = self._call("step", self.state, actions)
+            last = outputs
+        outputs, last = jax.device_get((outputs, last))
         self._over = last.terminated | last.truncated
-        info = self._masked_infos(result, np.ones(self.num_envs, bool))
+        info = self._masked_infos(outputs, np.ones(self.num_envs, bool))
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
             info |= self._final_infos(last)
         reward = last.reward.astype(np.float64)
-        return np.array(result.obs), reward, np.array(last.terminated), np.array(last.truncated), info
+        return np.array(outputs.obs), reward, np.array(last.terminated), np.array(last.truncated), info
 
-    def _masked_infos(self, result: StepResult, mask: np.ndarray) -> dict[str, np.ndarray]:
+    def _masked_infos(self, outputs: Outputs, mask: np.ndarray) -> dict[str, np.ndarray]:
         """Return the infos of the lanes in `mask` with zeros elsewhere, and the mask of each under `_` and its name."""
         masked = {}
-        for name, values in self._infos(result).items():
+        for name, values in self._infos(outputs).items():
             wide_mask = mask.reshape(-1, *[1] * (values.ndim - 1))
             masked |= {name: np.where(wide_mask, values, np.zeros_like(values)), f"_{name}": mask.copy()}
         return masked
 
-    def _final_infos(self, last: StepResult) -> dict[str, Any]:
+    def _final_infos(self, last: Outputs) -> dict[str, Any]:
         """Return the last observations and infos of the episodes that are over, by gymnasium's names."""
         obs = np.full(self.num_envs, None, object)
         for lane in np.flatnonzero(self._over):

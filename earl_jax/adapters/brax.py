@@ -14,7 +14,7 @@ from brax.envs.base import Env as BraxEnv
 from brax.envs.base import State as BraxState
 from brax.envs.wrappers import training
 
-from earl_jax.adapters._session import Session, StepResult
+from earl_jax.adapters._session import Outputs, Session
 from earl_jax.envs import Env
 
 NO_TIME_LIMIT = 2**30
@@ -59,32 +59,31 @@ class ResetFreeEnv(BraxEnv):
     def reset(self, rng: jax.Array) -> BraxState:
         """Return a state with s0 ~ rho and a task goal drawn uniformly, from a raw or a typed key `rng`."""
         typed = jnp.issubdtype(rng.dtype, jax.dtypes.prng_key)
-        state = self.session.start_from_key(rng if typed else jax.random.wrap_key_data(rng))
-        result = self.session.reset_result(state)
+        state, outputs = self.session.start_from_key(rng if typed else jax.random.wrap_key_data(rng))
         pipeline_state: Any = state
         return BraxState(
             pipeline_state=pipeline_state,
-            obs=result.obs,
-            reward=result.reward,
-            done=self._done(result),
-            metrics=_metrics(result, state.interventions),
+            obs=outputs.obs,
+            reward=outputs.reward,
+            done=self._done(outputs),
+            metrics=_metrics(outputs, outputs.interventions),
         )
 
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
         """Return the state after one control step with `action [a]`; its metrics are of this step, for brax to sum."""
         previous: Any = state.pipeline_state
-        session_state, result = self.session.step(previous, action)
+        session_state, outputs = self.session.step(previous, action)
         return dataclasses.replace(
             state,
             pipeline_state=session_state,
-            obs=result.obs,
-            reward=result.reward,
-            done=self._done(result),
-            metrics={**state.metrics, **_metrics(result, previous.interventions)},
+            obs=outputs.obs,
+            reward=outputs.reward,
+            done=self._done(outputs),
+            metrics={**state.metrics, **_metrics(outputs, previous.counters.interventions)},
         )
 
-    def _done(self, result: StepResult) -> jax.Array:
-        done = result.terminated if self.session.is_training else result.terminated | result.fault
+    def _done(self, outputs: Outputs) -> jax.Array:
+        done = outputs.terminated if self.session.is_training else outputs.terminated | outputs.fault
         return done.astype(jnp.float32)
 
     @property
@@ -103,6 +102,6 @@ class ResetFreeEnv(BraxEnv):
         return self.session.env.resolved_engine
 
 
-def _metrics(result: StepResult, interventions_before: jax.Array) -> dict[str, jax.Array]:
-    interventions = result.interventions - interventions_before
-    return {"success": result.success.astype(jnp.float32), "interventions": interventions.astype(jnp.float32)}
+def _metrics(outputs: Outputs, interventions_before: jax.Array) -> dict[str, jax.Array]:
+    interventions = outputs.interventions - interventions_before
+    return {"success": outputs.success.astype(jnp.float32), "interventions": interventions.astype(jnp.float32)}

@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
 from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv  # noqa: F401
-from earl_jax.adapters._session import Session, StepResult, checked_array
+from earl_jax.adapters._session import Outputs, Session, checked_array
 from earl_jax.envs import Env, list_envs
 from earl_jax.errors import InputError
 
@@ -77,10 +77,10 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
         if options:
             raise InputError(f"reset takes no options, not {', '.join(options)}; set_goal chooses a goal")
         if seed is None and self._state is not None:
-            self._state = self._call("reset", self._state)
+            self._state, outputs = self._call("reset", self._state)
         else:
-            self._state = self._call("start", draw_seed(self.np_random))
-        obs, *_, info = self._outputs(self._call("reset_result", self._state))
+            self._state, outputs = self._call("start", draw_seed(self.np_random))
+        obs, *_, info = self._returned(outputs)
         return obs, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
@@ -90,15 +90,15 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
             ValueError: the action has another shape or is not finite.
         """
         action = checked_array("action", action, (self.session.env.action_size,))
-        self._state, result = self._call("step", self.state, action)
-        return self._outputs(result)
+        self._state, outputs = self._call("step", self.state, action)
+        return self._returned(outputs)
 
-    def _outputs(self, result: StepResult) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Return `result` as gymnasium's five values."""
-        result = jax.device_get(result)
-        values = self._infos(result)
+    def _returned(self, outputs: Outputs) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Return `outputs` as gymnasium's five values."""
+        outputs = jax.device_get(outputs)
+        values = self._infos(outputs)
         info = {name: value if name == "goal" else value.item() for name, value in values.items()}
-        return np.array(result.obs), float(result.reward), bool(result.terminated), bool(result.truncated), info
+        return np.array(outputs.obs), float(outputs.reward), bool(outputs.terminated), bool(outputs.truncated), info
 
     def set_goal(self, goal: np.ndarray | None = None) -> np.ndarray:
         """Return the observation [s + g] with `goal [g]`, which stays until the next `set_goal` or `reset`.

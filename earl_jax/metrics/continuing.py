@@ -1,6 +1,6 @@
 """Continuing evaluation: the reward of a lifetime, and the number of interventions in it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +44,35 @@ class Counters(struct.PyTreeNode):
     reached: jax.Array
     diagnostics: dict[str, jax.Array]
     phases: PhaseStats
+
+
+def init_counters(phases: PhaseStats, diagnostics: Iterable[str] = ()) -> Counters:
+    """Return the counters of a lane before its first step; `diagnostics` names those of the learner."""
+    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    return Counters(
+        window_reward=zero,
+        total_reward=zero,
+        interventions=none,
+        faults=none,
+        reached=none,
+        diagnostics=dict.fromkeys(diagnostics, zero),
+        phases=phases,
+    )
+
+
+def count_step(
+    counters: Counters, fault: jax.Array, env_reset: jax.Array, reached: jax.Array, earned: jax.Array
+) -> Counters:
+    """Return the counters after a step; `fault`, `env_reset` and `reached` (a task goal) are bool [].
+
+    `earned []` is its reward for the task goal, which does not count after a fault.
+    """
+    return counters.replace(
+        window_reward=counters.window_reward + jnp.where(fault, 0.0, earned),
+        interventions=counters.interventions + env_reset,
+        faults=counters.faults + fault,
+        reached=counters.reached + reached,
+    )
 
 
 def continuing(

@@ -11,10 +11,10 @@ from earl_jax.metrics.statistics import namespace_of
 
 
 class Scores(NamedTuple):
-    """Scores of N seeds.
+    """Scores of lifetimes, such as [N] of N seeds.
 
-    `final [N]`: J_D of the last policy. `deployed [N]`: the deployed curve averaged over the lifetime. `continuing
-    [N]`: C(A), the task reward per step of the lifetime.
+    `final [...]`: J_D of the last policy. `deployed [...]`: the deployed curve averaged over the lifetime. `continuing
+    [...]`: C(A), the task reward per step of the lifetime.
     """
 
     final: Any
@@ -23,9 +23,9 @@ class Scores(NamedTuple):
 
 
 def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
-    """Return the scores of lanes evaluated at `steps [E]`, from `metrics` [N, E]; `metric` names the deployed one."""
+    """Return the scores of lives evaluated at `steps [E]`, from `metrics` [..., E]; `metric` names the deployed one."""
     scores = metrics[metric]
-    return Scores(scores[:, -1], deployed_area(steps, scores), metrics["continuing/reward"][:, -1])
+    return Scores(scores[..., -1], deployed_area(steps, scores), metrics["continuing/reward"][..., -1])
 
 
 def deployed_area(steps: Any, scores: Any) -> Any:

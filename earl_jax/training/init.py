@@ -9,8 +9,8 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method, controller_count
-from earl_jax.metrics.continuing import Counters
-from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
+from earl_jax.metrics.continuing import init_counters
+from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
 from earl_jax.training.demos import DemoRows, demo_rows, demo_steps
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
@@ -49,7 +49,7 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
         goal_indices=goal_indices,
         agent=_init_agents(problem, method, agent_key),
         method_state=method_state,
-        counters=_zero_counters(method, init_phase_stats(env, env_state)),
+        counters=init_counters(init_phase_stats(env, env_state), method.learner.diagnostics),
         rules=rules,
         visits=None if env.map_bounds is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )
@@ -64,19 +64,6 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
 
     agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
     return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
-
-
-def _zero_counters(method: Method, phases: PhaseStats) -> Counters:
-    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    return Counters(
-        window_reward=zero,
-        total_reward=zero,
-        interventions=none,
-        faults=none,
-        reached=none,
-        diagnostics=dict.fromkeys(method.learner.diagnostics, zero),
-        phases=phases,
-    )
 
 
 def replay_capacity(problem: Problem, method: Method, steps: int) -> int:

@@ -19,6 +19,7 @@ from earl_jax.algos.learner.replay import Transition, TransitionBatch, Transitio
 from earl_jax.algos.method import TASK, Method, Moment, controller_count, of_phase
 from earl_jax.envs import State
 from earl_jax.envs.state import tree_where
+from earl_jax.metrics.continuing import count_step
 from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
@@ -162,13 +163,8 @@ def finish_step(
     phases = advance_phase_stats(
         lane.counters.phases, env, env_state, is_task, end.phase_ended & has_goal, end.reached, step + 1
     )
-    counters = lane.counters.replace(
-        phases=phases,
-        window_reward=lane.counters.window_reward + jnp.where(end.fault, 0.0, earned),
-        interventions=lane.counters.interventions + end.env_reset,
-        faults=lane.counters.faults + end.fault,
-        reached=lane.counters.reached + (end.reached & is_task),
-    )
+    counters = lane.counters.replace(phases=phases)
+    counters = count_step(counters, end.fault, end.env_reset, end.reached & is_task, earned)
     phase = jnp.where(end.phase_ended, (lane.phase + 1) % len(method.phases), lane.phase)
     phase = jnp.where(end.task_restarts, TASK, phase)
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)

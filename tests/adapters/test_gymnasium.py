@@ -79,9 +79,9 @@ def test_a_lifetime_never_ends_and_has_interventions_on_schedule_and_at_resets_w
         np.testing.assert_array_equal(info["goal"], obs[6:])
         assert set(info) == {"goal", "success", "interventions"}
     assert env.reset()[1]["interventions"] == 3
-    assert env.state.steps == 15
+    assert env.state.step == 15
     assert env.reset(seed=3)[1]["interventions"] == 0
-    assert env.state.steps == 0
+    assert env.state.step == 0
 
 
 def test_a_reached_goal_is_followed_by_another():
@@ -199,7 +199,7 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         ({"mood": "eval"}, r"no option 'mood'; choose from mode, .*reward_type"),
         ({"mode": "test"}, "mode 'test' is not one of train, eval"),
         ({"setting": "lifelong"}, "unknown setting 'lifelong'"),
-        ({"attempt_steps": 0}, "attempt_steps must be at least 1"),
+        ({"attempt_steps": 0}, "attempt_steps must lie in"),
         ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
         ({"render_mode": "human"}, "render_mode 'human'"),
         ({"starts": "wide"}, "starts='wide' is for episodes"),

@@ -256,8 +256,7 @@ def test_episodes_of_the_adapters_have_the_spaces_of_the_lifetime_and_no_help():
     setting = Deployment(budget=1.0)
     train, episodes = (Session.of(Chain(start=1), mode=mode, setting=setting) for mode in ("train", "eval"))
     assert (episodes.env.obs_size, episodes.env.action_size) == (train.env.obs_size, train.env.action_size)
-    state = episodes.start(np.uint32(0))
-    state, result = episodes.step(state, HELP)
+    _, result = episodes.step(episodes.start(np.uint32(0))[0], HELP)
     assert (float(result.obs[0]), float(result.obs[1]), bool(result.terminated)) == (2, 1, False)
-    assert bool(train.step(train.start(np.uint32(0)), HELP)[1].terminated)
+    assert bool(train.step(train.start(np.uint32(0))[0], HELP)[1].terminated)
     assert train.protocol == episodes.protocol

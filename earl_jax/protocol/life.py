@@ -1,0 +1,224 @@
+"""A life under the protocol for a training loop of your own: pure functions of one lane, for `scan`, `jit` and `vmap`.
+
+`init` starts a life, `advance` makes one step of it, and `evaluate` measures both of the paper's scores. The rules are
+those of the training loop (`advance_rules`, `reset_where`, the counts of `metrics`). The random draws are their own:
+the key of the state draws interventions, goals and resets, so a run of `earl_jax.train` with the same seed has others.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from earl_jax.envs import Env, State
+from earl_jax.envs.wrappers.without_help import without_help
+from earl_jax.metrics.continuing import Counters, continuing, count_step, init_counters
+from earl_jax.metrics.deployed import deployed
+from earl_jax.metrics.phase_stats import advance_phase_stats, init_phase_stats, phase_metrics
+from earl_jax.options.values import COUNT, require
+from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
+
+ATTEMPT_STEPS = 1000
+"""Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
+EVALUATION_KEY = 2
+"""Folded into a life's key for the evaluation, which neither changes nor repeats the randomness of the life."""
+DIRECTIONS = 2
+"""Task goals and goals that the agent sets, whose attempts are counted separately."""
+
+
+class ProtocolState(struct.PyTreeNode):
+    """The life of one lane, between two steps.
+
+    `key` of all future draws; `env_state`; `rules` and int32 `attempt_steps []`, data that can differ between lanes;
+    int32 `step []`: steps so far; int32 `attempt_age []`: steps since the attempt at the current goal began; `task_goal
+    [g]`: the goal of C(A); bool `goal_is_set []`: the agent pursues a goal of its own instead; int32 `evaluated_at []`:
+    the step of the last evaluation; `counters` of the metrics.
+    """
+
+    key: jax.Array
+    env_state: State
+    rules: Rules
+    attempt_steps: jax.Array
+    step: jax.Array
+    attempt_age: jax.Array
+    task_goal: jax.Array
+    goal_is_set: jax.Array
+    evaluated_at: jax.Array
+    counters: Counters
+
+    @property
+    def obs(self) -> jax.Array:
+        """The observation [s + g] to act on."""
+        return self.env_state.obs
+
+    @property
+    def has_ended(self) -> jax.Array:
+        """Whether the budget for help is spent, bool []: nothing that the agent does has an effect from then on."""
+        return self.env_state.done > 0
+
+
+class StepResult(NamedTuple):
+    """What an agent learns from one step.
+
+    `next_obs [s + g]`: what the step led to, under the goal that it was made under, before a reset or a goal change;
+    after a fault, the observation before the step. `reward []` for that goal, 0 after a fault. `success []`, bool:
+    `next_obs` has reached its goal. `end`: how the step ended, with `end.phase_ended` for the attempt and
+    `end.env_reset` for an intervention. `terminated []`, bool: the life has ended.
+    """
+
+    next_obs: jax.Array
+    reward: jax.Array
+    success: jax.Array
+    end: StepEnd
+    terminated: jax.Array
+
+
+def init(
+    env: Env,
+    protocol: Protocol,
+    key: jax.Array,
+    attempt_steps: int = ATTEMPT_STEPS,
+    start: Callable[[jax.Array], State] | None = None,
+) -> ProtocolState:
+    """Return the life of one lane in `env` before its first step, from a typed PRNG key.
+
+    Args:
+        env: the task, or a `HelpBudget` (`setting.wrap(task)`).
+        protocol: the rules (`setting.protocol(env)`).
+        key: of all draws of this life.
+        attempt_steps: steps after which an attempt at a goal times out, as in naive RL.
+        start: `start(key) -> State` of the life; s0 ~ rho by default.
+
+    Raises:
+        ValueError: `attempt_steps` is less than 1.
+    """
+    require("attempt_steps", attempt_steps, COUNT)
+    key, reset_key = jax.random.split(key)
+    env_state = (start or env.reset)(reset_key)
+    zero = jnp.zeros((), jnp.int32)
+    return ProtocolState(
+        key=key,
+        env_state=env_state,
+        rules=jax.tree.map(jnp.asarray, protocol.rules),
+        attempt_steps=jnp.asarray(attempt_steps, jnp.int32),
+        step=zero,
+        attempt_age=zero,
+        task_goal=env_state.info["goal"],
+        goal_is_set=jnp.zeros((), bool),
+        evaluated_at=zero,
+        counters=init_counters(init_phase_stats(env, env_state)),
+    )
+
+
+def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[ProtocolState, StepResult]:
+    """Return the life after one control step with `action [a]`, and what to learn from the step.
+
+    Interventions reset the environment every H_T steps, with the protocol's chance, and after a fault of the
+    simulation. In the deployment setting another task goal is drawn when an attempt ends: at success (sparse rewards),
+    after `attempt_steps`, and at interventions. In the continuing setting task goals change by schedule only. A goal
+    of the agent's own stays (`set_goal`). C(A) counts the reward for the task goal, whatever goal the agent pursues.
+    """
+    key, chance_key, goal_key, reset_key = jax.random.split(state.key, 4)
+    env_state, is_task = env.step(state.env_state, action), ~state.goal_is_set
+    earned = env.goal_reward(env_state, state.task_goal)
+    attempt = Attempt(
+        is_task=is_task,
+        expires=state.attempt_age + 1 >= state.attempt_steps,
+        ends_on_success=True,
+        reset_at_end=False,
+        invalid_reward=~jnp.isfinite(earned),
+    )
+    end = advance_rules(state.rules, env, env_state, attempt, state.step + 1, chance_key)
+    draws_goal = jnp.where(state.rules.goal_change > 0, end.goal_changes, end.phase_ended & is_task)
+    task_goal = jnp.where(draws_goal, env.sample_goal(goal_key), state.task_goal)
+    goal = jnp.where(is_task, task_goal, state.env_state.info["goal"])
+    following = state.replace(
+        key=key,
+        env_state=env.with_goal(reset_where(end.env_reset, env, reset_key, env_state), goal),
+        step=state.step + 1,
+        attempt_age=jnp.where(end.phase_ended, 0, state.attempt_age + 1),
+        task_goal=task_goal,
+        counters=_count(env, state, env_state, end, earned),
+    )
+    return following, _result(env, state, env_state, end)
+
+
+def _count(env: Env, state: ProtocolState, env_state: State, end: StepEnd, earned: jax.Array) -> Counters:
+    """Return the counters after a step to `env_state`, which `earned` the reward of the task goal."""
+    is_task = ~state.goal_is_set
+    phases = advance_phase_stats(
+        state.counters.phases, env, env_state, is_task, end.phase_ended, end.reached, state.step + 1
+    )
+    return count_step(state.counters.replace(phases=phases), end.fault, end.env_reset, end.reached & is_task, earned)
+
+
+def _result(env: Env, state: ProtocolState, env_state: State, end: StepEnd) -> StepResult:
+    """Return the result of a step from `state` to `env_state`."""
+    return StepResult(
+        next_obs=jnp.where(end.fault, state.obs, env_state.obs),
+        reward=jnp.where(end.fault, 0.0, env_state.reward),
+        success=env.success(env_state.obs) & ~end.fault,
+        end=end,
+        terminated=env_state.done > 0,
+    )
+
+
+def set_goal(env: Env, state: ProtocolState, goal: jax.Array | None = None) -> ProtocolState:
+    """Return `state` at the start of an attempt at `goal [g]`, which stays until the next `set_goal` or `intervene`.
+
+    Without a goal the environment chooses again: another task goal in the deployment setting, and in the continuing
+    setting the one of its schedule.
+    """
+    if goal is not None:
+        return _with_goal(env, state, goal, is_set=True)
+    key, goal_key = jax.random.split(state.key)
+    return _with_task_goal(env, state.replace(key=key), goal_key)
+
+
+def _with_task_goal(env: Env, state: ProtocolState, key: jax.Array) -> ProtocolState:
+    """Return `state` with the goal that the environment chooses, drawn with `key` in the deployment setting."""
+    goal = jnp.where(state.rules.goal_change > 0, state.task_goal, env.sample_goal(key))
+    return _with_goal(env, state.replace(task_goal=goal), goal, is_set=False)
+
+
+def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) -> ProtocolState:
+    return state.replace(
+        env_state=env.with_goal(state.env_state, goal),
+        attempt_age=jnp.zeros_like(state.attempt_age),
+        goal_is_set=jnp.full_like(state.goal_is_set, is_set),
+    )
+
+
+def intervene(env: Env, state: ProtocolState) -> ProtocolState:
+    """Return the life after an intervention that the caller orders, which is counted: s0 ~ rho and a task goal.
+
+    The goal is another one in the deployment setting, and the one of the schedule in the continuing setting. In a life
+    that has ended, only the goal changes.
+    """
+    key, goal_key, reset_key = jax.random.split(state.key, 3)
+    env_state = env.intervene(reset_key, state.env_state)
+    counters = state.counters.replace(interventions=state.counters.interventions + ~state.has_ended)
+    return _with_task_goal(env, state.replace(key=key, env_state=env_state, counters=counters), goal_key)
+
+
+def evaluate(
+    env: Env, protocol: Protocol, state: ProtocolState, policy: Callable[[jax.Array], jax.Array]
+) -> tuple[ProtocolState, dict[str, jax.Array]]:
+    """Return the life with a new window, and both of the paper's evaluations of it, scalars.
+
+    `deployed/success` and `deployed/return` are the means of `protocol.eval_episodes` episodes of `policy(obs) ->
+    action` from s0 ~ rho, without help (`metrics.deployed`). `continuing/reward` is C(A) so far, `continuing/recent`
+    that since the last evaluation; `interventions`, `faults` and `reached` count since the first step. These and the
+    columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as the way back.
+    """
+    task, key = without_help(env), jax.random.fold_in(state.key, EVALUATION_KEY)
+    metrics = deployed(task, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=task.reset_wide)
+    window = jnp.maximum(state.step - state.evaluated_at, 1).astype(jnp.float32)
+    counters, of_life = continuing(
+        state.counters, state.env_state, jnp.maximum(state.step, 1).astype(jnp.float32), window
+    )
+    phases, of_phases = phase_metrics(counters.phases, state.step, protocol.alive_steps, DIRECTIONS, env.sparse)
+    state = state.replace(evaluated_at=state.step, counters=counters.replace(phases=phases))
+    return state, {**metrics, **of_life, **of_phases}

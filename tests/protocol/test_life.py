@@ -1,0 +1,154 @@
+"""A life under the protocol, on chains with their goal at 3: the rules, the goals, both scores, and the budget."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.envs import HelpBudget
+from earl_jax.protocol import Protocol, advance, evaluate, init, intervene, lifetime_scores, set_goal
+from tests.conftest import advance as train_steps
+from tests.conftest import assert_equal_trees, lane_rules, make_problem, make_train_state, tiny_method
+from tests.envs.chain import Chain
+
+LEFT, RIGHT = -1.0, 1.0
+KEYS = jax.random.split(jax.random.key(0), 3)
+
+
+@dataclasses.dataclass(frozen=True)
+class OneGoal(Chain):
+    """A chain without any random draw, whose simulation breaks left of 0."""
+
+    fragile: bool = True
+
+    @property
+    def goal_states(self):
+        return np.array([[self.goal]], np.float32)
+
+
+def live(env, protocol, actions, keys=KEYS, rules=None, attempt_steps=1000):
+    """Return the lives [T, N] after each of `actions [T, N or 1, a]`, and the results, in one program."""
+
+    @jax.jit
+    def run(keys, rules):
+        def step(lives, action):
+            lives, results = jax.vmap(lambda life, action: advance(env, life, action))(lives, action)
+            return lives, (lives, results)
+
+        lives = jax.vmap(lambda key: init(env, protocol, key, attempt_steps))(keys)
+        lives = lives if rules is None else lives.replace(rules=rules)
+        each = jnp.broadcast_to(jnp.asarray(actions, jnp.float32), (len(actions), len(keys), env.action_size))
+        return jax.lax.scan(step, lives, each)[1]
+
+    return jax.device_get(run(keys, rules))
+
+
+def test_a_life_is_that_of_naive_rl_in_the_training_loop():
+    """Interventions every 7 steps, attempts of 5 steps, and goal changes every 4, one in each lane, and faults in all."""
+    problem, method = make_problem(OneGoal()), tiny_method("naive", 3, episode_length=5)
+    rules, steps = lane_rules([7, 0, 0], [0.0] * 3, [0, 0, 4]), 40
+    state = train_steps(problem, method, make_train_state(problem, method, [0, 1, 2], rules=rules), steps, warmup=True)
+    actions, states = state.replay.action[:steps], state.replay.state[1 : steps + 1]
+    lives, results = live(problem.env, problem.protocol, actions, rules=rules, attempt_steps=5)
+    np.testing.assert_array_equal(lives.obs[..., :1], states)
+    ours, theirs = lives.counters, state.lanes.counters.replace(diagnostics={})
+    assert_equal_trees(jax.tree.map(lambda leaf: leaf[-1], ours), theirs)
+    assert (theirs.faults > 0).all()
+    broken = results.end.fault[1:]
+    np.testing.assert_array_equal(results.next_obs[1:][broken], lives.obs[:-1][broken])
+    assert (theirs.reached > 0).all()
+    assert results.end.timeout.sum() > theirs.interventions.sum()
+
+
+def test_goals_change_at_the_end_of_an_attempt_or_by_schedule():
+    rules = lane_rules([0, 9, 0], [0.0] * 3, [0, 0, 10])
+    lives, results = live(
+        Chain(cliff=9, goal=6), Protocol(0, 5), np.full((60, 1, 1), LEFT), rules=rules, attempt_steps=4
+    )
+    assert (results.next_obs[1:, :, 1] == lives.obs[:-1, :, 1]).all(), "a step is made under the goal before it"
+    changes = results.next_obs[..., 1] != lives.obs[..., 1]
+    assert changes.any(axis=0).all()
+    assert not (changes[:, :2] & ~results.end.phase_ended[:, :2]).any()
+    assert {10, 20, 30, 40, 50, 60} >= set(1 + np.flatnonzero(changes[:, 2]))
+    assert (results.reward == (results.next_obs[..., 0] == results.next_obs[..., 1])).all()
+    np.testing.assert_array_equal(results.success, results.reward == 1)
+
+
+@pytest.fixture(scope="module")
+def own_goal():
+    """Two lives, deployment and continuing, that stay at 0, a goal of their own, for 12 steps with interventions."""
+    env = OneGoal(fragile=False)
+
+    @jax.jit
+    @jax.vmap
+    def run(key, rules):
+        life = set_goal(env, init(env, Protocol(5, 5), key).replace(rules=rules), jnp.zeros(1))
+        life, results = jax.lax.scan(lambda life, _: advance(env, life, jnp.full(1, LEFT)), life, length=12)
+        return life, results, set_goal(env, life), intervene(env, life)
+
+    return jax.device_get(run(KEYS[:2], lane_rules([5, 5], [0.0, 0.0], [0, 7])))
+
+
+def test_a_goal_of_the_agents_own_stays_and_earns_nothing_for_the_life(own_goal):
+    lives, results, *_ = own_goal
+    np.testing.assert_array_equal(results.next_obs[..., 1], 0.0)
+    np.testing.assert_array_equal(results.reward, 1.0)
+    np.testing.assert_array_equal(lives.counters.interventions, 2)
+    np.testing.assert_array_equal(lives.counters.window_reward, 0.0)
+    np.testing.assert_array_equal(lives.counters.reached, 0)
+    np.testing.assert_array_equal(lives.counters.phases.reached, [[0, 12], [0, 12]])
+
+
+def test_the_environment_chooses_again_when_asked_and_at_an_intervention(own_goal):
+    lives, _, freed, reset = own_goal
+    for chosen, interventions in ((freed, 2), (reset, 3)):
+        np.testing.assert_array_equal(chosen.obs[:, 1], 3.0)
+        np.testing.assert_array_equal(chosen.counters.interventions, interventions)
+        assert not chosen.goal_is_set.any()
+        assert not np.array_equal(jax.random.key_data(chosen.key), jax.random.key_data(lives.key))
+
+
+def test_both_scores_of_a_life_of_two_windows():
+    env, protocol = OneGoal(fragile=False), Protocol(0, 4, eval_episodes=3)
+
+    @jax.jit
+    def run(key):
+        def window(life, _):
+            life, _ = jax.lax.scan(lambda life, _: advance(env, life, jnp.full(1, RIGHT)), life, length=4)
+            return evaluate(env, protocol, life, lambda obs: jnp.full(1, jnp.where(obs[0] < 2, RIGHT, LEFT)))
+
+        return jax.lax.scan(window, init(env, protocol, key), length=2)
+
+    life, metrics = run(KEYS[0])
+    np.testing.assert_array_equal(metrics["deployed/success"], 0.0)
+    np.testing.assert_array_equal(metrics["continuing/reward"], [1 / 4, 1 / 8])
+    np.testing.assert_array_equal(metrics["continuing/recent"], [1 / 4, 0.0])
+    np.testing.assert_array_equal(metrics["continuing/forward_success"], [1.0, np.nan])
+    assert int(life.evaluated_at) == int(life.step) == 8
+    scores = lifetime_scores(np.array([4, 8]), metrics, "deployed/success")
+    assert [float(score) for score in scores] == [0.0, 0.0, 1 / 8]
+
+
+def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
+    env, help_ = HelpBudget(OneGoal(fragile=False), budget=2.0), np.array([LEFT, RIGHT])
+    lives, results = live(env, Protocol(0, 4), np.broadcast_to(help_, (3, 1, 2)))
+    np.testing.assert_array_equal(results.terminated[:, 0], [False, True, True])
+    np.testing.assert_array_equal(lives.has_ended, results.terminated)
+    ended = jax.tree.map(lambda leaf: leaf[-1, 0], lives)
+    measure = jax.jit(lambda life: evaluate(env, Protocol(0, 4), life, lambda obs: jnp.array([RIGHT, RIGHT])))
+    metrics = measure(ended)[1]
+    assert {name: float(value) for name, value in metrics.items() if name.startswith(("help/", "deployed/"))} == {
+        "help/asked": 2.0,
+        "help/enforced": 0.0,
+        "help/budget": 0.0,
+        "help/over": 1.0,
+        "deployed/success": 1.0,
+        "deployed/return": 1.0,
+    }
+
+
+def test_an_attempt_has_at_least_one_step():
+    with pytest.raises(ValueError, match="attempt_steps must lie in"):
+        init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
