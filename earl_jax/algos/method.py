@@ -185,10 +185,12 @@ def controller_count(method: Method) -> int:
 
 
 def of_phase(values: list[Any], phase: jax.Array) -> Any:
-    """Return the static value of `values` that belongs to `phase []`; without a lookup where all are equal."""
+    """Return the static value of `values` that belongs to `phase []`, by as few operations as they need."""
+    if all(value == values[0] for value in values):
+        return values[0]
+    if values == list(range(len(values))) and not isinstance(values[0], bool):
+        return phase
     result = values[-1]
-    if all(value == result for value in values):
-        return result
     for number, value in reversed(list(enumerate(values[:-1]))):
         result = jax.numpy.where(phase == number, value, result)
     return result
