@@ -32,6 +32,8 @@ class Driver:
         DRIVERS.append(self)
 
     def __getattr__(self, name):
+        if name not in cuda.FUNCTIONS:
+            raise AttributeError(name)
         return self.functions.get(name, lambda *_: 0)
 
     def allocate(self, address, size, _):
@@ -58,7 +60,7 @@ class Driver:
 @pytest.fixture
 def driver(monkeypatch):
     fake = Driver()
-    monkeypatch.setattr(cuda, "_driver", lambda: fake)
+    monkeypatch.setattr(cuda, "driver", lambda: fake)
     return fake
 
 

@@ -1,5 +1,7 @@
-"""Work on the host inside jitted programs: one call or two for all lanes, errors, and programs that a cache stores."""
+"""Work on the host inside jitted programs: one call or two for all lanes, errors, the cache, and the fallback."""
 
+import functools
+import os
 import subprocess
 import sys
 
@@ -10,7 +12,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.physics.host_call import service
-from tests.conftest import CACHE
+from tests.conftest import CACHE, TESTS, assert_equal_trees, tiny_train
 from tests.envs.programs import first_state, program
 
 HOST_ERRORS = (ValueError, RuntimeError)
@@ -76,3 +78,55 @@ def test_a_program_with_physics_on_the_host_is_cached_for_the_next_process():
     total, hit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert hit == "True"
     assert float(total) == float(state.obs.sum())
+
+
+def test_on_another_accelerator_a_callback_does_a_whole_step_in_its_second_part(monkeypatch):
+    env = make("sawyer_door", engine="c")
+    simulator, state, command = env.simulator, first_state(env).data, jnp.ones(2)
+    expected = simulator.step(state, command)
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    monkeypatch.setattr(service, "is_foreign", functools.cache(service.is_foreign.__wrapped__))
+    with pytest.warns(RuntimeWarning, match="cuda.*jax.pure_callback"):
+        pending = simulator.start_step(state, command)
+    assert pending.ticket is None
+    assert_equal_trees(simulator.finish_step(state, pending), expected)
+
+
+REFUSED = """
+import sys, warnings
+from functools import partial
+import jax, numpy as np
+from jax.sharding import AxisType, PartitionSpec
+from earl_jax.physics.host_call import service, xla_ffi
+from tests.conftest import tiny_train, to_numpy
+
+xla_ffi.MAJOR_VERSION += 1
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always", RuntimeWarning)
+    result = tiny_train("naive", "sawyer_door", steps=60, eval_every=20)
+    service.register("test.increase", lambda rows, stream: rows + 1, 101)
+print(*[warning.message for warning in caught if warning.category is RuntimeWarning], sep="\\n")
+np.savez(sys.argv[1], *map(to_numpy, jax.tree.leaves((result.metrics, result.train_state))))
+
+mesh, lanes = jax.make_mesh((2,), ("lanes",), axis_types=(AxisType.Auto,)), PartitionSpec("lanes")
+increase = jax.vmap(partial(service.step, "test.increase", width=101))
+ten_times = lambda rows: jax.lax.scan(lambda rows, _: (increase(rows), None), rows, length=10)[0]
+run = jax.shard_map(ten_times, mesh=mesh, in_specs=lanes, out_specs=lanes, check_vma=False)
+assert (np.asarray(jax.jit(run)(np.zeros((2000, 101), np.float32))) == 10).all()
+"""
+TWO_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
+
+
+def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_alike_with_one_warning(tmp_path):
+    """In a process whose handlers claim another major version; each device passes more than XLA copies at once."""
+    file, environment = tmp_path / "leaves.npz", {**os.environ, "XLA_FLAGS": TWO_DEVICES}
+    command = [sys.executable, "-c", REFUSED, str(file)]
+    run = subprocess.run(
+        command, env=environment, cwd=TESTS.parent, capture_output=True, text=True, check=True, timeout=300
+    )
+    (warning,) = run.stdout.splitlines()
+    assert "version" in warning
+    assert "jax.pure_callback" in warning
+    result = tiny_train("naive", "sawyer_door", steps=60, eval_every=20)
+    with np.load(file) as leaves:
+        assert_equal_trees(list(leaves.values()), (result.metrics, result.train_state))

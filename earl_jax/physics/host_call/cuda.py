@@ -21,15 +21,29 @@ DEPTH = 4
 PORTABLE_AND_MAPPED, UNTIMED, AT_LEAST = 3, 2, 0
 """CUDA's flags for host memory that is portable and mapped, for events without timing, and for a wait until >= a
 value."""
+FUNCTIONS = (
+    "cuCtxGetCurrent", "cuCtxSetCurrent", "cuEventCreate", "cuEventRecord", "cuEventSynchronize", "cuMemHostAlloc",
+    "cuMemcpyDtoHAsync_v2", "cuMemcpyHtoDAsync_v2", "cuMemsetD32Async", "cuStreamWaitValue32_v2",
+)  # fmt: skip
+"""The functions of CUDA's driver that a stream calls."""
 
 
 @functools.cache
-def _driver() -> Any:
-    return ctypes.CDLL("libcuda.so.1")
+def driver() -> Any:
+    """Return CUDA's driver library.
+
+    Raises:
+        OSError: there is none.
+        AttributeError: it lacks one of `FUNCTIONS`.
+    """
+    library = ctypes.CDLL("libcuda.so.1")
+    for function in FUNCTIONS:
+        getattr(library, function)
+    return library
 
 
 def _cuda(function: str, *arguments: Any) -> None:
-    code = getattr(_driver(), function)(*arguments)
+    code = getattr(driver(), function)(*arguments)
     if code:
         raise RuntimeError(f"{function} failed with CUDA error {code}")
 

@@ -1,11 +1,12 @@
 """Work on the host inside a jitted program: it maps rows in a device's memory to new rows.
 
 `jax.pure_callback` could do the same, but the persistent compilation cache never stores a program with a callback, each
-call takes three times as long, and a GPU waits until the host has answered. XLA identifies a foreign function by its
-name. On a GPU, the function only queues copies and waits in the stream, so the operations of a program between `start`
-and `finish` run concurrently.
+call takes three times as long, and a GPU waits until the host has answered. It is the fallback where XLA refuses the
+foreign function. XLA identifies a foreign function by its name. On a GPU, the function only queues copies and waits in
+the stream, so the operations of a program between `start` and `finish` run concurrently.
 """
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.physics.host_call.cuda import Stream
+from earl_jax.physics.host_call import callback
+from earl_jax.physics.host_call.cuda import Stream, driver
 from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
 
 Serve = Callable[[np.ndarray, int], np.ndarray]
@@ -65,15 +67,30 @@ class Service:
         return self.streams[stream]
 
 
+@functools.cache
+def is_foreign() -> bool:
+    """Return whether XLA takes foreign functions in this process; if it does not, warn of the cause."""
+    try:
+        if jax.default_backend() != "cpu":
+            jax.devices("cuda")  # an error on other accelerators, for which there is no target
+            driver()
+        for platform in ("cpu", "CUDA"):
+            _register_target("earl_jax.probe", platform, lambda frame: None)
+    except Exception as error:
+        callback.warn(error)
+        return False
+    return True
+
+
 def register(name: str, serve: Serve, width: int) -> None:
-    """Register `serve` with XLA; its answers have `width` columns.
+    """Register `serve`, whose answers have `width` columns, with XLA if it takes foreign functions.
 
     The targets are `<name>.step` on a CPU, and `<name>.start` and `<name>.finish` on a CPU and on CUDA.
     """
     known = name in _SERVICES
     if not known or _SERVICES[name].serve is not serve:
         _SERVICES[name] = Service(serve, width)
-    if known:
+    if known or not is_foreign():
         return
     targets = {
         ("step", "cpu"): Service.step,
@@ -83,18 +100,26 @@ def register(name: str, serve: Serve, width: int) -> None:
         ("finish", "CUDA"): Service.finish_in_stream,
     }
     for (part, platform), work in targets.items():
-        target = handler(lambda frame, work=work: work(_SERVICES[name], frame))
-        _HANDLERS[f"{name}.{part}", platform] = target
-        jax.ffi.register_ffi_target(f"{name}.{part}", jax.ffi.pycapsule(target), platform=platform)
+        _register_target(f"{name}.{part}", platform, lambda frame, work=work: work(_SERVICES[name], frame))
+
+
+def _register_target(target: str, platform: str, work: Callable[[Frame], None]) -> None:
+    _HANDLERS[target, platform] = handler(work)
+    jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(_HANDLERS[target, platform]), platform=platform)
 
 
 def step(name: str, row: jax.Array, width: int) -> jax.Array:
-    """Return the answer [width] of service `name` to one lane's `row [k]`, on a CPU; vmap makes a single call."""
+    """Return the answer [width] of service `name` to one lane's `row [k]`; vmap makes a single call.
+
+    The foreign function has this target on a CPU only; the callback works on all platforms.
+    """
+    if not is_foreign():
+        return callback.step(lambda rows: _SERVICES[name].serve(rows, 0), row, width)
     return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
 
 
 def start(name: str, row: jax.Array) -> jax.Array:
-    """Start the work on one lane's `row [k]` and return its ticket [1]."""
+    """Start the work on one lane's `row [k]` and return its ticket [1]; only if `is_foreign()`."""
     return _call(f"{name}.start", row, TICKET)
 
 

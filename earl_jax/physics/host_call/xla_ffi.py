@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+MAJOR_VERSION = 0
+"""The version of the interface below; XLA refuses to register a handler of another major version than its own."""
 METADATA, INTERNAL = 1, 13
 """The type of an extension that requests the version, and the code of an internal error."""
 
@@ -113,7 +115,7 @@ def handler(work: Callable[[Frame], None]) -> Any:
         frame = pointer.contents
         if frame.extension and frame.extension.contents.type == METADATA:
             metadata, version = frame.extension.contents.metadata.contents, frame.api.contents.version
-            metadata.version.major, metadata.version.minor, metadata.traits = version.major, version.minor, 0
+            metadata.version.major, metadata.version.minor, metadata.traits = MAJOR_VERSION, version.minor, 0
             return None
         try:
             work(frame)
