@@ -1,5 +1,6 @@
 """The command that describes tasks, methods, learners and presets: list. It imports only the classes of other packages."""
 
+import dataclasses
 import textwrap
 from importlib.metadata import EntryPoint
 from itertools import chain
@@ -10,7 +11,7 @@ from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.cli.catalog import LOCATE, TASK_CELLS, names, stored
 from earl_jax.errors import InputError
-from earl_jax.options.presets import LENGTHS, PRESETS
+from earl_jax.options.presets import PRESETS
 
 WIDTH = 80
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
@@ -22,7 +23,7 @@ METHOD_ROW = "{:<12}{:<6}{:<16}"
 LEARNER_ROW = "{:<12}{:<6}"
 LEARNER_NOTE = "A method learns with sac, or with another learner: train --learner NAME. Both have options (--set)."
 PRESET_ROW = "{:<12}{:>5}{:>12}{:>10}"
-PRESET_NOTE = """A preset is a name for seeds, lengths and options of the learner: train --preset NAME, \
+PRESET_NOTE = """A preset is a name for seeds, a schedule and options of the learner: train --preset NAME, \
 preset = "NAME" in a sweep file, earl_jax.preset(NAME, TASK) in Python. What is given besides wins."""
 MORE = "earl-jax list NAME describes a task, a method or a learner with all of its options; --json prints everything."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
@@ -61,7 +62,7 @@ def describe_all() -> dict[str, Any]:
 
 
 def describe(kind: str, name: str) -> dict[str, Any]:
-    """Return what a task, method, learner or preset is: sizes or source, policies and options; of a preset its lengths.
+    """Return what a task, method, learner or preset is: sizes or source, policies and options; of a preset its schedule.
 
     One whose class cannot be loaded, or that several packages claim, has the key `error` instead.
     """
@@ -97,8 +98,12 @@ def _policies(name: str) -> dict[str, Any]:
 
 def _preset(name: str) -> dict[str, Any]:
     """Return the description of a preset, whose steps are None where they are those of the paper for the task."""
-    summary, lengths, options = PRESETS[name]
-    return {"kind": "preset", "name": name, "summary": summary, **LENGTHS, "steps": None, **lengths, "values": options}
+    preset = PRESETS[name]
+    schedule = dataclasses.asdict(preset.schedule) | ({"steps": None} if preset.published_steps else {})
+    return {
+        "kind": "preset", "name": name, "summary": preset.summary, "seeds": preset.seeds, **schedule,
+        "values": preset.options,
+    }  # fmt: skip
 
 
 def _overview(everything: dict[str, Any]) -> str:

@@ -43,12 +43,12 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
     began = time.perf_counter()
     steps = steps or PRESET["steps"]
     every = PRESET["eval_every"] if steps % PRESET["eval_every"] == 0 else steps
-    lengths = {"steps": steps, "eval_every": every, "checkpoint_every": steps}
     print(CHANGES.format(steps=steps, seeds=PRESET["seeds"], episodes=PRESET["eval_episodes"], every=every))
     if steps == PRESET["steps"]:
         print(EXPECTED.format(low=RANGE[0], high=RANGE[1], last=LAST))
     run = out / ALGO
-    result = train(ENV, ALGO, out=run, progress=True, **{**PRESET, **lengths})
+    values = preset("quick", ENV, steps=steps, eval_every=every, checkpoint_every=steps)
+    result = train(ENV, ALGO, out=run, progress=True, **values)
     figure = plot_runs([run], out / "curves.png", smooth=LAST)
     table = out / "table.md"
     rows = tabulate([run], last=LAST)

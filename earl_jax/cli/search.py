@@ -23,7 +23,7 @@ def search(
         out: Folder of the runs and of search.journal, which has all trials.
         trials: Number of options to try.
         batch: Number of runs that train together, as lanes of one program where only floats differ.
-        rungs: Number of lengths at which runs are scored; those below the median end there. 1 lets all run to their end.
+        rungs: Number of steps at which runs are scored; those below the median end there. 1 lets all run to their end.
         seed: Random seed of the options; the seeds of training are in the file.
     """
     limit = parse_minutes(minutes)

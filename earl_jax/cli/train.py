@@ -2,11 +2,10 @@
 
 import inspect
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from earl_jax.cli.arguments import (
     JSON,
-    SEEDS,
     Devices,
     Engine,
     Hosts,
@@ -20,9 +19,13 @@ from earl_jax.cli.arguments import (
     parse_options,
 )
 from earl_jax.errors import InputError
-from earl_jax.options.presets import ALGO, LENGTHS
-from earl_jax.options.presets import preset as named_preset
-from earl_jax.options.values import parse_seeds
+from earl_jax.options.presets import ALGO, Preset, named_preset
+from earl_jax.options.schedule import Schedule
+
+if TYPE_CHECKING:
+    from earl_jax.algos import Method
+    from earl_jax.envs import Env
+    from earl_jax.protocol import Setting
 
 
 def train(
@@ -59,7 +62,7 @@ def train(
         out: New folder for config.json, metrics.csv and checkpoints.
         config: Run folder, or a config.json, of a run to repeat, in place of the task, the method and their options. --seeds
             takes other seeds. By default none.
-        preset: Lengths, seeds and options by name, from `earl-jax list`; what is given besides wins. By default none.
+        preset: Seeds, schedule and options by name, from `earl-jax list`; what is given besides wins. By default none.
         eval_every: Steps between evaluations. By default 10,000, or those of --preset.
         eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
         checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
@@ -71,59 +74,77 @@ def train(
     from earl_jax.training import api
 
     join_hosts(hosts)
-    every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
-    given = {
-        "algo": algo,
-        "learner": learner,
-        "steps": steps,
-        **every,
-        "preset": preset,
-        "setting": setting,
-        "set": set,
-    }
-    task, values = _objects_by_name(env, given) if config is None else _objects_of_run(config, env, given)
-    if seeds is not None:
-        values["seeds"] = parse_seeds(seeds, SEEDS)
-    values |= {"engine": engine, "out": out, "logs": log, "overwrite": overwrite, "devices": devices}
-    result = api.train(task, **values, progress=True, minutes=limit)
+    if config is None:
+        task, method, rules, known_seeds, schedule = _by_name(env, algo, learner, setting, preset, steps, set)
+    else:
+        every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
+        _refuse_changes(env, algo=algo, learner=learner, steps=steps, **every, preset=preset, setting=setting, set=set)
+        task, method, rules, known_seeds, schedule = _of_run(config)
+    schedule = schedule.changed(
+        steps=steps, eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every
+    )
+    result = api.train(
+        task,
+        method,
+        setting=rules,
+        engine=engine,
+        seeds=known_seeds if seeds is None else seeds,
+        steps=schedule.steps,
+        eval_every=schedule.eval_every,
+        eval_episodes=schedule.eval_episodes,
+        out=out,
+        checkpoint_every=schedule.checkpoint_every,
+        logs=log,
+        overwrite=overwrite,
+        progress=True,
+        devices=devices,
+        minutes=limit,
+    )
     _emit_result(result, out, json)
 
 
-def _objects_by_name(env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the task `env`, and the arguments of `api.train` for the options `given`."""
+def _by_name(
+    env: str | None,
+    algo: str,
+    learner: str | None,
+    setting: str,
+    preset: str | None,
+    steps: int | None,
+    pairs: tuple[str, ...],
+) -> tuple["Env", "Method", "Setting", int, Schedule]:
+    """Return the task, the method, the setting, the number of seeds and the schedule of names and name=value `pairs`."""
     from earl_jax import algos
     from earl_jax.training import api
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
-    pairs, name = parse_options(given["set"]), given["preset"]
-    lengths = {key: value for key, value in given.items() if key in LENGTHS and value is not None}
-    values = {**LENGTHS, **lengths} if name is None else named_preset(name, env, **lengths)
-    options = {key: value for key, value in values.items() if key not in LENGTHS}
-    task, setting, options = api.split_options(env, {**options, "setting": given["setting"], **pairs})
-    lengths = {key: values[key] for key in LENGTHS}
-    options = options if given["learner"] is None else {"learner": given["learner"], **options}
-    return task, {**lengths, "setting": setting, "algo": algos.method_for(task, given["algo"], **options)}
+    chosen = Preset() if preset is None else named_preset(preset, env, steps)
+    named = {"setting": setting} if learner is None else {"setting": setting, "learner": learner}
+    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(pairs)})
+    return task, algos.method_for(task, algo, **options), rules, chosen.seeds, chosen.schedule
 
 
-def _objects_of_run(path: Path, env: str | None, given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the task of the run at `path`, and the arguments of `api.train` that repeat it.
-
-    Raises:
-        ValueError: there is no valid config at `path`, or a task or an option is given too.
-    """
-    from earl_jax.runs.folder import RunFolder, read_config
-
+def _refuse_changes(env: str | None, **given: Any) -> None:
+    """Raise an InputError that names the task `env` or the arguments `given` that are not the defaults of `train`."""
     defaults = inspect.signature(train).parameters
     changed = [f"--{name.replace('_', '-')}" for name, value in given.items() if value != defaults[name].default]
     if env is not None or changed:
         named = ", ".join(changed) or f"the task {env!r}"
         raise InputError(f"--config repeats a run as it is: leave out {named}")
+
+
+def _of_run(path: Path) -> tuple["Env", "Method", "Setting", tuple[int, ...], Schedule]:
+    """Return the task, the method, the setting, the seeds and the schedule of the run at `path`.
+
+    Raises:
+        ValueError: there is no valid config at `path`.
+    """
+    from earl_jax.runs.folder import RunFolder, read_config
+
     if not path.exists():
         raise InputError(f"--config takes a run folder or a config.json, and {path} does not exist")
     config = RunFolder.open(path).config if path.is_dir() else read_config(path)[0]
-    values = {name: getattr(config, name) for name in LENGTHS}
-    return config.build_env(), {**values, "algo": config.build_method(), "setting": config.build_setting()}
+    return config.build_env(), config.build_method(), config.build_setting(), config.seeds, config.schedule
 
 
 def resume(

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.options.schedule import Schedule
+from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import COUNT, TimeLimit, require
 from earl_jax.paper.artefact import Block, Options
 from earl_jax.paper.curves import CURVES
@@ -38,8 +40,8 @@ class Scale:
     seeds: int
     share: float = 1.0
     steps: int | None = None
-    eval_every: int = 10_000
-    eval_episodes: int = 10
+    eval_every: int = Schedule.eval_every
+    eval_episodes: int = Schedule.eval_episodes
     tasks: int | None = None
     """Number of a result's tasks to run, the first ones; None for all."""
     blocks: int | None = None
@@ -118,9 +120,10 @@ def grid_text(
 ) -> str:
     """Return the runs of an artefact as a grid in TOML, which `earl-jax sweep` reads. Arguments and errors as `reproduce`."""
     made, chosen = _lookup("experiment", ARTEFACTS, name), _lookup("scale", SCALES, scale)
-    for option, value in (("seeds", seeds), ("steps", steps)):
-        if value is not None:
-            require(option, value, COUNT)
+    if seeds is not None:
+        seed_list(seeds)
+    if steps is not None:
+        require("steps", steps, COUNT)
     for task in tasks:
         if task not in made.tasks:
             raise InputError(f"{name} has no task {task!r}; choose from {', '.join(made.tasks)}")

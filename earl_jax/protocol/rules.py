@@ -13,6 +13,7 @@ import numpy as np
 from earl_jax.envs import Env, State
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError
+from earl_jax.options.schedule import Schedule
 
 
 class Rules(NamedTuple):
@@ -114,9 +115,9 @@ class Protocol:
     """H_T: steps between hard interventions, which reset the environment to s0 ~ rho; 0 for never."""
     eval_horizon: int
     """H_E: steps of an evaluation episode."""
-    eval_every: int = 10_000
+    eval_every: int = Schedule.eval_every
     """Training steps between deployed evaluations."""
-    eval_episodes: int = 10
+    eval_episodes: int = Schedule.eval_episodes
     """Episodes of one deployed evaluation."""
     intervention_chance: float = 0.0
     """epsilon: probability of a hard intervention after a step, p~ = (1 - epsilon) p + epsilon rho."""

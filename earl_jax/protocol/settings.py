@@ -11,6 +11,7 @@ from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
 from earl_jax.envs.wrappers.without_help import plain_task
 from earl_jax.errors import InputError
+from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, within
 from earl_jax.protocol.rules import Protocol
 
@@ -47,7 +48,9 @@ class Setting:
             return task
         return HelpBudget(task=task, **{name: getattr(self, name) for name in HELP_FIELDS})
 
-    def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
+    def protocol(
+        self, env: Env, eval_every: int = Schedule.eval_every, eval_episodes: int = Schedule.eval_episodes
+    ) -> Protocol:
         """Return the protocol of a lifetime in `env`."""
         return Protocol(
             train_horizon=env.train_horizon,
@@ -86,7 +89,9 @@ class Continuing(Setting):
 
     name: ClassVar[str] = "continuing"
 
-    def protocol(self, env: Env, eval_every: int = 10_000, eval_episodes: int = 10) -> Protocol:
+    def protocol(
+        self, env: Env, eval_every: int = Schedule.eval_every, eval_episodes: int = Schedule.eval_episodes
+    ) -> Protocol:
         """Return the protocol of a lifetime in `env`."""
         return dataclasses.replace(
             super().protocol(env, eval_every, eval_episodes),

@@ -3,8 +3,7 @@
 import dataclasses
 import functools
 import json
-import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,13 @@ import numpy as np
 from earl_jax.algos import Method, algo_class, make_algo, preset_learner
 from earl_jax.envs import Env, env_class, make
 from earl_jax.errors import InputError, brief
-from earl_jax.options.values import COUNT, SEED, Interval, check_intervals, require
+from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
+from earl_jax.options.seeds import seed_list
+from earl_jax.options.values import check_intervals
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
 Row = dict[str, float]
 """One row of metrics.csv: the metrics of one seed at one evaluation."""
-MOST_SEEDS = 2**16
-EPISODES = Interval("[1, 100000]")
-"""The valid numbers of episodes of an evaluation."""
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
 DEEPEST = 8
@@ -28,7 +26,7 @@ DEEPEST = 8
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
-    """The names, options that differ from the defaults, seeds and lengths of a run.
+    """The names, options that differ from the defaults, seeds and schedule of a run.
 
     The objects of a run are resolved once and passed along with its config. `build_env` and the other builders are for
     runs that are read from a folder. `env_class` and `algo_class` name the class of an object that its registered name
@@ -65,45 +63,20 @@ class RunConfig:
         reserved = RESERVED & {*self.env_options, *self.options}
         if reserved:
             raise InputError(f"there is no option {min(reserved)!r}")
-        self._check_seeds_and_lengths()
-
-    def _check_seeds_and_lengths(self) -> None:
-        whole = [self.steps, self.eval_every, self.eval_episodes, self.checkpoint_every, *self.seeds]
-        if any(isinstance(number, bool) or not isinstance(number, numbers.Integral) for number in whole):
-            raise InputError(
-                "steps, eval_every, eval_episodes, checkpoint_every and seeds must be whole numbers, "
-                f"not {brief(whole)}"
-            )
-        _check_count(self.seeds)
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise InputError(f"seeds must be at least one and distinct, not {brief(list(self.seeds))}")
-        require("seeds", list(self.seeds), SEED)
-        for field in ("steps", "eval_every", "checkpoint_every"):
-            require(field, getattr(self, field), COUNT)
-        require("eval_episodes", self.eval_episodes, EPISODES)
-        if self.steps % self.eval_every:
-            raise InputError(f"steps {self.steps} is not a multiple of eval_every {self.eval_every}")
+        seed_list(self.seeds)
+        self.schedule.check()
+        require_whole_windows(self.steps, self.eval_every)
 
     @classmethod
     def from_objects(
-        cls,
-        env: Env,
-        method: Method,
-        setting: Setting,
-        *,
-        seeds: Sequence[int],
-        steps: int,
-        eval_every: int,
-        eval_episodes: int,
-        checkpoint_every: int,
+        cls, env: Env, method: Method, setting: Setting, seeds: tuple[int, ...], schedule: Schedule
     ) -> "RunConfig":
-        """Return the config of built objects; `eval_every` is at most `steps`.
+        """Return the config of built objects, whose `eval_every` is at most the steps of `schedule`.
 
         Raises:
-            InputError: an option is outside its interval, or a length or the number of seeds is invalid.
+            InputError: an option is outside its interval, or a number of `schedule` or a seed is invalid.
         """
-        _check_count(seeds)
-        require("eval_every", eval_every, COUNT)
+        schedule.check()
         task, setting = split_setting(env, setting)
         parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
         for owner, options in parts:
@@ -113,15 +86,20 @@ class RunConfig:
             env_options=_changed_options(task),
             algo=method.name,
             options=method_options(method),
-            seeds=tuple(seeds),
-            steps=steps,
-            eval_every=min(eval_every, steps),
-            eval_episodes=eval_episodes,
-            checkpoint_every=checkpoint_every,
+            seeds=seeds,
+            steps=schedule.steps,
+            eval_every=min(schedule.eval_every, schedule.steps),
+            eval_episodes=schedule.eval_episodes,
+            checkpoint_every=schedule.checkpoint_every,
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),
         )
+
+    @property
+    def schedule(self) -> Schedule:
+        """The steps of the run, its evaluations and its checkpoints."""
+        return Schedule(**{name: getattr(self, name) for name in FIELDS})
 
     @property
     def values(self) -> dict[str, Any]:
@@ -210,11 +188,6 @@ def _changed_options(options: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that differ from its defaults."""
     fields = {field.name: field.default for field in dataclasses.fields(options)}
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
-
-
-def _check_count(seeds: Sequence[int]) -> None:
-    if len(seeds[MOST_SEEDS : MOST_SEEDS + 1]):  # a range can have more values than len() can count
-        raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
 
 
 def _check_values(owner: str, values: Any) -> None:

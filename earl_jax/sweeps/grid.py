@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.options.presets import LENGTHS, preset
-from earl_jax.options.values import seed_list
-from earl_jax.runs.config import MOST_SEEDS
+from earl_jax.options.presets import Preset, named_preset
+from earl_jax.options.schedule import FIELDS, Schedule
+from earl_jax.options.seeds import seed_list
 
-KEYS = ("preset", "envs", "algos", *LENGTHS, "options")
+KEYS = ("preset", "envs", "algos", "seeds", *FIELDS, "options")
 MOST_RUNS = 10_000
 """The largest number of runs in a grid."""
 LONGEST = 150
@@ -26,16 +26,13 @@ LONGEST = 150
 
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
-    """One run of a grid: a task, a method, one combination of options, seeds and lengths."""
+    """One run of a grid: a task, a method, one combination of options, seeds and a schedule."""
 
     env: str
     algo: str
     options: dict[str, Any]
     seeds: tuple[int, ...]
-    steps: int
-    eval_every: int
-    eval_episodes: int
-    checkpoint_every: int
+    schedule: Schedule
 
     @property
     def name(self) -> str:
@@ -86,13 +83,13 @@ def block_specs(block: dict[str, Any]) -> Iterator[RunSpec]:
             raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
     envs, algos = _names(block, "envs"), _names(block, "algos")
     for env in envs:
-        own = _with_preset(block, env)
-        lengths = {key: _whole(key, own.get(key, default)) for key, default in LENGTHS.items()}
-        seeds = seed_list(lengths.pop("seeds"))[: MOST_SEEDS + 1]  # the config of a run refuses so many
-        alternatives = _alternatives(options_of(own))
+        preset = named_preset(str(block["preset"]), env, block.get("steps")) if "preset" in block else Preset()
+        schedule = preset.schedule.changed(**{key: _whole(key, block[key]) for key in FIELDS if key in block})
+        seeds = seed_list(_whole("seeds", block.get("seeds", preset.seeds)))
+        alternatives = _alternatives({**_as_toml(preset.options), **options_of(block)})
         for algo, *values in itertools.product(algos, *alternatives.values()):
             options = dict(zip(alternatives, values, strict=True))
-            yield RunSpec(env=env, algo=algo, options=options, seeds=tuple(seeds), **lengths)
+            yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, schedule=schedule)
 
 
 def options_of(block: dict[str, Any]) -> dict[str, Any]:
@@ -103,14 +100,9 @@ def options_of(block: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _with_preset(block: dict[str, Any], env: str) -> dict[str, Any]:
-    """Return `block` with the lengths and options of its preset, if it names one, for a task; its own values win."""
-    if "preset" not in block:
-        return block
-    values = preset(str(block["preset"]), env, **{key: block[key] for key in LENGTHS if key in block})
-    lengths = {key: values.pop(key) for key in LENGTHS}
-    options = {name: [list(value)] if isinstance(value, tuple) else value for name, value in values.items()}
-    return {**block, **lengths, "options": {**options, **options_of(block)}}
+def _as_toml(options: dict[str, Any]) -> dict[str, Any]:
+    """Return `options` as a grid has them: a list holds alternatives, of which each value is one."""
+    return {name: [list(value)] if isinstance(value, tuple) else value for name, value in options.items()}
 
 
 def _names(block: dict[str, Any], key: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""A search for options on Optuna: batches of runs are lanes of one program, scored at several lengths; the worse ones end early.
+"""A search for options on Optuna: batches of runs are lanes of one program, scored at several steps; the worse ones end early.
 
 Optuna's journal holds all that a search remembers. Samplers are made anew for every trial, so that a search that was killed
 proposes what it would have proposed.
@@ -19,6 +19,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.crossings import recent_scores
+from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
@@ -62,7 +63,7 @@ def search(
         out: the folder of the runs and of search.journal, which has the trials.
         trials: the number of options to try.
         batch: the number of runs that train together, in one program where only floats differ.
-        rungs: the number of lengths, equally spaced, at which runs are scored, and those below the median end; 1 prunes none.
+        rungs: the number of steps, equally spaced, at which runs are scored, and those below the median end; 1 prunes none.
         seed: seed of Optuna's sampler.
         devices, emit, minutes: as those of `launcher.sweep`.
 
@@ -74,12 +75,12 @@ def search(
             raise InputError(f"{name} must be at least {least}, not {number}")
     optuna()
     base, spaces, sampler = read_space(space)
-    lengths = _lengths(base, rungs)
+    rung_steps = _rung_steps(base.schedule, rungs)
     limit = TimeLimit.of(minutes)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
-        study = _open_study(out / TRIALS, repr((base, spaces, sampler, lengths, seed)))
-        state = Search(base, spaces, out, lengths, study, emit, devices, limit)
+        study = _open_study(out / TRIALS, repr((base, spaces, sampler, rung_steps, seed)))
+        state = Search(base, spaces, out, rung_steps, study, emit, devices, limit)
         while (ended := state.train_batch()) and len(study.trials) < trials:  # first what an earlier call began
             for number in range(len(study.trials), min(len(study.trials) + batch, trials)):
                 study.sampler = _sampler(sampler, seed, number)
@@ -91,12 +92,12 @@ def search(
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """A search in the folder `out`: its common run `base`, Optuna's `spaces` of the options, its `lengths` and its study."""
+    """A search in the folder `out`: its common run `base`, Optuna's `spaces` of the options, its `rung_steps` and its study."""
 
     base: grid.RunSpec
     spaces: dict[str, Any]
     out: Path
-    lengths: tuple[int, ...]
+    rung_steps: tuple[int, ...]
     study: Any
     emit: Callable[[str], None]
     devices: int | None
@@ -116,11 +117,11 @@ class Search:
         return [trial for trial in self.study.trials if not trial.state.is_finished()]
 
     def train_batch(self) -> bool:
-        """Train the running trials through all lengths, and return whether that came to its end."""
-        for steps in self.lengths:
+        """Train the running trials through all rungs, and return whether that came to its end."""
+        for steps in self.rung_steps:
             trials = [trial for trial in self._running() if steps not in trial.intermediate_values]
             options = [{**self.base.options, **self._options(trial)} for trial in trials]
-            specs = [dataclasses.replace(self.base, options=own, steps=steps) for own in options]
+            specs = [_spec_to(steps, dataclasses.replace(self.base, options=own)) for own in options]
             if specs:
                 self._train(specs)
             for trial, spec in zip(trials, specs, strict=True):
@@ -141,8 +142,8 @@ class Search:
             path = self.out / spec.name
             if (path / CONFIG).is_file():
                 folder = RunFolder.open(path)
-                steps = max(spec.steps, folder.config.steps)  # an equal trial may be longer
-                spec = dataclasses.replace(spec, steps=folder.extended(steps).config.steps)
+                steps = max(spec.schedule.steps, folder.config.steps)  # an equal trial may be longer
+                spec = _spec_to(folder.extended(steps).config.steps, spec)
             configs[spec.name] = planned_run(spec, self.out).run.config
 
         def report(name: str, state: str, detail: str) -> None:
@@ -156,9 +157,9 @@ class Search:
             raise
 
     def _conclude(self, steps: int) -> None:
-        """End the trials that have reached the last length; at another one, prune those that score below the median.
+        """End the trials that have reached the last rung; at another one, prune those that score below the median.
 
-        It is the median of all trials at this length. That of Optuna's pruner is of finished trials, so a first batch
+        It is the median of all trials at this rung. That of Optuna's pruner is of finished trials, so a first batch
         would not be pruned.
         """
         scores = [trial.intermediate_values.get(steps, math.nan) for trial in self.study.trials]
@@ -166,7 +167,7 @@ class Search:
             if trial.last_step != steps:
                 continue
             score, state = trial.intermediate_values[steps], "continues"
-            if steps == self.lengths[-1]:
+            if steps == self.rung_steps[-1]:
                 state = "done"
                 self.study.tell(trial.number, score)
             elif not score >= np.nanmedian(scores):
@@ -241,11 +242,16 @@ def _sampler(name: str, seed: int, number: int) -> Any:
     return samplers.TPESampler(seed=seed + number, constant_liar=True)  # the liar keeps the trials of a batch apart
 
 
-def _lengths(base: grid.RunSpec, rungs: int) -> tuple[int, ...]:
-    """Return the steps of each rung, multiples of `eval_every` that end with the whole length."""
-    every = base.eval_every
-    lengths = {max(every, round(base.steps * rung / rungs / every) * every) for rung in range(1, rungs)}
-    return (*sorted(steps for steps in lengths if steps < base.steps), base.steps)
+def _spec_to(steps: int, spec: grid.RunSpec) -> grid.RunSpec:
+    """Return the run `spec` with another number of steps."""
+    return dataclasses.replace(spec, schedule=spec.schedule.changed(steps=steps))
+
+
+def _rung_steps(schedule: Schedule, rungs: int) -> tuple[int, ...]:
+    """Return the steps of each rung, multiples of `eval_every`, up to those of the `schedule`."""
+    every, steps = schedule.eval_every, schedule.steps
+    below = {max(every, round(steps * rung / rungs / every) * every) for rung in range(1, rungs)}
+    return (*sorted(rung for rung in below if rung < steps), steps)
 
 
 def _score(path: Path, steps: int) -> float | None:

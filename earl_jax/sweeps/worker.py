@@ -13,7 +13,6 @@ from typing import Any
 
 from earl_jax.algos import method_for
 from earl_jax.errors import InputError, is_input_error
-from earl_jax.options.presets import LENGTHS
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -55,12 +54,10 @@ class PlannedRun:
     def group_key(self) -> Hashable:
         """Return the properties that all runs of one program have in common."""
         config, env = self.run.config, self.run.env
-        lengths = (config.steps, config.eval_every, config.eval_episodes, config.checkpoint_every, self.step)
-        lengths += (self.run.protocol.alive_steps,)
         task = (
             env if env.has_absorbing_state else dataclasses.replace(env, train_horizon=1)
         )  # lanes carry the horizon as data
-        return task, lengths, program_structure(self.run.method)
+        return task, config.schedule, self.step, self.run.protocol.alive_steps, program_structure(self.run.method)
 
     def replay_bytes(self) -> int:
         """Return the bytes of the replay buffers of all lanes."""
@@ -116,8 +113,7 @@ def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     try:
         env, setting, options = split_options(spec.env, spec.options)
         method = method_for(env, spec.algo, **options)
-        lengths = {name: getattr(spec, name) for name in LENGTHS}
-        config = RunConfig.from_objects(env, method, setting, **lengths)
+        config = RunConfig.from_objects(env, method, setting, spec.seeds, spec.schedule)
         run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
         path = out / spec.name

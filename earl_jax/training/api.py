@@ -14,7 +14,9 @@ from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
 from earl_jax.options.presets import ALGO
-from earl_jax.options.values import TimeLimit, seed_list
+from earl_jax.options.schedule import Schedule
+from earl_jax.options.seeds import SEEDS, seed_list
+from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
@@ -75,12 +77,12 @@ def train(
     *,
     setting: str | Setting = Deployment.name,
     engine: str | None = None,
-    seeds: int | str | Sequence[int] = 5,
-    steps: int = 100_000,
-    eval_every: int = 10_000,
-    eval_episodes: int = 10,
+    seeds: int | str | Sequence[int] = SEEDS,
+    steps: int = Schedule.steps,
+    eval_every: int = Schedule.eval_every,
+    eval_episodes: int = Schedule.eval_episodes,
     out: str | Path | None = None,
-    checkpoint_every: int = 100_000,
+    checkpoint_every: int = Schedule.checkpoint_every,
     logs: Sequence[str | Log] = (),
     overwrite: bool = False,
     progress: bool = False,
@@ -119,16 +121,23 @@ def train(
     """
     limit = TimeLimit.of(minutes)
     task = with_engine(make(env) if isinstance(env, str) else env, engine)
-    every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
-    run = _new_run(task, algo, setting, options, seeds=seed_list(seeds), steps=steps, **every)
+    schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
+    run = _new_run(task, algo, setting, options, seed_list(seeds), schedule)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
 
 
-def _new_run(env: Env, algo: str | Method, setting: str | Setting, options: dict[str, Any], **lengths: Any) -> Run:
-    """Return the run of `algo` on `env`, with help if the setting has a budget, and with `lengths`. Errors as `train`."""
+def _new_run(
+    env: Env,
+    algo: str | Method,
+    setting: str | Setting,
+    options: dict[str, Any],
+    seeds: tuple[int, ...],
+    schedule: Schedule,
+) -> Run:
+    """Return the run of `algo` on `env`, with help if the setting has a budget. Errors as `train`."""
     setting = setting_of(setting) if isinstance(setting, str) else setting
     env, setting = split_setting(env, setting)
     env = setting.wrap(env)
@@ -140,7 +149,7 @@ def _new_run(env: Env, algo: str | Method, setting: str | Setting, options: dict
         )
     else:
         method = algo
-    return Run.resolve(RunConfig.from_objects(env, method, setting, **lengths), env, method, setting)
+    return Run.resolve(RunConfig.from_objects(env, method, setting, seeds, schedule), env, method, setting)
 
 
 def resume(
@@ -162,7 +171,7 @@ def resume(
         folder: a run folder.
         env: the task, for a run that was trained on an object of a class that is not registered.
         algo: the method, likewise.
-        steps: a new length of the run.
+        steps: a new number of training steps.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
         minutes: a limit of wall-clock time, as in `train`; it counts from this call on.

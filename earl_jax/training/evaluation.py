@@ -12,8 +12,7 @@ from earl_jax.envs.state import all_finite
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
-from earl_jax.options.values import SEED, require
-from earl_jax.runs.config import EPISODES
+from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy

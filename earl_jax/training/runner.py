@@ -125,7 +125,7 @@ def _evaluate(
 def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
     """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
 
-    The runs must have the same env, lengths, `program_structure` of their methods and step of their newest checkpoint.
+    The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)

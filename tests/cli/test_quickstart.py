@@ -31,8 +31,8 @@ def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(as
     code, out, _ = run("quickstart", "--out", tmp_path)
     assert code == 0
     assert (asked["env"], asked["algo"]) == (TABLETOP, "fbrl")
-    lengths = PRESETS["quick"].lengths
-    assert {name: asked[name] for name in lengths} == lengths
+    quick = PRESETS["quick"]
+    assert (asked["seeds"], asked["steps"], asked["eval_every"]) == (2, quick.schedule.steps, quick.schedule.eval_every)
     last = np.arange(10)[-quickstart.LAST :].mean() * 0.09
     assert f"mean of the last {quickstart.LAST} evaluations {last:.2f}, best 0.81" in out
     low, high = quickstart.RANGE

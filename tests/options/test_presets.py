@@ -1,35 +1,17 @@
-"""Presets, and the defaults that the shell, sweep files and Python share."""
-
-import inspect
+"""Presets: arguments of `train` by name."""
 
 import pytest
 
 import earl_jax
-from earl_jax.cli.train import train as command
-from earl_jax.options.presets import ALGO, LENGTHS, PRESETS
-from earl_jax.sweeps import grid
-from earl_jax.training import train
-
-
-def test_the_shell_sweep_files_and_python_have_the_same_defaults(tmp_path):
-    shared = {name: value.default for name, value in inspect.signature(train).parameters.items()}
-    assert {name: shared[name] for name in LENGTHS} == LENGTHS
-    parameters = inspect.signature(command).parameters
-    assert shared["algo"] == parameters["algo"].default == ALGO
-    assert all(parameters[name].default is None for name in LENGTHS)  # so that a preset is told from a default
-    help_text = " ".join(command.__doc__.split())
-    for name, value in LENGTHS.items():
-        assert f"By default {value:,}" in help_text, name
-    (tmp_path / "grid.toml").write_text("envs = 'e'\nalgos = 'a'")
-    [spec] = grid.read(tmp_path / "grid.toml")
-    assert {name: getattr(spec, name) for name in LENGTHS} == {**LENGTHS, "seeds": tuple(range(LENGTHS["seeds"]))}
+from earl_jax.options.presets import PRESETS
+from earl_jax.options.schedule import FIELDS
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_is_arguments_of_train(name):
     values = earl_jax.preset(name, "sawyer_door", seeds=3)
-    options = {key: value for key, value in values.items() if key not in LENGTHS}
-    assert set(values) - set(options) == set(LENGTHS)
+    options = {key: value for key, value in values.items() if key not in ("seeds", *FIELDS)}
+    assert set(values) - set(options) == {"seeds", *FIELDS}
     assert values["seeds"] == 3
     changed = earl_jax.make_algo("fbrl", **options).learner
     assert {key: getattr(changed, key) for key in options} == options

@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax import InputError, make, make_algo, train
 from earl_jax.cli.arguments import parse_minutes, parse_options
-from earl_jax.options.values import Interval, TimeLimit, check, parse_seeds, parse_whole, seed_list
+from earl_jax.options.values import Interval, TimeLimit, check, parse_whole
 from earl_jax.protocol import setting_of
 
 
@@ -110,28 +110,6 @@ def test_whole_numbers_can_have_an_exponent(text, number):
 def test_a_number_that_is_not_whole_or_too_large_is_refused(text):
     with pytest.raises(ValueError, match="whole number"):
         parse_whole(text)
-
-
-@pytest.mark.parametrize(
-    ("seeds", "expected"),
-    [
-        ("5", range(5)), ("5:10", range(5, 10)), ("3,5,8", [3, 5, 8]), ("1:3,8", [1, 2, 8]), ("4:5", [4]), (3, range(3)),
-        ([4, 2], [4, 2]), (np.array([5, 7]), [5, 7]), (range(2, 4), [2, 3]),
-    ],
-)  # fmt: skip
-def test_seeds_are_a_count_a_range_or_a_list_as_text_or_not(seeds, expected):
-    assert list(seed_list(seeds)) == list(expected)
-    if isinstance(seeds, str):
-        parsed = parse_seeds(seeds)
-        assert isinstance(parsed, int) == (seeds == "5")
-
-
-@pytest.mark.parametrize(
-    "seeds", ["10:5", "5:5", "1:2:3", "a", "5:", ",", "", "0:99999999999,1", [0.5, 1], 2.0, None, ["3"]]
-)
-def test_other_seeds_are_refused(seeds):
-    with pytest.raises(InputError, match=r"^seeds" if isinstance(seeds, str) else "seeds must be whole numbers"):
-        seed_list(seeds)
 
 
 def test_a_limit_counts_from_its_construction(monkeypatch):

@@ -8,6 +8,7 @@ from matplotlib.image import imread
 
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
+from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -30,7 +31,7 @@ def write_run(
 ):
     """Write a run whose seeds score `deployed [N, E]` at `steps [E]`, and return its path.
 
-    Steps are 10, 20, ... by default; `planned` is the length in the config. `metrics` holds further metrics, each of
+    Steps are 10, 20, ... by default; `planned` is the number in the config. `metrics` holds further metrics, each of
     which broadcasts to [N, E].
     """
     scores = np.asarray(deployed, float)
@@ -39,11 +40,8 @@ def write_run(
         make(env, **(env_options or {})),
         make_algo(algo, **options),
         setting or Deployment(),
-        seeds=seeds or range(len(scores)),
-        steps=planned or steps[-1],
-        eval_every=steps[0],
-        eval_episodes=2,
-        checkpoint_every=10,
+        tuple(seeds or range(len(scores))),
+        Schedule(steps=planned or steps[-1], eval_every=steps[0], eval_episodes=2, checkpoint_every=10),
     )
     folder = RunFolder.create(path, config, engine="kinematic")
     values = {"deployed/success": scores, "deployed/return": scores, **(metrics or {})}

@@ -10,6 +10,7 @@ import pytest
 
 from earl_jax import resume
 from earl_jax.errors import InputError
+from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.report.runs import read
 from earl_jax.runs import checkpoint
@@ -20,7 +21,7 @@ from earl_jax.runs.table import COLUMNS
 from earl_jax.sweeps.worker import open_folder
 from earl_jax.training import api
 from tests.cli.process import run, snapshot
-from tests.conftest import TINY_RUN, make_train_state, tiny_method
+from tests.conftest import make_train_state, tiny_method
 from tests.runs import damage
 
 
@@ -32,8 +33,8 @@ def state(problem):
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory, env, state):
     """The folder of a finished run, and that of a run whose newest checkpoint is of step 80."""
-    lengths = {**TINY_RUN, "seeds": (0, 1), "checkpoint_every": 40}
-    config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), **lengths)
+    schedule = Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40)
+    config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), (0, 1), schedule)
     folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, env.engine)
     for step in (40, 80, 120):
         folder.append(config.rows(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)}))

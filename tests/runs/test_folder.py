@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from earl_jax import make, make_algo
+from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -32,11 +33,8 @@ def folder(tmp_path):
         env,
         make_algo("fbrl", discount=0.9),
         Deployment(),
-        seeds=(3, 5),
-        steps=120,
-        eval_every=40,
-        eval_episodes=2,
-        checkpoint_every=40,
+        (3, 5),
+        Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40),
     )
     return RunFolder.create(tmp_path / "run", config, env.engine)
 

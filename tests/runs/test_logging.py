@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from earl_jax import make, make_algo, train
+from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -18,8 +19,8 @@ METRICS = {40: {"deployed/success": np.array([0.0, 1.0])}, 80: {"deployed/succes
 
 def make_folder(path, *logs):
     env = make("tabletop_organization")
-    lengths = {"seeds": (3, 5), "steps": 120, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
-    config = RunConfig.from_objects(env, make_algo("naive"), Deployment(), **lengths)
+    schedule = Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40)
+    config = RunConfig.from_objects(env, make_algo("naive"), Deployment(), (3, 5), schedule)
     return RunFolder.create(path, config, env.engine, logs)
 
 

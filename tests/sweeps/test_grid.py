@@ -2,6 +2,7 @@
 
 import pytest
 
+from earl_jax.options.schedule import Schedule
 from earl_jax.sweeps import grid
 
 RUN = "envs = 'e'\nalgos = 'a'\n"
@@ -25,7 +26,7 @@ def test_every_combination_is_a_run_with_its_own_folder(tmp_path):
     first = specs[0]
     assert first.name == "tabletop_organization/naive/hidden_sizes=16x16,layer_norm=true,reward_scale=1"
     assert first.options == {"hidden_sizes": [16, 16], "layer_norm": True, "reward_scale": 1}
-    assert (first.seeds, first.steps, first.eval_every, first.checkpoint_every) == ((0, 1), 400, 10_000, 100_000)
+    assert (first.seeds, first.schedule) == ((0, 1), Schedule(steps=400))
 
 
 def test_name_of_a_run_does_not_depend_on_other_runs(tmp_path):
@@ -55,8 +56,7 @@ seeds = [7]
 options = { epsilon = [0.1, 0.3], reward_scale = 2 }
 """
     specs = read(tmp_path, BASE + tables)
-    lengths = {(spec.env, spec.algo): (spec.steps, spec.seeds) for spec in specs}
-    assert lengths == {
+    assert {(spec.env, spec.algo): (spec.schedule.steps, spec.seeds) for spec in specs} == {
         ("tabletop_organization", "naive"): (400, (0, 1)),
         ("tabletop_organization", "oracle"): (400, (0, 1)),
         ("sawyer_door", "naive"): (800, (0, 1)),
@@ -66,16 +66,16 @@ options = { epsilon = [0.1, 0.3], reward_scale = 2 }
     options = [(spec.options["epsilon"], spec.options["reward_scale"]) for spec in specs if spec.algo == "vaprl"]
     assert options == [(0.1, 2), (0.3, 2)]
     only = read(tmp_path, "steps = 40\n[[runs]]\nenvs = 'e'\nalgos = 'a'\n")
-    assert [(spec.name, spec.steps) for spec in only] == [("e/a/default", 40)]
+    assert [(spec.name, spec.schedule.steps) for spec in only] == [("e/a/default", 40)]
 
 
 def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
     envs = "preset = 'strong'\nenvs = ['tabletop_organization', 'sawyer_door']\nalgos = 'naive'\n"
     specs = read(tmp_path, envs + "options.layer_norm = false")
-    assert [(spec.steps, len(spec.seeds)) for spec in specs] == [(2_500_000, 5), (4_000_000, 5)]
+    assert [(spec.schedule.steps, len(spec.seeds)) for spec in specs] == [(2_500_000, 5), (4_000_000, 5)]
     assert specs[0].options == {"layer_norm": False, "timeout_bootstrap": True}
     [quick] = read(tmp_path, f"{RUN}preset = 'quick'\nseeds = [7]\neval_every = 40\n")
-    assert (quick.seeds, quick.eval_every, quick.options["hidden_sizes"]) == ((7,), 40, [64, 64])
+    assert (quick.seeds, quick.schedule.eval_every, quick.options["hidden_sizes"]) == ((7,), 40, [64, 64])
 
 
 @pytest.mark.parametrize(

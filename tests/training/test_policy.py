@@ -13,6 +13,7 @@ from benchmarks import pretrained as packing
 from earl_jax import assets
 from earl_jax.envs import HelpBudget, make
 from earl_jax.metrics.deployed import deployed
+from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -27,8 +28,8 @@ NAME = "tabletop_organization"
 def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_actor_if_there_is_one(tmp_path, averaged):
     task, method = make(NAME), tiny_method("naive")
     helped = HelpBudget(task, budget=5.0)
-    lengths = {"seeds": (0, 1), "steps": 40, "eval_every": 40, "eval_episodes": 1, "checkpoint_every": 40}
-    config = RunConfig.from_objects(helped, method, Deployment(), **lengths)
+    schedule = Schedule(steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40)
+    config = RunConfig.from_objects(helped, method, Deployment(), (0, 1), schedule)
     run = runner.Run.resolve(config, helped, method)
     run.folder = RunFolder.create(tmp_path / "run", config, helped.engine, ())
     lanes = make_train_state(make_problem(helped), method, [0, 1]).lanes

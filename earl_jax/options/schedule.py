@@ -1,0 +1,42 @@
+"""The schedule of a run, with the defaults of all ways to start one."""
+
+import dataclasses
+import numbers
+
+from earl_jax.errors import InputError, brief
+from earl_jax.options.values import COUNT, EPISODES, require, within
+
+
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """How long each seed trains, and when it is evaluated and saved."""
+
+    steps: int = dataclasses.field(default=100_000, metadata=within(COUNT))
+    """Training steps of each seed."""
+    eval_every: int = dataclasses.field(default=10_000, metadata=within(COUNT))
+    """Steps between evaluations."""
+    eval_episodes: int = dataclasses.field(default=10, metadata=within(EPISODES))
+    """Greedy episodes of each deployed evaluation."""
+    checkpoint_every: int = dataclasses.field(default=100_000, metadata=within(COUNT))
+    """Steps between checkpoints."""
+
+    def changed(self, **changes: int | None) -> "Schedule":
+        """Return this schedule with those of the `changes` that are not None."""
+        return dataclasses.replace(self, **{name: value for name, value in changes.items() if value is not None})
+
+    def check(self) -> None:
+        """Raise an InputError that names a value that is not a whole number in its interval."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, numbers.Integral):
+                raise InputError(f"{field.name} must be a whole number, not {brief(value)}")
+            require(field.name, value, field.metadata["interval"])
+
+
+FIELDS = tuple(field.name for field in dataclasses.fields(Schedule))
+
+
+def require_whole_windows(steps: int, eval_every: int) -> None:
+    """Raise an InputError unless training ends with an evaluation: `steps` is a positive multiple of `eval_every`."""
+    if steps < 1 or steps % eval_every:
+        raise InputError(f"steps {steps} is not a multiple of eval_every {eval_every}")

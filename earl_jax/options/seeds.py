@@ -1,0 +1,52 @@
+"""The seeds of a run: a number of them, a range or a list, and the one check of all of them."""
+
+import itertools
+import operator
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from earl_jax.errors import InputError, brief
+from earl_jax.options.values import SEED, parse_whole, require
+
+SEEDS = 5
+"""The default of `train`, of the command line and of sweep files."""
+MOST_SEEDS = 2**16
+
+
+def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
+    """Return the seeds of an argument: a number of them (5 for 0 to 4), `"5:10"` without its end, `"3,5,8"`, or a list.
+
+    Raises:
+        InputError: it is none of them, or names no seed, one twice, more than `MOST_SEEDS`, or one outside `SEED`.
+    """
+    named: Any = _parsed(seeds) if isinstance(seeds, str) else seeds
+    try:
+        some = named if isinstance(named, Iterable) else range(_whole(named))
+        whole = tuple(map(_whole, itertools.islice(some, MOST_SEEDS + 1)))  # a range can be endless
+    except TypeError:
+        raise InputError(f"seeds must be whole numbers, not {brief(seeds)}") from None
+    if len(whole) > MOST_SEEDS:
+        raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
+    if not whole or len(set(whole)) < len(whole):
+        raise InputError(f"seeds must be at least one and distinct, not {brief(list(whole))}")
+    require("seeds", list(whole), SEED)
+    return whole
+
+
+def _whole(seed: Any) -> int:
+    if isinstance(seed, bool):
+        raise TypeError
+    return operator.index(seed)
+
+
+def _parsed(text: str) -> int | Iterable[int]:
+    """Return the count or the seeds that `text` names."""
+    try:
+        parts = [[parse_whole(end) for end in part.split(":")] for part in text.split(",") if part]
+    except ValueError as error:
+        raise InputError(f"seeds: {error}") from None
+    if not parts or any(len(part) > 2 or part[0] >= part[-1] for part in parts if len(part) > 1):
+        raise InputError(f"seeds takes a count (5), a range (5:10, without 10) or a list (3,5,8), not {brief(text)}")
+    if len(parts) == len(parts[0]) == 1:
+        return parts[0][0]
+    return itertools.chain(*(range(part[0], part[-1] + (len(part) == 1)) for part in parts))

@@ -1,0 +1,52 @@
+"""The schedule of a run: its defaults, which all ways to start a run share, and its checks."""
+
+import dataclasses
+import inspect
+
+import pytest
+
+from earl_jax.cli.train import train as command
+from earl_jax.errors import InputError
+from earl_jax.options.presets import ALGO
+from earl_jax.options.schedule import FIELDS, Schedule
+from earl_jax.options.seeds import SEEDS
+from earl_jax.paper.reproduce import SCALES
+from earl_jax.protocol import Continuing, Deployment, Protocol
+from earl_jax.sweeps import grid
+from earl_jax.training import train
+
+
+def test_the_shell_sweep_files_and_python_have_the_same_defaults(tmp_path, env):
+    shared = {name: value.default for name, value in inspect.signature(train).parameters.items()}
+    assert Schedule(**{name: shared[name] for name in FIELDS}) == Schedule()
+    assert shared["seeds"] == SEEDS
+    parameters = inspect.signature(command).parameters
+    assert shared["algo"] == parameters["algo"].default == ALGO
+    assert all(
+        parameters[name].default is None for name in ("seeds", *FIELDS)
+    )  # so that a preset is told from a default
+    help_text = " ".join(command.__doc__.split())
+    for name, value in {"seeds": SEEDS, **dataclasses.asdict(Schedule())}.items():
+        assert f"By default {value:,}" in help_text, name
+    (tmp_path / "grid.toml").write_text("envs = 'e'\nalgos = 'a'")
+    [spec] = grid.read(tmp_path / "grid.toml")
+    assert (spec.seeds, spec.schedule) == (tuple(range(SEEDS)), Schedule())
+    for evaluated in (Protocol(200, 200), Deployment().protocol(env), Continuing().protocol(env), SCALES["full"]):
+        assert (evaluated.eval_every, evaluated.eval_episodes) == (Schedule.eval_every, Schedule.eval_episodes)
+
+
+def test_changes_that_are_none_keep_a_value():
+    assert Schedule(steps=40).changed(steps=None, eval_every=20) == Schedule(steps=40, eval_every=20)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (0, "must lie in"), (2**31, "must lie in"), (1.5, "must be a whole number"), (True, "must be a whole number"),
+        ("40", "must be a whole number"), (None, "must be a whole number"),
+    ],
+)  # fmt: skip
+def test_other_values_are_refused_by_name(name, value, message):
+    with pytest.raises(InputError, match=f"^{name} {message}"):
+        dataclasses.replace(Schedule(), **{name: value}).check()
