@@ -62,12 +62,12 @@ def _window(
     Steps of the warm-up and steps that learn are one piece of the program, because XLA takes seconds to compile the
     physics of each piece on MJX.
     """
-    chunks = plan.problem.protocol.eval_every // plan.chunk
+    chunks = plan.problem.protocol.eval_every // plan.chunk_steps
 
     def chunk(carry, index):
-        warmup: Warmup = (number * chunks + index) * plan.chunk < plan.random_steps
+        warmup: Warmup = (number * chunks + index) * plan.chunk_steps < plan.random_steps
         if plan.random_steps == 0 or plan.steps <= plan.random_steps:
             warmup = plan.random_steps > 0
-        return run_steps(plan.problem, method, carry, plan.chunk, warmup), None
+        return run_steps(plan.problem, method, carry, plan.chunk_steps, warmup), None
 
     return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, jnp.arange(chunks))[0])

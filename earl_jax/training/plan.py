@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Hashable, Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.errors import InputError
+from earl_jax.options.schedule import require_whole_windows
 from earl_jax.training import memory
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.init import replay_capacity
@@ -20,16 +20,9 @@ LONGEST_CHUNK = 1000
 """Steps of a jitted call at most: half a minute of five lanes with the paper's networks on two CPU cores."""
 
 
-class Span(NamedTuple):
-    """A number of consecutive chunks, which act uniformly at random with `warmup`, else by the policy."""
-
-    chunks: int
-    warmup: bool
-
-
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A program of `lanes` lanes and `steps` steps, in jitted calls of `chunk` steps.
+    """A program of `lanes` lanes and `steps` steps, in chunks, which are jitted calls of `chunk_steps` steps.
 
     `capacity`: rows of the replay; `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices
     that share the lanes, None for one device; `memory`: the memory that the program needs.
@@ -39,7 +32,7 @@ class Plan:
     lanes: int
     steps: int
     capacity: int
-    chunk: int
+    chunk_steps: int
     random_steps: int
     mesh: Mesh | None
     memory: memory.MemoryEstimate
@@ -49,13 +42,11 @@ class Plan:
         """The name of the physics engine that steps the task, or `kinematic`."""
         return self.problem.env.resolved_engine
 
-    def spans(self, start: int) -> list[Span]:
-        """Return the chunks from step `start`, a multiple of `chunk`, to the next evaluation."""
+    def warmups(self, start: int) -> list[bool]:
+        """Return whether each chunk from step `start`, a multiple of `chunk_steps`, to the next evaluation is warm-up."""
         every = self.problem.protocol.eval_every
-        stop = (start // every + 1) * every
-        middle = min(max(self.random_steps, start), stop)
-        parts = ((start, middle, True), (middle, stop, False))
-        return [Span((end - first) // self.chunk, warmup) for first, end, warmup in parts if first < end]
+        steps = range(start, (start // every + 1) * every, self.chunk_steps)
+        return [step < self.random_steps for step in steps]
 
 
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
@@ -66,8 +57,7 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
             needs, the lanes don't divide over the devices, or the program does not fit into their memory.
     """
     every = problem.protocol.eval_every
-    if steps < 1 or steps % every:
-        raise InputError(f"steps {steps} is not a multiple of eval_every {every}")
+    require_whole_windows(steps, every)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(
@@ -75,14 +65,14 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
         lanes=lanes,
         steps=steps,
         capacity=replay_capacity(problem, method, steps),
-        chunk=_chunk(math.gcd(method.learner.random_steps, every)),
+        chunk_steps=_chunk_steps(math.gcd(method.learner.random_steps, every)),
         random_steps=method.learner.random_steps,
         mesh=mesh,
         memory=need,
     )
 
 
-def _chunk(common: int) -> int:
+def _chunk_steps(common: int) -> int:
     """Return the largest divisor of `common` up to `LONGEST_CHUNK`, since signals and limits wait for the end of a chunk."""
     return max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
 

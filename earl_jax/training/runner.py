@@ -202,16 +202,15 @@ def _train_to_evaluation(
 
     A time limit lets at least one chunk run, so that repeated commands come to an end.
     """
-    for span in plan.spans(step):
-        for _ in range(span.chunks):
-            if stop.requested:
-                return state
-            start_time = time.perf_counter()
-            with bar.working("random actions" if span.warmup else "training"):
-                state = _advance(plan.problem, method, state, plan.chunk, span.warmup, plan.mesh)
-                state.step.block_until_ready()
-            bar.advance(plan.chunk, time.perf_counter() - start_time)
-            stop.check_time()
+    for warmup in plan.warmups(step):
+        if stop.requested:
+            return state
+        start_time = time.perf_counter()
+        with bar.working("random actions" if warmup else "training"):
+            state = _advance(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
+            state.step.block_until_ready()
+        bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
+        stop.check_time()
     return state
 
 

@@ -6,25 +6,27 @@ import jax.numpy as jnp
 import pytest
 
 from earl_jax.algos import make_algo
-from earl_jax.training.plan import Span, join_lanes, per_lane, prepare, program_structure
+from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
 from tests.conftest import tiny_method
 
 
-def test_spans_divide_the_steps_to_the_next_evaluation_at_the_end_of_exploration(problem):
+def test_the_chunks_to_the_next_evaluation_are_warm_up_until_the_random_steps_end(problem):
     plan = prepare(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
-    assert plan.chunk == 10
-    assert plan.spans(0) == [Span(4, warmup=True)]
-    assert plan.spans(40) == [Span(1, warmup=True), Span(3, warmup=False)]
-    assert plan.spans(80) == [Span(4, warmup=False)]
+    assert plan.chunk_steps == 10
+    assert plan.warmups(0) == [True] * 4
+    assert plan.warmups(40) == [True, False, False, False]
+    assert plan.warmups(50) == plan.warmups(90) == [False] * 3
+    assert plan.warmups(80) == [False] * 4
 
 
 @pytest.mark.parametrize(
-    ("random_steps", "every", "chunk"),
+    ("random_steps", "every", "chunk_steps"),
     [(1000, 10_000, 1000), (0, 10_000, 1000), (0, 40, 40), (8192, 4096, 512), (7, 40, 1)],
 )
-def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_steps, every, chunk):
+def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_steps, every, chunk_steps):
     problem = dataclasses.replace(problem, protocol=dataclasses.replace(problem.protocol, eval_every=every))
-    assert prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every).chunk == chunk
+    plan = prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every)
+    assert plan.chunk_steps == chunk_steps
 
 
 def test_steps_must_be_a_multiple_of_eval_every(problem):
