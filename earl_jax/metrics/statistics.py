@@ -43,7 +43,7 @@ def namespace_of(*arrays: Any) -> Any:
     return next((module for module in modules if module is not np), np)
 
 
-def plain(value: Any) -> Any:
+def as_float(value: Any) -> Any:
     """Return a NumPy scalar as a Python float, which tables and JSON take; a JAX array as it is."""
     return float(value) if namespace_of(value) is np else value
 
@@ -88,20 +88,20 @@ def summarise(scores: Any) -> Summary:
     if scores.ndim != 1 or not len(scores) or (xp is np and not np.isfinite(scores).all()):
         raise InputError(f"expected finite scores of at least one seed, got {scores}")
     low, high = bootstrap(scores)
-    return Summary(plain(scores.mean()), plain(stderr(scores)), plain(iqm(scores)), low, high, len(scores))
+    return Summary(as_float(scores.mean()), as_float(stderr(scores)), as_float(iqm(scores)), low, high, len(scores))
 
 
 def mean_of(scores: Any) -> Estimate:
     """Return the mean of `scores [seeds]` with its bootstrap interval."""
     xp = namespace_of(scores)
-    value = plain(xp.mean(scores))
+    value = as_float(xp.mean(scores))
     return Estimate(value, *bootstrap(scores, xp.mean)) if len(scores) > 1 else _without_interval(value)
 
 
 def difference(scores: Any, others: Any) -> Estimate:
     """Return mean(`scores`) - mean(`others`) of independent seeds, [seeds] each, with its bootstrap interval."""
     xp = namespace_of(scores, others)
-    value = plain(xp.mean(scores) - xp.mean(others))
+    value = as_float(xp.mean(scores) - xp.mean(others))
     if min(len(scores), len(others)) < 2:
         return _without_interval(value)
     rng = np.random.default_rng(0)
@@ -122,11 +122,11 @@ def relative_drop(before: Any, after: Any) -> Estimate:
     before, after = xp.asarray(before, float), xp.asarray(after, float)
     value = _drop(xp, before, after)
     if len(before) < 2:
-        return _without_interval(plain(value))
+        return _without_interval(as_float(value))
     picks = np.random.default_rng(0).integers(len(before), size=(RESAMPLES, len(before)))
     drops = xp.where(xp.isnan(value), 0.0, _drop(xp, before[picks], after[picks]))
     low, high = xp.nanquantile(drops, np.array([0.025, 0.975])) + 0.0 * value  # nan if the value is
-    return Estimate(plain(value), plain(low), plain(high))
+    return Estimate(as_float(value), as_float(low), as_float(high))
 
 
 def _drop(xp: Any, before: Any, after: Any) -> Any:
@@ -138,7 +138,7 @@ def _drop(xp: Any, before: Any, after: Any) -> Any:
 def percentile_interval(resampled: Any, ends: tuple[float, float] = (0.025, 0.975)) -> tuple[Any, Any]:
     """Return the quantiles `ends` of `resampled [R]`, by default the percentile interval of 95 %."""
     low, high = namespace_of(resampled).quantile(resampled, np.array(ends))
-    return plain(low), plain(high)
+    return as_float(low), as_float(high)
 
 
 def _without_interval(value: Any) -> Estimate:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.metrics.statistics import namespace_of, plain
+from earl_jax.metrics.statistics import as_float, namespace_of
 
 MEASURES = ("covered", "entropy", "concentration")
 TOP_SHARE = 0.01
@@ -31,7 +31,7 @@ def measure(visits: Any) -> dict[str, Any]:
     visited = shares[shares > 0] if xp is np else xp.where(shares > 0, shares, 1.0)  # 1 adds nothing to the entropy
     entropy = 0.0 - (visited * xp.log(visited)).sum() / math.log(max(flat.size, 2))
     values = (shares > 0).mean(), entropy, shares[: math.ceil(TOP_SHARE * flat.size)].sum()
-    return {name: plain(value) for name, value in zip(MEASURES, values, strict=True)}
+    return {name: as_float(value) for name, value in zip(MEASURES, values, strict=True)}
 
 
 def bin_centres(map_bounds: np.ndarray, bins: int) -> np.ndarray:

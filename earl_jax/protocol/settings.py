@@ -19,6 +19,12 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 """The fields that `Setting` and `HelpBudget` have in common."""
 
 
+def _as_in_help_budget(name: str, **changes: Any) -> Any:
+    """Return a field with the default and the interval that `HelpBudget` has, or with `changes`."""
+    [field] = [field for field in dataclasses.fields(HelpBudget) if field.name == name]
+    return dataclasses.field(**{"default": field.default, "metadata": field.metadata, **changes})
+
+
 @dataclasses.dataclass(frozen=True)
 class Setting:
     """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
@@ -26,16 +32,16 @@ class Setting:
     intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
     """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps. With 0 and
     `train_horizon=0` of the task there is none: full autonomy."""
-    budget: float | None = dataclasses.field(default=None, metadata=within("(0, 1000000000]"))
+    budget: float | None = _as_in_help_budget("budget", default=None)
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
-    help_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
+    help_cost: float = _as_in_help_budget("help_cost")
     """c(s, a_h): cost of a request for help, with a budget."""
-    enforced_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
+    enforced_cost: float = _as_in_help_budget("enforced_cost")
     """Cost of an intervention that the environment enforces in an irreversible state, with a budget."""
-    help_above: float = dataclasses.field(default=0.98, metadata=within("[-1, 1)"))
+    help_above: float = _as_in_help_budget("help_above")
     """Threshold on the last action component above which the agent requests help, with a budget."""
-    absorbed_reward: float = dataclasses.field(default=0.0, metadata=within("[-1000000000, 1000000000]"))
+    absorbed_reward: float = _as_in_help_budget("absorbed_reward")
     """Reward of every step after the budget is spent."""
     alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
     """Steps within which a lane that is alive reaches the goals of its phases, for the metric `continuing/alive`."""

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import DamagedWarning, make_folder, require_plain
+from earl_jax.runs.files import DamagedWarning, check_kind, make_folder
 from earl_jax.runs.hosts import first_host, gathered
-from earl_jax.runs.snapshot import filled, plain, spread, typed
+from earl_jax.runs.snapshot import filled, named_arrays, spread, typed
 
 PARTS = ("lanes", "replay", "_CHECKPOINT_METADATA", "commit_success.txt")
 """What is in a checkpoint."""
@@ -42,7 +42,7 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
 
     step = int(gathered(state.step))
     done = folder / f"{step:09d}"
-    lanes = gathered(plain(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
+    lanes = gathered(named_arrays(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
     replay = filled(state.replay, span)
     if not first_host():
         return done
@@ -64,7 +64,7 @@ def newest(folder: Path) -> int:
 
 def saved_steps(folder: Path) -> list[int]:
     """Return the steps of the checkpoints in `folder`, sorted; a link in its place is an InputError."""
-    require_plain(folder, stat.S_IFDIR)
+    check_kind(folder, stat.S_IFDIR)
     found = [path for path in folder.iterdir() if re.fullmatch(NAME, path.name)] if folder.is_dir() else []
     return sorted(int(path.name) for path in found if path.is_dir() and not path.is_symlink())
 
@@ -134,7 +134,7 @@ def _joined(*parts: Any) -> Any:
 def _lanes(folder: Path, arrays: dict[str, np.ndarray], size: int, like: Any) -> Any:
     """Return the `arrays` of a checkpoint in `folder` as `size` lanes in the structure of `like`."""
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like)
-    expected = jax.eval_shape(plain, shapes)
+    expected = jax.eval_shape(named_arrays, shapes)
     for name in expected.keys() & arrays.keys():
         if arrays[name].dtype == f"V{expected[name].dtype.itemsize}":  # as NumPy writes bfloat16
             arrays[name] = arrays[name].view(expected[name].dtype)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import NAME, PARTS, UNFINISHED, saved_steps
-from earl_jax.runs.files import LOCK, PART, require_plain
+from earl_jax.runs.files import LOCK, PART, check_kind
 from earl_jax.runs.table import table_text
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
@@ -51,12 +51,12 @@ def _below(path: Path) -> Iterator[Path]:
             yield from (Path(top, entry) for entry in folders + files)
 
 
-def require_plain_entries(path: Path) -> None:
+def check_entries(path: Path) -> None:
     """Raise an InputError that names a link or a special file, if there is one where a run at `path` writes."""
     for name in OWN_FILES:
-        require_plain(path / name)
+        check_kind(path / name)
     for name in FOLDERS:
-        require_plain(path / name, stat.S_IFDIR)
+        check_kind(path / name, stat.S_IFDIR)
     for entry in filter(Path.is_symlink, _below(path)):
         raise InputError(f"{entry} is a link, and a run writes through none; remove it")
 

@@ -14,7 +14,7 @@ from earl_jax.errors import InputError
 LOCK, PART = ".lock", ".part"
 WITHOUT_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}
 """Errors of file systems that have no locks."""
-NOT_PLAIN = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE}
+WRONG_KIND = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE}
 """Errors of opening a link, a folder or a pipe, which depend on the system."""
 
 
@@ -30,15 +30,15 @@ class UnlockedWarning(RunWarning):
     """The file system has no locks, so that other processes are not kept from writing."""
 
 
-def _not_plain(path: Path, wanted: str = "regular file") -> InputError:
+def _wrong_kind(path: Path, wanted: str = "regular file") -> InputError:
     return InputError(f"{path} is a link or not a {wanted}; remove it")
 
 
-def require_plain(path: Path, kind: int = stat.S_IFREG) -> None:
+def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
     """Raise an InputError if there is something else at `path` than what `kind` says, a regular file or a folder."""
     with contextlib.suppress(FileNotFoundError):
         if stat.S_IFMT(path.lstat().st_mode) != kind:
-            raise _not_plain(path, "folder" if kind == stat.S_IFDIR else "regular file")
+            raise _wrong_kind(path, "folder" if kind == stat.S_IFDIR else "regular file")
 
 
 @contextlib.contextmanager
@@ -50,17 +50,17 @@ def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> Iterator[Binar
     """
     with contextlib.ExitStack() as stack:
         try:
-            handle = stack.enter_context(open(path, mode, opener=_open_plain))
+            handle = stack.enter_context(open(path, mode, opener=_open_unfollowed))
         except OSError as error:
-            if error.errno in NOT_PLAIN:
-                raise _not_plain(path) from error
+            if error.errno in WRONG_KIND:
+                raise _wrong_kind(path) from error
             raise
         if not stat.S_ISREG(os.fstat(handle.fileno()).st_mode):
-            raise _not_plain(path)
+            raise _wrong_kind(path)
         yield handle
 
 
-def _open_plain(path: str, flags: int) -> int:
+def _open_unfollowed(path: str, flags: int) -> int:
     flags |= os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe would block
     try:
         return os.open(path, flags, 0o666)
@@ -93,7 +93,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         OSError: the file could not be written; an older one is unchanged.
     """
     part = path.with_name(path.name + PART)
-    require_plain(path)
+    check_kind(path)
     try:
         part.unlink(missing_ok=True)  # a kill left it, or it is a link
         try:
@@ -112,8 +112,8 @@ def append(path: Path, content: str) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Create the folder at `path`, unless it exists. Errors as `require_plain`."""
-    require_plain(path, stat.S_IFDIR)
+    """Create the folder at `path`, unless it exists. Errors as `check_kind`."""
+    check_kind(path, stat.S_IFDIR)
     path.mkdir(parents=True, exist_ok=True)
 
 

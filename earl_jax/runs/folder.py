@@ -82,7 +82,7 @@ class RunFolder:
         folder = cls(path, config, tuple(logs))
         with locked(path):
             _require_free(path, overwrite)
-            contents.require_plain_entries(path)
+            contents.check_entries(path)
             has_results = contents.has_results(path)
             removed = contents.clear(path)
             if has_results:
@@ -115,7 +115,7 @@ class RunFolder:
             yield
             return
         with locked(self.path):
-            contents.require_plain_entries(self.path)
+            contents.check_entries(self.path)
             if RunFolder.open(self.path).config.values != self.config.values:
                 raise InputError(f"another process has just started another run in {self.path}; choose another folder")
             yield

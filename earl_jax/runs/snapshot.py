@@ -19,7 +19,7 @@ def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def plain(tree: Any) -> dict[str, jax.Array]:
+def named_arrays(tree: Any) -> dict[str, jax.Array]:
     """Return the leaves of `tree` by their paths, such as `.agent.actor`; PRNG keys are words."""
     return {
         jax.tree_util.keystr(path): jax.random.key_data(leaf) if _is_key(leaf) else leaf
@@ -28,7 +28,7 @@ def plain(tree: Any) -> dict[str, jax.Array]:
 
 
 def typed(leaves: dict[str, np.ndarray], like: Any) -> Any:
-    """Return the `plain` arrays `leaves` as a tree of the structure of `like`."""
+    """Return the named arrays `leaves` as a tree of the structure of `like`."""
 
     def restore_leaf(path, shape):
         leaf = jnp.asarray(leaves[jax.tree_util.keystr(path)])

@@ -111,7 +111,7 @@ class Search:
         ]
 
     def _options(self, trial: Any) -> dict[str, Any]:
-        return {name: _plain(self.spaces[name], value) for name, value in trial.params.items()}
+        return {name: _option(self.spaces[name], value) for name, value in trial.params.items()}
 
     def _running(self) -> list[Any]:
         return [trial for trial in self.study.trials if not trial.state.is_finished()]
@@ -225,7 +225,7 @@ def _space(option: str, distribution: dict[str, Any]) -> Any:
         ) from error
 
 
-def _plain(space: Any, value: Any) -> Any:
+def _option(space: Any, value: Any) -> Any:
     """Return an option as Optuna proposed it, a float with four significant digits: the run's name has the exact value."""
     if isinstance(value, float):
         return min(max(float(f"{value:.4g}"), space.low), space.high)
