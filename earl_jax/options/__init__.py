@@ -1,1 +1,1 @@
-"""What a user can choose: tasks and methods by name, options and their intervals, presets, and shares of a machine."""
+"""What a user can choose: tasks and methods by name, options, seeds and schedules, presets, and shares of a machine."""
