@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from earl_jax.envs.starts import start_of
     from earl_jax.envs.state import State
     from earl_jax.envs.wrappers.help_budget import HelpBudget
-    from earl_jax.envs.wrappers.without_help import plain_task
+    from earl_jax.envs.wrappers.without_help import without_budget
 
 __all__ = [
     "PAPER_TASKS",
@@ -32,10 +32,10 @@ __all__ = [
     "list_envs",
     "locate_env",
     "make",
-    "plain_task",
     "register_env",
     "start_of",
     "with_engine",
+    "without_budget",
 ]
 
 _HOME = {
@@ -43,8 +43,8 @@ _HOME = {
     "HelpBudget": "wrappers.help_budget",
     "MujocoEnv": "mujoco_env",
     "State": "state",
-    "plain_task": "wrappers.without_help",
     "start_of": "starts",
+    "without_budget": "wrappers.without_help",
 }
 PAPER_TASKS = (
     "tabletop_organization",

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget
-from earl_jax.envs.wrappers.without_help import plain_task
+from earl_jax.envs.wrappers.without_help import without_budget
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, within
@@ -101,7 +101,7 @@ class Continuing(Setting):
         """Return the protocol of a lifetime in `env`."""
         return dataclasses.replace(
             super().protocol(env, eval_every, eval_episodes),
-            train_horizon=self._horizon(plain_task(env)),
+            train_horizon=self._horizon(without_budget(env)),
             goal_change=env.goal_change if self.goal_change is None else self.goal_change,
         )
 

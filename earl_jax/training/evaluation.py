@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import plain_task, start_of, with_engine
+from earl_jax.envs import start_of, with_engine, without_budget
 from earl_jax.envs.state import all_finite
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
@@ -51,7 +51,7 @@ def has_diverged(lane: LaneState) -> jax.Array:
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
     """Return the deployed evaluation of one lane's task controller after `step` steps, in the task without help."""
-    env, protocol = plain_task(problem.env), problem.protocol
+    env, protocol = without_budget(problem.env), problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
     policy = Policy.of(problem.env, method, lane)
     return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.reset_wide)

@@ -7,7 +7,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
-from earl_jax.envs import Env, plain_task
+from earl_jax.envs import Env, without_budget
 from earl_jax.errors import InputError
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
@@ -43,11 +43,11 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
         env, method, lanes = load_lanes(folder)
-        return plain_task(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
+        return without_budget(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
     actors = deployed_actors(method, shape.lanes)
     like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), actors)
-    return plain_task(env), Policy.of_actor(env, method.learner, policies.load_policies(folder.policies, like))
+    return without_budget(env), Policy.of_actor(env, method.learner, policies.load_policies(folder.policies, like))
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:

@@ -18,7 +18,7 @@ from earl_jax import assets
 from earl_jax.algos import learner_of
 from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.method import TASK, Method
-from earl_jax.envs import Env, plain_task
+from earl_jax.envs import Env, without_budget
 from earl_jax.errors import InputError
 from earl_jax.runs.config import RunConfig
 from earl_jax.training.state import LaneState
@@ -49,7 +49,7 @@ class Policy(struct.PyTreeNode, eq=False):
     @classmethod
     def of_actor(cls, env: Env, learner: Learner, actor: Any) -> "Policy":
         """Return the policy of an `actor` that was trained on `env`."""
-        plain = plain_task(env)
+        plain = without_budget(env)
         budget_at = None if plain is env else plain.state_size
         return cls(learner, actor, plain.obs_size, plain.action_size, budget_at)
 

@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
-from earl_jax.envs import Env, plain_task
+from earl_jax.envs import Env, without_budget
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
@@ -238,14 +238,14 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
     visits = gathered(state.lanes.visits)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():
-            plain = plain_task(run.env)
+            task = without_budget(run.env)
             save_policies(
                 run.folder.policies,
                 jax.tree.map(operator.itemgetter(span), actors),
                 step=step,
                 seeds=run.config.seeds,
-                obs_size=plain.obs_size,
-                action_size=plain.action_size,
+                obs_size=task.obs_size,
+                action_size=task.action_size,
                 visits=None if visits is None else visits[span],
             )
 

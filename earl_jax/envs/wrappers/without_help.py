@@ -30,7 +30,7 @@ class WithoutHelp(HelpBudget):
         return moved, self._vector(moved, state.info), {}
 
 
-def plain_task(env: Env) -> Env:
+def without_budget(env: Env) -> Env:
     """Return the task in which policies are evaluated: that of `env` if it is a `HelpBudget`, else `env` itself."""
     return env.task if isinstance(env, HelpBudget) else env
 

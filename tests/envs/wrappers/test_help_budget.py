@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.adapters._session import Session
-from earl_jax.envs import HelpBudget, make, plain_task
+from earl_jax.envs import HelpBudget, make, without_budget
 from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.protocol import Deployment, Protocol
 from earl_jax.training.scan import run_steps
@@ -234,7 +234,7 @@ def test_demonstrations_have_a_full_budget_and_never_request_help():
 def test_without_help_an_agent_falls_once_and_its_requests_move_like_other_actions():
     chain = Chain(start=1)
     helped = HelpBudget(chain, budget=2.0)
-    assert plain_task(helped) is plain_task(chain) is without_help(chain) is chain
+    assert without_budget(helped) is without_budget(chain) is without_help(chain) is chain
     env = without_help(helped)
     assert (env.obs_size, env.action_size) == (helped.obs_size, helped.action_size)
     state = env.with_goal(env.reset(jax.random.key(0)), jnp.array([3.0]))
