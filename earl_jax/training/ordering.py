@@ -1,6 +1,8 @@
 """Everything in a training step that exists for the order of operations in a compiled program; no value changes.
 
-XLA orders operations by data dependencies alone, and merges what it can. Each function names what it prevents.
+XLA orders operations by data dependencies alone, and merges what it can. Each function says what was measured without
+it: kernels and copies of a step of FBRL with five lanes, by `python -m benchmarks.speed.kernels` for an H200, or the
+temporary memory of a compiled program on a CPU.
 """
 
 from typing import Any
@@ -30,7 +32,8 @@ def in_step_with_host(pending: PendingStep, *trees: Any) -> tuple:
     """Return `pending` and the `trees`, which are available only after each other, where the host simulates.
 
     Before the update, it lets the host start before the device draws a batch and learns. After it, it lets the device
-    learn before it waits for the host. Without it the door took 1.35 times as long on two cores.
+    learn before it waits for the host. On the door the wait is kernel 109 of 130 with it; without it, kernel 54, right
+    after the start, so that the device learns when the host has answered.
     """
     if pending.ticket is None:
         return pending, *trees
@@ -41,17 +44,26 @@ def in_step_with_host(pending: PendingStep, *trees: Any) -> tuple:
 def read_before_write(replay: Replay, batch: Any) -> tuple[Replay, Any]:
     """Return the `replay` that the next write can use once the sampled `batch` is read, and that batch.
 
-    Otherwise XLA copies the whole buffer before the write.
+    Without it, XLA on a CPU copies the whole buffer twice in each step: 45 MB instead of 2 MB for 200,000 steps of
+    tabletop.
     """
     batch = jax.lax.optimization_barrier(batch)
     return replay.replace(row=after(replay.row, batch)), batch
 
 
 def before_update(tree: Any) -> Any:
-    """Return parameters to act with, read before the update; otherwise XLA reads them in its kernels, and acts after it."""
+    """Return parameters to act with, read before the update.
+
+    Without it, XLA reads them in the kernels of the update: the longest chain of kernels that wait for each other is 43 on
+    tabletop instead of 35.
+    """
     return jax.lax.optimization_barrier(tree)
 
 
 def one_controller(agent: Any, controllers: int) -> Any:
-    """Return the updated agent of one of several controllers; otherwise XLA writes all to new arrays, and copies them."""
+    """Return the updated agent of one of several controllers.
+
+    Without it, XLA writes all controllers to new arrays and copies them back: 53 copies among 170 kernels on the door
+    instead of 8 among 130.
+    """
     return jax.lax.optimization_barrier(agent) if controllers > 1 else agent
