@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from earl_jax.envs.base import Env
+    from earl_jax.envs.features import Map, Starts
     from earl_jax.envs.mujoco_env import MujocoEnv
     from earl_jax.envs.starts import start_of
     from earl_jax.envs.state import State
@@ -26,7 +27,9 @@ __all__ = [
     "PAPER_TASKS",
     "Env",
     "HelpBudget",
+    "Map",
     "MujocoEnv",
+    "Starts",
     "State",
     "env_class",
     "list_envs",
@@ -41,7 +44,9 @@ __all__ = [
 _HOME = {
     "Env": "base",
     "HelpBudget": "wrappers.help_budget",
+    "Map": "features",
     "MujocoEnv": "mujoco_env",
+    "Starts": "features",
     "State": "state",
     "start_of": "starts",
     "without_budget": "wrappers.without_help",

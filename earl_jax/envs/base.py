@@ -11,6 +11,7 @@ import numpy as np
 
 from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrated import Demonstrated
+from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
@@ -46,10 +47,6 @@ class Env(Demonstrated, Conventions, abc.ABC):
     """Steps between goal changes in the paper's continuing setting."""
     continuing_horizon: ClassVar[int | None] = None
     """H_T of the released continuing setting where it differs from `train_horizon`."""
-    map_bounds: ClassVar[np.ndarray | None] = None
-    """Bounds of `map_position`, [[x, y] low, [x, y] high]; None for a task without a map."""
-    map_unit: ClassVar[str] = "m"
-    """Unit of `map_position`."""
     has_absorbing_state: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
@@ -180,46 +177,21 @@ class Env(Demonstrated, Conventions, abc.ABC):
         del state
         return self.reset(key)
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the position [..., 2] of the body that this task's map tracks, in `obs [..., s + g]`.
-
-        Raises:
-            ValueError: this task has no map.
-        """
-        raise InputError(f"{self.name} has no map of visited positions")
-
     @property
-    def map_starts(self) -> np.ndarray | None:
-        """Positions [K, 2] on the map that stand for the initial distribution; None if this task lists none."""
+    def map(self) -> Map | None:
+        """The map of visited positions; None for a task without."""
         return None
 
     @property
-    def map_goals(self) -> np.ndarray | None:
-        """Positions [K, 2] on the map at which a goal is reached; None if this task lists none."""
-        return None
+    def starts(self) -> Starts:
+        """The distributions of starts beside s0 ~ rho, by default none."""
+        return Starts()
 
-    def reset_uniform(self, key: jax.Array) -> State:
-        """Return a state drawn uniformly over the workspace, with a task goal (figure 5 of the paper).
-
-        Raises:
-            ValueError: this task has no such distribution.
-        """
-        raise InputError(f"{self.name} has no uniform distribution of starts")
-
-    def object_position(self, state: State) -> jax.Array | None:
-        """Return the position [k] of what the agent has to move in `state`, without noise; None for a task without.
+    @property
+    def object_position(self) -> Callable[[State], jax.Array] | None:
+        """A function of a state: the position [k] of what the agent has to move, without noise; None for a task without.
 
         `continuing/still_steps` counts the steps since it last moved.
-        """
-        del state
-        return None
-
-    @property
-    def reset_wide(self) -> Callable[[jax.Array], State] | None:
-        """`reset` from wide starts, `reset_wide(key) -> State`, for `deployed/success_wide`; None for a task without.
-
-        About half of these starts or more lie where no demonstration begins, in places that the agent could reach by
-        itself. A task whose reward is dense has none, because its score is a return.
         """
         return None
 

@@ -20,6 +20,10 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
     """
     if starts not in STARTS:
         raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
-    if starts == "wide" and env.reset_wide is None:
-        raise InputError(f"{env.name} has no wide starts: they belong to sparse tasks whose object can be anywhere")
-    return {"initial": env.reset, "uniform": env.reset_uniform, "wide": env.reset_wide or env.reset}[starts]
+    if starts == "initial":
+        return env.reset
+    start = env.starts.wide if starts == "wide" else env.starts.uniform
+    if start is None:
+        reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
+        raise InputError(f"{env.name} has no {starts} starts{reason}")
+    return start

@@ -6,7 +6,7 @@ The original writes positions and integrates no forces, so this task is plain ar
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import ClassVar
 
 import jax
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env
+from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.state import DemoStart, NextState, State
 from earl_jax.physics import PhysicsState
 
@@ -60,8 +61,6 @@ class TabletopOrganization(Env):
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
     continuing_horizon: ClassVar[int | None] = 50_000
-    map_bounds: ClassVar[np.ndarray] = np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32)
-    map_unit: ClassVar[str] = "table units"
     demo_noise: ClassVar[float | None] = 0.1
 
     @property
@@ -87,34 +86,34 @@ class TabletopOrganization(Env):
         info = {"goal": self.sample_goal(goal_key)}
         return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
 
-    def reset_uniform(self, key: jax.Array) -> State:
+    @property
+    def starts(self) -> Starts:
+        """Both distributions have gripper and mug anywhere on the table; every place is within reach."""
+        return Starts(self._uniform_start, self._uniform_start if self.sparse else None)
+
+    def _uniform_start(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
         qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)
         info = {"goal": self.sample_goal(goal_key)}
         return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
 
-    @property
-    def reset_wide(self) -> Callable[[jax.Array], State] | None:
-        """`reset_uniform`: gripper and mug anywhere on the table; every place is within reach."""
-        return self.reset_uniform if self.sparse else None
-
     def object_position(self, state: State) -> jax.Array:
         """Return the mug's x, y [2] in `state`, table units."""
         return state.data.qpos[2:]
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the gripper's x, y [..., 2] in `obs [..., 12]`, table units."""
-        return obs[..., :2]
-
     @property
-    def map_starts(self) -> np.ndarray | None:
-        """Positions of gripper and mug at a start, [2, 2]; None with `wide`, whose starts are everywhere."""
-        return None if self.wide else HOME.reshape(2, 2)
+    def map(self) -> Map:
+        """The gripper's positions, with gripper and mug at a start and at the goals: home and the coasters.
 
-    @property
-    def map_goals(self) -> np.ndarray:
-        """Positions of gripper and mug in the goals, [5, 2]: home and the coasters."""
-        return np.concatenate([HOME[None, :2], COASTERS])
+        With `wide`, whose starts are everywhere, none are listed.
+        """
+        return Map(
+            position=lambda obs: obs[..., :2],
+            bounds=np.array([[-LIMIT, -LIMIT], [LIMIT, LIMIT]], np.float32),
+            unit="table units",
+            starts=None if self.wide else HOME.reshape(2, 2),
+            goals=np.concatenate([HOME[None, :2], COASTERS]),
+        )
 
     def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from earl_jax.envs import Env, State
 
 WIDE = "deployed/success_wide"
-"""The metric of episodes from `Env.reset_wide`, on tasks that have it."""
+"""The metric of episodes from `Env.starts.wide`, on tasks that have it."""
 WIDE_KEY = 1
 """Folded into the key of an evaluation for wide starts, so that the ordinary ones stay as they are."""
 

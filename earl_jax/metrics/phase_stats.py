@@ -36,7 +36,7 @@ class PhaseStats(struct.PyTreeNode):
 def init_phase_stats(env: Env, env_state: State) -> PhaseStats:
     """Return the counts of a lane that starts in `env_state`."""
     none = jnp.zeros(2, jnp.int32)
-    rest = env.object_position(env_state)
+    rest = env.object_position(env_state) if env.object_position else None
     return PhaseStats(none, none, jnp.zeros((2, 2), jnp.int32), none, jnp.zeros((), jnp.int32), rest)
 
 
@@ -60,9 +60,9 @@ def advance_phase_stats(
         reached=stats.reached + reaches,
         reached_at=jnp.where(reaches, step, stats.reached_at),
     )
-    position = env.object_position(env_state)
-    if position is None or stats.rest is None:
+    if env.object_position is None or stats.rest is None:
         return stats
+    position = env.object_position(env_state)
     moved = jnp.square(position - stats.rest).sum() > MOVED**2
     return stats.replace(moved_at=jnp.where(moved, step, stats.moved_at), rest=jnp.where(moved, position, stats.rest))
 

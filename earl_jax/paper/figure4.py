@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from earl_jax.envs import Env
+from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics import visitation
 from earl_jax.metrics.comparison import LEVEL, Sample, holm, welch
@@ -44,7 +44,8 @@ UNCLEAR, MISSING = "no clear difference", "-"
 class VisitMap(NamedTuple):
     """Visits on the map of a task with one method: int `visits [N, B, B]` of N seeds, first axis x."""
 
-    env: Env
+    env: str
+    map: Map
     algo: str
     visits: np.ndarray
 
@@ -61,7 +62,13 @@ def report(folders: Sequence[Path]) -> Report:
         ValueError: as `report_of`, or a folder is no run.
     """
     read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
-    return report_of([VisitMap(env, algo, visits) for algo, env, visits in read if visits is not None])
+    return report_of(
+        [
+            VisitMap(env.name, env.map, algo, visits)
+            for algo, env, visits in read
+            if env.map is not None and visits is not None
+        ]
+    )
 
 
 def report_of(maps: Sequence[VisitMap]) -> Report:
@@ -70,7 +77,7 @@ def report_of(maps: Sequence[VisitMap]) -> Report:
     Raises:
         ValueError: there are no maps, a task and method come twice, or matplotlib is not installed.
     """
-    by_name = {(part.env.name, part.algo): part for part in maps}
+    by_name = {(part.env, part.algo): part for part in maps}
     if not maps or len(by_name) < len(maps):
         raise InputError(f"figure 4 needs one map of visits for each task and method, got {list(by_name)}")
     envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
@@ -84,21 +91,19 @@ def report_of(maps: Sequence[VisitMap]) -> Report:
         "missing": "\n\n".join(filter(None, (_missing(rows, env) for env in envs))),
         "threshold": str(THRESHOLD),
     }
-    figure = draw({part.env.name: part.env for part in maps}, {name: part.shares for name, part in by_name.items()})
+    figure = draw({part.env: part.map for part in maps}, {name: part.shares for name, part in by_name.items()})
     return Report(parts, figure, {"": rows, "_visits": [row for part in maps for row in _visit_rows(part)]})
 
 
 def seed_rows(part: VisitMap) -> list[Row]:
     """Return a row per seed with the `MEASURES` of its map, None for a distance that its task has no places for."""
-    env, visits, bounds = part.env, part.visits, np.asarray(part.env.map_bounds)
-    rows = [{"env": env.name, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
+    visits, bounds, starts, goals = part.visits, part.map.bounds, part.map.starts, part.map.goals
+    rows = [{"env": part.env, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
     distances = {name: [None] * len(rows) for name in ("distance", "near_goal")}
-    if env.map_starts is not None and env.map_goals is not None:
-        distances["distance"] = visitation.mean_distance(
-            visits, bounds, np.concatenate([env.map_starts, env.map_goals])
-        )
-    if env.map_goals is not None and env.name in GOAL_RADIUS:
-        distances["near_goal"] = visitation.share_near(visits, bounds, env.map_goals, GOAL_RADIUS[env.name])
+    if starts is not None and goals is not None:
+        distances["distance"] = visitation.mean_distance(visits, bounds, np.concatenate([starts, goals]))
+    if goals is not None and part.env in GOAL_RADIUS:
+        distances["near_goal"] = visitation.share_near(visits, bounds, goals, GOAL_RADIUS[part.env])
     measures = {**distances, "corners": visitation.share_in_corners(visits)}
     (x_low, y_low), (x_high, y_high) = bounds.tolist()
     grid = {"bins": visits.shape[1], "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
@@ -109,7 +114,7 @@ def seed_rows(part: VisitMap) -> list[Row]:
 
 
 def _visit_rows(part: VisitMap) -> list[Row]:
-    key = {"env": part.env.name, "algo": part.algo}
+    key = {"env": part.env, "algo": part.algo}
     places = np.argwhere(part.visits).tolist()
     return [{**key, "seed": n, "x_bin": x, "y_bin": y, "visits": part.visits[n, x, y]} for n, x, y in places]
 

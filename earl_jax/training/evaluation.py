@@ -54,7 +54,7 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
     env, protocol = without_budget(problem.env), problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
     policy = Policy.of(problem.env, method, lane)
-    return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.reset_wide)
+    return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.starts.wide)
 
 
 def evaluate(

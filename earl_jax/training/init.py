@@ -51,7 +51,7 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
         method_state=method_state,
         counters=init_counters(init_phase_stats(env, env_state), method.learner.diagnostics),
         rules=rules,
-        visits=None if env.map_bounds is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
+        visits=None if env.map is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )
 
 

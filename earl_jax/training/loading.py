@@ -59,7 +59,7 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
         ValueError: the folder has neither, or the newer one is damaged.
     """
     env = folder.config.build_env()
-    if env.map_bounds is None:
+    if env.map is None:
         return env, None
     saved, checkpoint = policies.policies_step(folder.policies), newest(folder.checkpoints)
     if saved and saved >= checkpoint:

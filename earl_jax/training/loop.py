@@ -10,14 +10,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
 from earl_jax.algos.method import TASK, Method, Moment, controller_count, of_phase
-from earl_jax.envs import State
+from earl_jax.envs import Map, State
 from earl_jax.envs.state import tree_where
 from earl_jax.metrics.continuing import count_step
 from earl_jax.metrics.phase_stats import advance_phase_stats
@@ -176,7 +175,7 @@ def finish_step(
         phase_step=jnp.where(end.phase_ended, 0, lane.phase_step + 1),
         goal_indices=goal_indices,
         counters=counters,
-        visits=None if lane.visits is None else _count_visit(problem, lane.visits, env_state.obs),
+        visits=_count_visit(env.map, lane.visits, env_state.obs) if env.map and lane.visits is not None else None,
     )
     return moved, transition, _is_sampleable(method, lane, end)
 
@@ -248,9 +247,9 @@ def _next_goals(
     return goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
 
 
-def _count_visit(problem: Problem, visits: jax.Array, obs: jax.Array) -> jax.Array:
-    low, high = np.asarray(problem.env.map_bounds)
-    share = (problem.env.map_position(obs) - low) / (high - low)
+def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
+    low, high = task_map.bounds
+    share = (task_map.position(obs) - low) / (high - low)
     x, y = jnp.clip(jnp.floor(share * MAP_BINS), 0, MAP_BINS - 1).astype(jnp.int32)
     return visits.at[x, y].add(1)
 

@@ -1,6 +1,7 @@
 """Programs of tasks that several tests share: each is traced once in a process and compiled once in the suite."""
 
 import functools
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,8 @@ START_COUNT = 500
 
 @functools.cache
 def program(env, method):
-    """Return the method of `env` with that name as one program; called eagerly, every operation would be one."""
-    return jax.jit(getattr(env, method))
+    """Return the method of `env` with that dotted name as one program; called eagerly, every operation would be one."""
+    return jax.jit(operator.attrgetter(method)(env))
 
 
 @functools.cache
@@ -23,7 +24,7 @@ def first_state(env):
 def starts(env, method="reset", count=START_COUNT):
     """Return the states of `count` lanes after a reset, or another method that takes a key."""
     keys = jax.random.split(jax.random.key(0), count)
-    return jax.jit(jax.vmap(getattr(env, method)))(keys)
+    return jax.jit(jax.vmap(operator.attrgetter(method)(env)))(keys)
 
 
 @functools.cache

@@ -98,7 +98,7 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     def states(key, action, goal):
         state = env.reset(key)
         after = env.step(state, action)
-        wide = [env.reset_wide(key)] if env.reset_wide else []
+        wide = [env.starts.wide(key)] if env.starts.wide else []
         return state, after, env.with_goal(after, goal), env.intervene(key, after), *wide
 
     example = jnp.zeros(env.action_size), jnp.asarray(env.initial_states[0])

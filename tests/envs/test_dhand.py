@@ -106,7 +106,7 @@ def test_the_papers_variant_has_the_same_task():
     listed[:, 26:29] = [-np.pi, 0.0, 0.3]
 
     def answers(env, obs):
-        parts = env.reward(obs), env.success(obs), env.map_position(obs), jax.vmap(env.expert)(obs)
+        parts = env.reward(obs), env.success(obs), env.map.position(obs), jax.vmap(env.expert)(obs)
         return dict(zip(("reward", "success", "map", "expert"), parts, strict=True))
 
     paper, ours = (jax.jit(answers, static_argnums=0)(env, rows) for env, rows in ((PAPER, listed), (ENV, obs)))

@@ -33,10 +33,10 @@ def nearest(positions, places):
 def test_the_map_position_is_that_of_the_body_and_lies_within_the_bounds(name):
     env = make(name)
     state = first_state(env)
-    position = np.asarray(env.map_position(state.obs))
+    position = np.asarray(env.map.position(state.obs))
     np.testing.assert_allclose(position, BODIES[name](env, state), atol=1e-6)
-    assert ((env.map_bounds[0] <= position) & (position <= env.map_bounds[1])).all()
-    np.testing.assert_array_equal(env.map_position(np.stack([state.obs] * 2)), [position, position])
+    assert ((env.map.bounds[0] <= position) & (position <= env.map.bounds[1])).all()
+    np.testing.assert_array_equal(env.map.position(np.stack([state.obs] * 2)), [position, position])
 
 
 @pytest.mark.parametrize(
@@ -45,43 +45,41 @@ def test_the_map_position_is_that_of_the_body_and_lies_within_the_bounds(name):
 )
 def test_starts_lie_near_the_listed_positions_of_the_map(name, options):
     env = make(name, **options)
-    assert nearest(env.map_position(starts(env).obs), env.map_starts).max() < 0.03
-    assert (env.map_bounds[0] <= env.map_goals).all()
-    assert (env.map_goals <= env.map_bounds[1]).all()
+    assert nearest(env.map.position(starts(env).obs), env.map.starts).max() < 0.03
+    assert (env.map.bounds[0] <= env.map.goals).all()
+    assert (env.map.goals <= env.map.bounds[1]).all()
     if env.goal_size == env.state_size:
-        goals = np.asarray(env.map_position(jnp.asarray(np.tile(env.goal_states, 2))))
-        assert options.get("reset_at_goal") or nearest(goals, env.map_goals).max() < 1e-6
+        goals = np.asarray(env.map.position(jnp.asarray(np.tile(env.goal_states, 2))))
+        assert options.get("reset_at_goal") or nearest(goals, env.map.goals).max() < 1e-6
 
 
 def test_tasks_without_a_map_uniform_or_wide_starts_say_so():
     for name in set(list_envs()) - set(BODIES):
-        assert make(name).map_bounds is None
-        with pytest.raises(ValueError, match=f"{name} has no map"):
-            make(name).map_position(jnp.zeros(46))
-    assert make("tabletop_organization", wide=True).map_starts is None
-    assert make("sawyer_door").map_goals is None
-    with pytest.raises(ValueError, match="sawyer_peg has no uniform distribution"):
-        make("sawyer_peg").reset_uniform(jax.random.key(0))
-    assert [name for name in list_envs() if make(name).reset_wide] == SPARSE
-    assert all(make(name, reward_type="dense").reset_wide is None for name in SPARSE)
+        assert make(name).map is None
+    assert make("tabletop_organization", wide=True).map.starts is None
+    assert make("sawyer_door").map.goals is None
+    with pytest.raises(ValueError, match="sawyer_peg has no uniform starts"):
+        start_of(make("sawyer_peg"), "uniform")
+    assert [name for name in list_envs() if make(name).starts.wide] == SPARSE
+    assert all(make(name, reward_type="dense").starts.wide is None for name in SPARSE)
     with pytest.raises(ValueError, match="franka_kitchen has no wide starts"):
         start_of(make("franka_kitchen"), "wide")
 
 
 def test_uniform_starts_cover_the_table_with_a_free_mug_and_every_goal(env):
-    obs = np.asarray(starts(env, "reset_uniform").obs)
+    obs = np.asarray(starts(env, "starts.uniform").obs)
     counts = np.stack([np.histogram(column, 4, (-tabletop.LIMIT, tabletop.LIMIT))[0] for column in obs[:, :4].T])
     assert counts.sum() == 4 * START_COUNT
     assert (abs(counts - START_COUNT / 4) < 50).all()
     np.testing.assert_array_equal(obs[:, 4:6], -1)
     assert len(np.unique(obs[:, 6:], axis=0)) == 4
-    np.testing.assert_array_equal(starts(env, "reset_uniform").data.qpos, obs[:, :4])
+    np.testing.assert_array_equal(starts(env, "starts.uniform").data.qpos, obs[:, :4])
 
 
 @pytest.mark.parametrize("name", SPARSE)
 def test_hardly_a_wide_start_is_a_success_and_half_of_the_arms_lie_off_the_demonstrations(name):
     env = make(name)
-    obs = starts(env, "reset_wide").obs
+    obs = starts(env, "starts.wide").obs
     assert np.asarray(program(env, "success")(obs)).mean() <= 0.002
     if name == "tabletop_organization":
         return
@@ -94,7 +92,7 @@ def test_hardly_a_wide_start_is_a_success_and_half_of_the_arms_lie_off_the_demon
 
 def test_the_door_is_anywhere_with_the_arm_at_rest_and_clear_of_it():
     env = make("sawyer_door")
-    states = starts(env, "reset_wide")
+    states = starts(env, "starts.wide")
     angles, hands = np.asarray(states.data.qpos[:, 9]), np.unique(np.asarray(states.obs[:, :3]).round(4), axis=0)
     assert angles.min() < -1.3
     assert -0.3 < angles.max() <= -door.NOISE + 1e-4

@@ -31,7 +31,7 @@ def test_wide_starts_change_no_ordinary_episode(env):
         goal = jnp.array([0.0, 0.0, 0.0, 2.0, -1.0, -1.0])
         return env.state_from_demo(goal, goal)
 
-    runs = [(env.expert, 60, None), (env.expert, 60, env.reset_wide), (idle, 1, at_goal)]
+    runs = [(env.expert, 60, None), (env.expert, 60, env.starts.wide), (idle, 1, at_goal)]
     plain, both, resting = jax.jit(
         lambda: [deployed(env, run, KEY, steps, 4, wide=wide) for run, steps, wide in runs]
     )()

@@ -1,24 +1,21 @@
 """Figure 4 on small maps whose distances and spread are known."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from earl_jax.envs import make
+from earl_jax.envs import Map, make
 from earl_jax.paper.figure4 import VisitMap, report_of, seed_rows, verdicts
 from earl_jax.paper.figure4_picture import difference
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import count_pixels, read_csv
 
-PEN = {"map_starts": np.array([[-0.75, -0.75]]), "map_goals": np.array([[0.25, -0.75]])}
+PEN = {"starts": np.array([[-0.75, -0.75]]), "goals": np.array([[0.25, -0.75]])}
 """A start and a goal in the middle of a bin of a map of 4 by 4 bins."""
 
 
-def task(name="sawyer_peg", map_bounds=((-1.0, -1.0), (1.0, 1.0)), map_unit="m", map_starts=None, map_goals=None):
-    places = {"map_starts": map_starts, "map_goals": map_goals}
-    return SimpleNamespace(name=name, map_bounds=np.array(map_bounds), map_unit=map_unit, **places)
+def task_map(bounds=((-1.0, -1.0), (1.0, 1.0)), **fields):
+    return Map(lambda obs: obs[..., :2], np.array(bounds), **fields)
 
 
 def pen_maps(fbrl, oracle):
@@ -28,7 +25,7 @@ def pen_maps(fbrl, oracle):
         visits = np.zeros((len(bins), 4, 4), int)
         for seed, (x, y) in enumerate(bins):
             visits[seed, x, y] = 10
-        maps.append(VisitMap(task("minitaur_pen", **PEN), algo, visits))
+        maps.append(VisitMap("minitaur_pen", task_map(**PEN), algo, visits))
     return maps
 
 
@@ -38,7 +35,7 @@ def claims_of(*maps):
 
 def test_visits_are_measured_and_compared_with_the_oracle(tmp_path):
     oracle, fbrl = pen_maps([(0, 3), (1, 3), (0, 3), (0, 2)], [(0, 0), (2, 0), (2, 0), (1, 0)])
-    empty = VisitMap(task("tabletop_organization"), "fbrl", np.zeros((2, 4, 4), int))
+    empty = VisitMap("tabletop_organization", task_map(), "fbrl", np.zeros((2, 4, 4), int))
     csv_file, visits_file, text_file, picture = report_of([oracle, fbrl, empty]).write("figure4", tmp_path / "out")
     rows = read_csv(csv_file)
     names = [("tabletop_organization", "fbrl")] * 2 + [("minitaur_pen", "fbrl")] * 4 + [("minitaur_pen", "oracle")] * 4
@@ -72,7 +69,7 @@ def test_the_claims_of_the_peg_are_its_distance_and_the_oracle_around_the_box():
     at_goal[:, 23:25, 32] = [[9, 1], [8, 2]]
     far[:, 60, 60], far[0, 0, 0] = 9, 1
     env = make("sawyer_peg")
-    claims = claims_of(VisitMap(env, "fbrl", far), VisitMap(env, "oracle", at_goal))
+    claims = claims_of(VisitMap(env.name, env.map, "fbrl", far), VisitMap(env.name, env.map, "oracle", at_goal))
     assert claims.keys() == {"near_goal", "distance"}
     near = claims["near_goal"]
     assert (near["fbrl"], near["oracle"]) == (0, 1)
@@ -94,8 +91,8 @@ def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     visits = np.zeros((1, 4, 4), int)
     visits[0, 3, 0] = 9
-    env = task(map_bounds=[[0, 10], [4, 20]], map_unit="cm")
-    report_of([VisitMap(env, "fbrl", visits)]).write("figure4", tmp_path)
+    drawn = task_map([[0, 10], [4, 20]], unit="cm")
+    report_of([VisitMap("sawyer_peg", drawn, "fbrl", visits)]).write("figure4", tmp_path)
     axis = figures[0].axes[0]
     image = axis.images[0]
     assert image.get_extent() == [0, 4, 10, 20]
@@ -107,4 +104,4 @@ def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
 @pytest.mark.parametrize("count", [0, 2])
 def test_each_task_and_method_has_one_map(count):
     with pytest.raises(ValueError, match="needs one map of visits for each task and method"):
-        report_of([VisitMap(task(), "fbrl", np.ones((1, 4, 4), int))] * count)
+        report_of([VisitMap("sawyer_peg", task_map(), "fbrl", np.ones((1, 4, 4), int))] * count)

@@ -67,7 +67,7 @@ def test_the_map_counts_every_step(problem):
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), 40, warmup=True)
     visits = np.asarray(state.lanes.visits)
     assert visits.sum(axis=(1, 2)).tolist() == [40, 40]
-    low, high = problem.env.map_bounds
+    low, high = problem.env.map.bounds
     position = np.asarray(state.replay.state[int(state.replay.row), :, :2])
     bins = np.floor((position - low) / (high - low) * MAP_BINS).astype(int)
     assert all(visits[lane, x, y] > 0 for lane, (x, y) in enumerate(bins))

@@ -17,6 +17,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
+from earl_jax.envs.features import Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import DemoStart, NextState, State
 from earl_jax.errors import InputError
@@ -104,7 +105,6 @@ class DHandLightbulb(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
     action_size: ClassVar[int] = 22
     goal_change: ClassVar[int] = 400
-    map_bounds: ClassVar[np.ndarray] = np.stack([BULB_LOW[:2], BULB_HIGH[:2]])
     control_step: ClassVar[float] = 0.1
     demo_noise: ClassVar[float | None] = 0.1
     demo_hold: ClassVar[int | None] = 200
@@ -206,9 +206,10 @@ class DHandLightbulb(MujocoEnv):
         _, bulb, _, goal = self._parts(obs)
         return jnp.linalg.norm(bulb - goal, axis=-1) < RADIUS
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the bulb's x, y [..., 2] in `obs [..., 35]`, metres."""
-        return self._parts(obs)[1][..., :2]
+    @property
+    def map(self) -> Map:
+        """The bulb's positions."""
+        return Map(position=lambda obs: self._parts(obs)[1][..., :2], bounds=np.stack([BULB_LOW[:2], BULB_HIGH[:2]]))
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 35]`.

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.features import Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import NextState, State
@@ -54,8 +55,6 @@ class FishSwim(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.098)
     action_size: ClassVar[int] = 5
     goal_change: ClassVar[int] = 1000
-    map_bounds: ClassVar[np.ndarray] = np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32)
-    """More than twice the targets' box; the water has no walls, so a fish may leave these bounds."""
     control_step: ClassVar[float] = 0.04
 
     @property
@@ -95,9 +94,10 @@ class FishSwim(MujocoEnv):
     def render_goal(self, state: State) -> PhysicsState:
         return state.data.replace(mocap_pos=state.info["goal"][None])
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the mouth's x, y [..., 2] in `obs [..., 36]`, metres."""
-        return obs[..., 21:23]
+    @property
+    def map(self) -> Map:
+        """The mouth's positions. The bounds are more than twice the targets' box; a fish may leave them."""
+        return Map(position=lambda obs: obs[..., 21:23], bounds=np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32))
 
     def fault(self, state: State) -> jax.Array:
         return super().fault(state) | (jnp.abs(state.obs[:JOINTS]) > TURN).any()

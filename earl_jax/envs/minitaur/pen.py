@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.features import Map
 from earl_jax.envs.minitaur import body
 from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
 from earl_jax.envs.mujoco_env import MujocoEnv
@@ -84,7 +85,6 @@ class MinitaurPen(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
     action_size: ClassVar[int] = MOTORS
     goal_change: ClassVar[int] = 2000
-    map_bounds: ClassVar[np.ndarray] = np.array([[-WALL, -WALL], [WALL, WALL]], np.float32)
     control_step: ClassVar[float] = 0.01
 
     def __post_init__(self):
@@ -158,19 +158,11 @@ class MinitaurPen(MujocoEnv):
         x, y = state.obs[24:26]
         return super().irreversible(state) | (1.0 - 2.0 * (x**2 + y**2) < ON_ITS_BACK)
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the base's x, y [..., 2] in `obs [..., 32]`, metres; with floating walls it may leave `map_bounds`."""
-        return obs[..., 28:30]
-
     @property
-    def map_starts(self) -> np.ndarray:
-        """The base's position at a start, [1, 2]."""
-        return self.initial_states
-
-    @property
-    def map_goals(self) -> np.ndarray:
-        """The goals, [12, 2]."""
-        return GOALS
+    def map(self) -> Map:
+        """The base's positions; with floating walls it may leave the bounds."""
+        bounds = np.array([[-WALL, -WALL], [WALL, WALL]], np.float32)
+        return Map(position=lambda obs: obs[..., 28:30], bounds=bounds, starts=self.initial_states, goals=GOALS)
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 32]`.

@@ -1,7 +1,6 @@
 """Sawyer door: close an open door by its handle; a reset-free agent must open it again itself."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import ClassVar
 
 import jax
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
 from earl_jax.envs.shaping import tolerance
@@ -78,7 +78,6 @@ class SawyerDoor(Sawyer):
     demo_count: ClassVar[int] = 5
     goal_change: ClassVar[int] = 600
     continuing_horizon: ClassVar[int | None] = 50_000
-    map_bounds: ClassVar[np.ndarray] = np.stack([HAND_LOW[:2] - MAP_MARGIN, HAND_HIGH[:2] + MAP_MARGIN])
     radius: ClassVar[dict[str, float]] = {"released": 0.02, "paper": 0.08}
     object_low: ClassVar[np.ndarray] = np.array([-0.2, 0.4, 0.05], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.35, 0.85, 0.15], np.float32)
@@ -102,15 +101,15 @@ class SawyerDoor(Sawyer):
         return self.start_at(angle[None], handle_at(angle), goal)
 
     @property
-    def reset_wide(self) -> Callable[[jax.Array], State] | None:
-        """Half of the starts are ordinary. In the others the door and the arm are anywhere.
+    def starts(self) -> Starts:
+        """Half of the wide starts are ordinary. In the others the door and the arm are anywhere.
 
         The door's angle is uniform from its stop to 9 degrees from closed, and the arm rests in one of 16 poses all
         over its range that touch the door at no angle. The release has no such starts.
         """
-        return self._reset_wide if self.sparse and not self.reset_at_goal else None
+        return Starts(wide=self._wide_start if self.sparse and not self.reset_at_goal else None)
 
-    def _reset_wide(self, key: jax.Array) -> State:
+    def _wide_start(self, key: jax.Array) -> State:
         start_key, far_key, angle_key, arm_key = jax.random.split(key, 4)
         angle = jax.random.uniform(angle_key, minval=STOP, maxval=-NOISE)
         arm = drawn_arm(arm_key, self.name)
@@ -122,9 +121,11 @@ class SawyerDoor(Sawyer):
         x, y = position[:2] - HINGE
         return (jnp.arctan2(y, x) - np.arctan2(HANDLE[1], HANDLE[0]))[None]
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the hand's x, y [..., 2] in `obs [..., o]`, metres."""
-        return obs[..., :2]
+    @property
+    def map(self) -> Map:
+        """The hand's positions."""
+        bounds = np.stack([HAND_LOW[:2] - MAP_MARGIN, HAND_HIGH[:2] + MAP_MARGIN])
+        return Map(position=lambda obs: obs[..., :2], bounds=bounds)
 
     def reward(self, obs: jax.Array) -> jax.Array:
         if self.sparse:

@@ -1,13 +1,13 @@
 """Sawyer peg: pick a peg up and push it into a hole in the side of a block."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
@@ -90,7 +90,6 @@ class SawyerPeg(Sawyer):
     radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
     object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
-    map_bounds: ClassVar[np.ndarray] = np.stack([object_low[:2], object_high[:2]])
 
     def __post_init__(self):
         super().__post_init__()
@@ -118,11 +117,11 @@ class SawyerPeg(Sawyer):
         return self._start_with_peg(start, goals[jax.random.randint(goal_key, (), 0, len(goals))])
 
     @property
-    def reset_wide(self) -> Callable[[jax.Array], State] | None:
-        """The starts of `wide=True`: half of them all over the table, where no demonstration begins."""
-        return self._reset_wide if self.sparse and not self.reset_at_goal else None
+    def starts(self) -> Starts:
+        """The wide starts are those of `wide=True`: half of them all over the table, where no demonstration begins."""
+        return Starts(wide=self._wide_start if self.sparse and not self.reset_at_goal else None)
 
-    def _reset_wide(self, key: jax.Array) -> State:
+    def _wide_start(self, key: jax.Array) -> State:
         return dataclasses.replace(self, listed=False, wide=True).reset(key)
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
@@ -165,25 +164,25 @@ class SawyerPeg(Sawyer):
         middle = self.object_in(state.obs) - HEAD
         return super().irreversible(state) | (middle[1] < NEAREST) | (jnp.abs(middle[0]) > WIDEST)
 
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        """Return the x, y [..., 2] of the peg's head in `obs [..., o]`, metres."""
-        return self.object_in(obs)[..., :2]
-
     @property
-    def map_starts(self) -> np.ndarray:
-        """Positions of the head at a start, [K, 2]: a grid with steps of 2 cm over the square of starts, or the listed ones."""
+    def map(self) -> Map:
+        """The positions of the peg's head, with those at a start and that of the head of the inserted peg."""
+        return Map(
+            position=lambda obs: self.object_in(obs)[..., :2],
+            bounds=np.stack([self.object_low[:2], self.object_high[:2]]),
+            starts=self._start_heads(),
+            goals=INSERTED[None, :2],
+        )
+
+    def _start_heads(self) -> np.ndarray:
+        """Return x, y [K, 2] of the head at a start: a grid with steps of 2 cm over the square of starts, or the listed ones."""
         if self.reset_at_goal:
-            return self.map_goals
+            return INSERTED[None, :2]
         if self.listed:
             return HEADS
         sides = (np.linspace(low, high, 11) for low, high in zip(LOW[:2], HIGH[:2], strict=True))
         square = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2) + HEAD[:2]
         return np.concatenate([square, FAR_HEADS]) if self.wide else square
-
-    @property
-    def map_goals(self) -> np.ndarray:
-        """Position of the head of the inserted peg, [1, 2]."""
-        return INSERTED[None, :2]
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., o]`.

@@ -15,6 +15,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.base import Env
+from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
 from earl_jax.options.values import check_intervals, within
@@ -71,10 +72,6 @@ class HelpBudget(Env):
     name = _of_task("name")
     title = _of_task("title")
     step_seconds = _of_task("step_seconds")
-    map_unit = _of_task("map_unit")
-    map_bounds = _of_task("map_bounds")
-    map_starts = _of_task("map_starts")
-    map_goals = _of_task("map_goals")
     goal_change = _of_task("goal_change")
     continuing_horizon = _of_task("continuing_horizon")
     goal_size = _of_task("goal_size")
@@ -111,16 +108,19 @@ class HelpBudget(Env):
     def reset(self, key: jax.Array) -> State:
         return self._reset_by(self.task.reset, key)
 
-    def reset_uniform(self, key: jax.Array) -> State:
-        return self._reset_by(self.task.reset_uniform, key)
-
-    def object_position(self, state: State) -> jax.Array | None:
-        return self.task.object_position(state.data)
+    @property
+    def starts(self) -> Starts:
+        return Starts(*(start and functools.partial(self._reset_by, start) for start in self.task.starts))
 
     @property
-    def reset_wide(self) -> Callable[[jax.Array], State] | None:
-        reset = self.task.reset_wide
-        return None if reset is None else functools.partial(self._reset_by, reset)
+    def object_position(self) -> Callable[[State], jax.Array] | None:
+        position = self.task.object_position
+        return position and (lambda state: position(state.data))
+
+    @property
+    def map(self) -> Map | None:
+        task_map = self.task.map
+        return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
     def _reset_by(self, reset: Callable[[jax.Array], State], key: jax.Array) -> State:
         """Return the first state of a lifetime in which the task starts from `reset(key)`."""
@@ -220,9 +220,6 @@ class HelpBudget(Env):
 
     def _budget_left(self, obs: jax.Array) -> jax.Array:
         return obs[..., self.task.state_size] > 0
-
-    def map_position(self, obs: jax.Array) -> jax.Array:
-        return self.task.map_position(self.task_obs(obs))
 
     def expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [a + 1] of the task's scripted controller, which never requests help."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.curves import Line
@@ -34,7 +35,8 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
 
     Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
-    if lines[0].runs[0].config.build_env().map_bounds is None:
+    task_map = lines[0].runs[0].config.build_env().map
+    if task_map is None:
         return [], []
     drawn, sentences = [], []
     for line in lines:
@@ -45,23 +47,23 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
             except Exception as error:  # the files are data: any error in them is reported and affects nothing else
                 sentences.append(f"No map of {line.group.label}: {_cause(error)}.")
         if visits:
-            drawn.append(_map(line, np.concatenate(visits)))
+            drawn.append(_map(line, task_map, np.concatenate(visits)))
     shares = [share for visit_map in drawn for row in visit_map["plot"]["shares"] for share in row if share]
     for visit_map in drawn:
         visit_map["plot"]["ends"] = [min(shares), max(shares)] if shares else [0.1, 1.0]
     return drawn, sentences
 
 
-def _map(line: Line, visits: np.ndarray) -> dict[str, Any]:
+def _map(line: Line, task_map: Map, visits: np.ndarray) -> dict[str, Any]:
     """Return the map of `visits [N, B, B]`, whose first axis is x."""
-    env, total, scores = line.runs[0].config.build_env(), visits.sum(axis=0), [measure(part) for part in visits]
+    total, scores = visits.sum(axis=0), [measure(part) for part in visits]
     return {
         "line": line,
         "covered": float(np.mean([score["covered"] for score in scores])),
         "entropy": float(np.mean([score["entropy"] for score in scores])),
         "plot": {
-            "bounds": np.asarray(env.map_bounds, float).tolist(),
-            "unit": env.map_unit,
+            "bounds": np.asarray(task_map.bounds, float).tolist(),
+            "unit": task_map.unit,
             "shares": [[float(f"{v:.3g}") or None for v in row] for row in (total.T / max(total.sum(), 1)).tolist()],
         },
     }

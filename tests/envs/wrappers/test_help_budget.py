@@ -202,13 +202,13 @@ def test_the_wrapper_has_the_properties_of_its_task():
         "kinematic",
         True,
     )
-    assert (env.title, env.step_seconds, env.map_unit) == (task.title, task.step_seconds, task.map_unit)
+    assert (env.title, env.step_seconds, env.map.unit) == (task.title, task.step_seconds, task.map.unit)
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
 
     def answers(key):
-        state, wide = env.reset_uniform(key), env.reset_wide(key)
+        state, wide = env.starts.uniform(key), env.starts.wide(key)
         task_obs = env.task_obs(state.obs)
-        return (env.map_position(state.obs), env.expert(state.obs)), (task_obs[:2], task.expert(task_obs)), wide
+        return (env.map.position(state.obs), env.expert(state.obs)), (task_obs[:2], task.expert(task_obs)), wide
 
     (position, action), (task_position, task_action), wide = jax.jit(answers)(jax.random.key(0))
     np.testing.assert_array_equal(position, task_position)

@@ -103,7 +103,7 @@ def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
     plot = drawn["plot"]
     assert plot["shares"][:2] == [[None, None, None, 0.75], [None, 0.25, None, None]]
     assert (plot["ends"], plot["unit"], drawn["covered"]) == ([0.25, 0.75], "table units", 1 / 16)
-    np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map_bounds)
+    np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map.bounds)
 
 
 def test_a_task_without_a_map_has_none(tmp_path):

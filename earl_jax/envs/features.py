@@ -1,0 +1,71 @@
+"""What only some tasks have, and what has a default: a map of visits, further starts, pictures, the continuing setting."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from earl_jax.envs.state import State
+
+
+class Map(NamedTuple):
+    """The map of visited positions of a task.
+
+    `position(obs [..., s + g])` returns x, y [..., 2] of the body that the map tracks. `bounds [2, 2]` are [x, y] low and
+    [x, y] high, in `unit`. `starts [K, 2]` stand for the initial distribution, and at `goals [K, 2]` a goal is reached;
+    None if the task lists none.
+    """
+
+    position: Callable[[jax.Array], jax.Array]
+    bounds: np.ndarray
+    unit: str = "m"
+    starts: np.ndarray | None = None
+    goals: np.ndarray | None = None
+
+
+class Starts(NamedTuple):
+    """Distributions of starts beside s0 ~ rho, functions like `reset`; None for a task without.
+
+    `uniform(key)` draws over the whole workspace (figure 5 of the paper). `wide(key)` is that of `deployed/success_wide`:
+    about half of its starts or more lie where no demonstration begins, in places that the agent could reach by itself.
+    A task whose reward is dense has no wide starts, because its score is a return.
+    """
+
+    uniform: Callable[[jax.Array], State] | None = None
+    wide: Callable[[jax.Array], State] | None = None
+
+
+def shown_as_simulated(state: State) -> Any:
+    """Return the physics data of `state`."""
+    return state.data
+
+
+def without_goal(state: State) -> None:
+    """Return None: the goal is not drawn."""
+    del state
+
+
+class View(NamedTuple):
+    """How a task is drawn.
+
+    `model` is its MJCF: a name in assets, or a path. A control step takes `dt` seconds in videos. `render_state(state)`
+    returns the `PhysicsState` of `model` that shows `state`, and `render_goal(state)` the one that reaches its goal, or
+    None.
+    """
+
+    model: str
+    dt: float = 0.1
+    render_state: Callable[[State], Any] = shown_as_simulated
+    render_goal: Callable[[State], Any] = without_goal
+
+
+class ContinuingDefaults(NamedTuple):
+    """The numbers of a task in the paper's continuing setting.
+
+    `goal_change`: steps between goal changes. `train_horizon`: H_T of the released lifelong configuration; None if it is
+    that of the task.
+    """
+
+    goal_change: int
+    train_horizon: int | None = None
