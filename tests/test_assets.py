@@ -49,7 +49,7 @@ def test_another_seed_makes_other_demonstrations(env):
 
 def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
     env = make("dhand_lightbulb")
-    assert not env.has_demos
+    assert not env.demonstrations.recorded
     start = jax.jit(env.reset)(jax.random.key(0))
     rows, last = scripted.record(env, start, np.random.default_rng(0), steps=120)
     assert jax.jit(env.success)(last.obs)
@@ -58,8 +58,8 @@ def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
     assert recorded.rewards[-20:].all(), "the hand must hold the bulb until the end"
     scripted.save({"forward": recorded}, tmp_path / "grasp.npz")
     with_demos = dataclasses.replace(env, demo_file=str(tmp_path / "grasp.npz"))
-    assert with_demos.demo_directions == ("forward",)
-    np.testing.assert_array_equal(with_demos.demos("forward").actions, recorded.actions)
+    assert with_demos.demonstrations.directions == ("forward",)
+    np.testing.assert_array_equal(with_demos.demonstrations.load("forward").actions, recorded.actions)
     with pytest.raises(RuntimeError, match="missed"):
         scripted.record(env, start, np.random.default_rng(0), steps=5)
 

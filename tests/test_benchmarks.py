@@ -40,7 +40,7 @@ def test_the_numpy_tabletop_equals_the_jax_task():
     numpy_env, env = NumpyTabletop(), make(TABLETOP)
     obs, _ = numpy_env.reset(seed=3)
     state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(obs[6:]))
-    step, expert, rng = jax.jit(env.step), jax.jit(env.expert), np.random.default_rng(0)
+    step, expert, rng = jax.jit(env.step), jax.jit(env.demonstrations.expert), np.random.default_rng(0)
     rewards = 0.0
     for number in range(120):
         np.testing.assert_allclose(obs, state.obs, atol=2e-6)

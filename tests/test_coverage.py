@@ -149,7 +149,7 @@ TASKS = {
 @pytest.mark.parametrize("name", TASKS)
 def test_a_task_has_the_numbers_of_the_paper(name):
     env = envs.make(name)
-    demos = tuple(int(env.demos(direction).ends.sum()) for direction in env.demo_directions)
+    demos = tuple(int(env.demonstrations.load(direction).ends.sum()) for direction in env.demonstrations.directions)
     numbers = (env.obs_size, env.action_size, env.train_horizon, env.eval_horizon, env.reward_type, demos)
     assert numbers == TASKS[name]
 
@@ -225,7 +225,7 @@ MEASURED = {
 
 def demonstrated_goals(name: str) -> Any:
     """Return the goals [D, g] of the forward demonstrations of a task."""
-    demos = envs.make(name).demos("forward")
+    demos = envs.make(name).demonstrations.load("forward")
     return demos.goals[demos.ends]
 
 

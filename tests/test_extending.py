@@ -45,7 +45,7 @@ main(["evaluate", "c", "--episodes", "2", "--engine", "mjx"])
 import jax, earl_jax
 from earl_jax.metrics.deployed import deployed
 env = earl_jax.make("pendulum_hold", engine="c")
-print(deployed(env, env.expert, jax.random.key(0), env.eval_horizon, 10))
+print(deployed(env, env.demonstrations.expert, jax.random.key(0), env.eval_horizon, 10))
 """
 CHECK_CONTRACT = """
 import pytest

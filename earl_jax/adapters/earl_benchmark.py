@@ -90,7 +90,7 @@ class EARLEnvs:
 
     def has_demos(self) -> bool:
         """Return whether the task has demonstrations."""
-        return self._task.has_demos
+        return self._task.demonstrations.recorded
 
     def get_initial_states(self, num_samples: int | None = None) -> np.ndarray:
         """Return representative initial states [I, s], at most `num_samples` (the original ignores the number)."""
@@ -113,7 +113,7 @@ class EARLEnvs:
         return self._demonstrations("forward"), self._demonstrations("backward")
 
     def _demonstrations(self, direction: str) -> Demonstrations:
-        demos = self._task.demos(direction)
+        demos = self._task.demonstrations.load(direction)
         return {
             "observations": np.concatenate([demos.states, demos.goals], axis=1),
             "actions": np.array(demos.actions),

@@ -66,9 +66,9 @@ def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Arr
 def goal_table(env: Env) -> Goals:
     """Return the goals of `env`; without demonstrations, these are its task goals and initial states only."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
-    if env.has_demos and env.state_size == env.goal_size:
-        for direction in env.demo_directions:
-            states, last = trajectories(env.demos(direction))
+    if env.demonstrations.recorded and env.state_size == env.goal_size:
+        for direction in env.demonstrations.directions:
+            states, last = trajectories(env.demonstrations.load(direction))
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)

@@ -170,7 +170,7 @@ def mix(key: jax.Array, rows: jax.Array, labels: jax.Array) -> tuple[jax.Array, 
 
 def demonstrated_obs(env: Env) -> np.ndarray:
     """Return D+: the states of the forward demonstrations with their goals, [T + D, o]."""
-    demos = env.demos("forward")
+    demos = env.demonstrations.load("forward")
     states = np.concatenate([demos.states, demos.next_states[demos.ends]])
     return np.concatenate([states, np.concatenate([demos.goals, demos.goals[demos.ends]])], axis=-1)
 

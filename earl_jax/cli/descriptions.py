@@ -35,7 +35,7 @@ def task(name: str) -> dict[str, Any]:
         "summary": env.summary or summary,
         **{cell: getattr(env, cell, None) for cell in TASK_CELLS},
         "reward_types": options["reward_type"]["valid"],
-        "demonstrations": list(env.demo_directions),
+        "demonstrations": list(env.demonstrations.directions),
         "engines": list(ENGINES) if isinstance(env, envs.MujocoEnv) else [],
         "details": details,
         "options": options,

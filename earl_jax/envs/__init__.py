@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from earl_jax.envs.base import Env
+    from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
     from earl_jax.envs.features import Map, Starts
     from earl_jax.envs.mujoco_env import MujocoEnv
     from earl_jax.envs.starts import start_of
@@ -25,12 +26,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PAPER_TASKS",
+    "DemoScript",
+    "DemoStart",
     "Env",
     "HelpBudget",
     "Map",
     "MujocoEnv",
     "Starts",
     "State",
+    "TaskDemos",
     "env_class",
     "list_envs",
     "locate_env",
@@ -42,12 +46,15 @@ __all__ = [
 ]
 
 _HOME = {
+    "DemoScript": "demonstrations",
+    "DemoStart": "demonstrations",
     "Env": "base",
     "HelpBudget": "wrappers.help_budget",
     "Map": "features",
     "MujocoEnv": "mujoco_env",
     "Starts": "features",
     "State": "state",
+    "TaskDemos": "demonstrations",
     "start_of": "starts",
     "without_budget": "wrappers.without_help",
 }

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.conventions import Conventions
-from earl_jax.envs.demonstrated import Demonstrated
+from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
@@ -21,7 +21,7 @@ REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
-class Env(Demonstrated, Conventions, abc.ABC):
+class Env(Conventions, abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
     Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie
@@ -103,14 +103,6 @@ class Env(Demonstrated, Conventions, abc.ABC):
         """Return the `PhysicsState` of `model` that reaches the goal of `state`; None if the goal is not rendered."""
         del state
 
-    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
-        """Return a state with the state vector `vector [s]` and the goal `goal [g]`, to replay a demonstration from.
-
-        Raises:
-            ValueError: this task can only start from `reset`.
-        """
-        raise InputError(f"{self.name} cannot replay demonstrations: it can only start from reset")
-
     def for_lanes(self, lanes: int) -> "Env":
         """Return this task with the physics engine `auto` replaced by the fastest one for a batch of `lanes`."""
         del lanes
@@ -186,6 +178,11 @@ class Env(Demonstrated, Conventions, abc.ABC):
     def starts(self) -> Starts:
         """The distributions of starts beside s0 ~ rho, by default none."""
         return Starts()
+
+    @property
+    def demonstrations(self) -> TaskDemos:
+        """The recorded demonstrations, by default without an expert and a script."""
+        return TaskDemos(self.name, self.demo_file)
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:

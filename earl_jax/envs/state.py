@@ -1,6 +1,6 @@
-"""The return types of an environment: its state, the result of a step, and the start of a scripted demonstration."""
+"""The return types of an environment: its state and the result of a step."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,18 +26,6 @@ class State(struct.PyTreeNode):
     done: jax.Array
     metrics: dict[str, jax.Array]
     info: dict[str, jax.Array]
-
-
-class DemoStart(NamedTuple):
-    """The start of a pair of scripted demonstrations.
-
-    `forward` is the start of the forward demonstration. `backward` is the start of the backward one; None starts it at
-    the end of the forward one. `backward_goal [g]` is its goal; None records no backward demonstration.
-    """
-
-    forward: State
-    backward: State | None
-    backward_goal: np.ndarray | None
 
 
 def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:

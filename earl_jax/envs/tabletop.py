@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env
+from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.features import Map, Starts
-from earl_jax.envs.state import DemoStart, NextState, State
+from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
 
 STEP = 0.2
@@ -61,7 +62,6 @@ class TabletopOrganization(Env):
     action_size: ClassVar[int] = 3
     goal_change: ClassVar[int] = 400
     continuing_horizon: ClassVar[int | None] = 50_000
-    demo_noise: ClassVar[float | None] = 0.1
 
     @property
     def state_size(self) -> int:
@@ -115,9 +115,6 @@ class TabletopOrganization(Env):
             goals=np.concatenate([HOME[None, :2], COASTERS]),
         )
 
-    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
-        return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
-
     def render_goal(self, state: State) -> PhysicsState:
         return state.data.replace(qpos=state.info["goal"][:4])
 
@@ -150,13 +147,23 @@ class TabletopOrganization(Env):
         bonus = 2.0 * jnp.exp(-(to_goal**2) / 0.01) + 0.5 * jnp.exp(-(to_mug**2) / 0.01)
         return -to_goal - to_mug + bonus
 
-    def expert(self, obs: jax.Array) -> jax.Array:
+    @property
+    def demonstrations(self) -> TaskDemos:
+        script = DemoScript(noise=0.1, starts=self._demo_starts, action=self._demo_action)
+        return dataclasses.replace(
+            super().demonstrations, expert=self._expert, script=script, state_at=self._demonstrated_state
+        )
+
+    def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
+        return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
+
+    def _expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
         target, grip = self.waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])
 
-    def demo_action(self, obs: np.ndarray) -> np.ndarray:
+    def _demo_action(self, obs: np.ndarray) -> np.ndarray:
         """Return the action [3] of the demonstration script: the expert's waypoint at half speed, x before y."""
         target, grip = _waypoint(self, jnp.asarray(obs))
         offset = np.asarray(target) - obs[:2]
@@ -165,7 +172,7 @@ class TabletopOrganization(Env):
         move[axis] = np.clip(offset[axis] / STEP, -DEMO_SPEED, DEMO_SPEED)
         return np.append(move, grip)
 
-    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
+    def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         """Yield three starts for each goal; a backward demonstration starts where its forward one ended."""
         for goal in np.repeat(self.goal_states, DEMOS_PER_GOAL, axis=0):
             start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(goal))

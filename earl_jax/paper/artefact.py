@@ -85,7 +85,7 @@ def training_steps(env: str) -> int:
 
 def methods_on(env: str, methods: tuple[str, ...] = METHODS) -> tuple[str, ...]:
     """Return those of `methods` that can run on a task: VaPRL needs demonstrations."""
-    has_demos = make(env).has_demos
+    has_demos = make(env).demonstrations.recorded
     return tuple(method for method in methods if has_demos or method != "vaprl")
 
 

@@ -106,9 +106,8 @@ def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
         return start(number)[0], actions.astype(np.float32)
 
     actors = {} if policy is None else {"policy": Actor(env, "policy", start, policy)}
-    with contextlib.suppress(ValueError):  # no expert
-        jax.eval_shape(env.expert, jax.ShapeDtypeStruct((env.obs_size,), jnp.float32))
-        actors["expert"] = Actor(env, "expert", start, env.expert)
+    if env.demonstrations.expert is not None:
+        actors["expert"] = Actor(env, "expert", start, env.demonstrations.expert)
     with contextlib.suppress(ValueError):  # no demonstrations
         actors["demos"] = Actor(env, "demos", _demo_starts(env, seed))
     actors["random"] = Actor(env, "random", random_start)
@@ -121,7 +120,10 @@ def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
     Raises:
         ValueError: the task has no demonstrations, or cannot start from them.
     """
-    demos = env.demos("forward")
+    state_at = env.demonstrations.state_at
+    if state_at is None:
+        raise InputError(f"{env.name} cannot replay demonstrations: it can only start from reset")
+    demos = env.demonstrations.load("forward")
     stops = np.flatnonzero(demos.ends) + 1
     firsts = np.append(0, stops[:-1])
     longest = max(stops - firsts)
@@ -131,9 +133,8 @@ def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
         first, stop = firsts[index], stops[index]
         planned = np.zeros((longest, env.action_size), np.float32)
         planned[: stop - first] = demos.actions[first:stop]
-        return env.state_from_demo(jnp.asarray(demos.states[first]), jnp.asarray(demos.goals[first])), planned
+        return state_at(jnp.asarray(demos.states[first]), jnp.asarray(demos.goals[first])), planned
 
-    start(0)  # raises for a task that cannot start from a demonstration
     return start
 
 

@@ -38,7 +38,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
         ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
     """
     env = problem.env
-    if not env.has_demos:
+    if not env.demonstrations.recorded:
         if method.needs_demos:
             raise InputError(f"{method.name} needs demonstrations, and {env.name} has none")
         return None
@@ -50,8 +50,8 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
     uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
     wanted = dict.fromkeys(demos.direction for _, demos in uses)
     parts, all_states, first = [], [], 0
-    for direction in (direction for direction in wanted if direction in env.demo_directions):
-        recorded = env.demos(direction)
+    for direction in (direction for direction in wanted if direction in env.demonstrations.directions):
+        recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)
         goals, later = _goal_indices(problem, recorded.goals), last[rows] - rows

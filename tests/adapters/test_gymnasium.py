@@ -89,7 +89,7 @@ def test_a_reached_goal_is_followed_by_another():
     obs, _ = env.reset(seed=0)
     goals = []
     for _ in range(250):
-        obs, reward, _, _, info = env.step(np.asarray(env.session.env.expert(obs)))
+        obs, reward, _, _, info = env.step(np.asarray(env.session.env.demonstrations.expert(obs)))
         assert reward == info["success"]
         if info["success"]:
             assert env.state.attempt_age == 0

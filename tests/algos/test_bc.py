@@ -7,7 +7,7 @@ import pytest
 from earl_jax import InputError
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.cloning import clone, cloning_loss
-from earl_jax.envs import make
+from earl_jax.envs import TaskDemos, make
 from earl_jax.training.demos import demo_steps
 from earl_jax.training.plan import prepare
 from tests.algos.lives import OPTIONS, lived
@@ -75,7 +75,7 @@ def test_any_method_can_clone_first_with_a_noise_of_its_choice(problem):
 
 def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(problem, monkeypatch):
     both = demo_steps(problem, tiny_method("bc"))
-    monkeypatch.setattr(type(problem.env), "demo_directions", property(lambda self: ("forward",)))
+    monkeypatch.setattr(TaskDemos, "directions", property(lambda self: ("forward",)))
     forward = demo_steps(problem, tiny_method("bc", controllers=2))
     assert 0 < len(forward.obs) < len(both.obs)
     assert set(forward.controller.tolist()) == {0}

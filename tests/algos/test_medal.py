@@ -104,7 +104,7 @@ def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_o
 
 def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_goal(problem):
     demos = demo_rows(problem, tiny_method("medal"))
-    forward, backward = [len(problem.env.demos(name).ends) for name in ("forward", "backward")]
+    forward, backward = [len(problem.env.demonstrations.load(name).ends) for name in ("forward", "backward")]
     assert len(demos.sampleable(TASK)) == forward
     assert len(demos.sampleable(RETURN)) == forward + 4 * backward
     assert len(demos.states) == len(problem.goals.candidates)
@@ -127,7 +127,7 @@ def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_o
 def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):
     env = problem.env
     demos = demos_to_clone(env, demo_steps(problem, tiny_method("medal")))
-    forward, backward = env.demos("forward"), env.demos("backward")
+    forward, backward = env.demonstrations.load("forward"), env.demonstrations.load("backward")
     assert len(demos.of(TASK).obs) == len(forward.ends)
     demonstrated = demonstrated_obs(env)
     assert demonstrated.shape == (len(forward.ends) + 12, 12)

@@ -106,7 +106,7 @@ def test_the_papers_variant_has_the_same_task():
     listed[:, 26:29] = [-np.pi, 0.0, 0.3]
 
     def answers(env, obs):
-        parts = env.reward(obs), env.success(obs), env.map.position(obs), jax.vmap(env.expert)(obs)
+        parts = env.reward(obs), env.success(obs), env.map.position(obs), jax.vmap(env.demonstrations.expert)(obs)
         return dict(zip(("reward", "success", "map", "expert"), parts, strict=True))
 
     paper, ours = (jax.jit(answers, static_argnums=0)(env, rows) for env, rows in ((PAPER, listed), (ENV, obs)))
@@ -119,9 +119,9 @@ def test_demonstrations_of_the_other_variant_are_an_error(tmp_path):
     rows = assets.Demos(state[:, :32], state[:, 32:], np.zeros((1, 22)), state[:, :32], np.ones(1), np.ones(1, bool))
     demos.save({"forward": rows}, file)
     own, paper = (dataclasses.replace(env, demo_file=str(file)) for env in (ENV, PAPER))
-    np.testing.assert_array_equal(own.demos("forward").states, state[:, :32])
+    np.testing.assert_array_equal(own.demonstrations.load("forward").states, state[:, :32])
     with pytest.raises(ValueError, match="recorded with variant 'reconstruction', not 'paper'"):
-        paper.demos("forward")
+        paper.demonstrations.load("forward")
 
 
 def test_starts_cover_the_table_and_stay_inside():
@@ -188,7 +188,7 @@ def test_the_scripted_grasp_lifts_and_holds_and_no_action_earns_the_published_re
 
     def step(states, key):
         noise = jax.random.uniform(key, (12, 22), minval=-1.0, maxval=1.0)
-        action = jnp.concatenate([jnp.zeros((12, 22)), noise, jax.vmap(ENV.expert)(states.obs[24:])])
+        action = jnp.concatenate([jnp.zeros((12, 22)), noise, jax.vmap(ENV.demonstrations.expert)(states.obs[24:])])
         states = jax.vmap(ENV.step)(states, action)
         return states, (states.reward, states.metrics["success"] > 0, states.obs[:, 25], jax.vmap(ENV.fault)(states))
 
@@ -209,7 +209,7 @@ def test_the_grasp_also_puts_the_bulb_down_at_a_goal_on_the_table():
     state = ENV.with_goal(start_at(0.8, 0.1), jnp.asarray(ENV.initial_states[0]))
 
     def step(state, _):
-        state = ENV.step(state, ENV.expert(state.obs))
+        state = ENV.step(state, ENV.demonstrations.expert(state.obs))
         return state, (state.obs[25], ENV.success(state.obs))
 
     height, success = map(np.asarray, jax.jit(lambda state: jax.lax.scan(step, state, length=120)[1])(state))

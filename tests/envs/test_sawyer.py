@@ -67,14 +67,14 @@ def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(released, radi
     assert (released.obs_size, env.obs_size) == (14, 12)
     state, full = first_state(env), first_state(released)
     np.testing.assert_array_equal(state.obs, np.delete(full.obs, [3, 10]))
-    assert env.demos("forward").states.shape[1] == 6
+    assert env.demonstrations.load("forward").states.shape[1] == 6
     near = np.concatenate([env.goal_states[0] + np.float32([0, 0, 0, 0.045, 0, 0]), env.goal_states[0]])
     assert env.success(near)
     if env.name == "sawyer_door":
-        np.testing.assert_array_equal(released.expert(full.obs), env.expert(state.obs))
+        experts = released.demonstrations.expert, env.demonstrations.expert
+        np.testing.assert_array_equal(experts[0](full.obs), experts[1](state.obs))
     else:
-        with pytest.raises(ValueError, match="which variant 'paper' omits"):
-            env.expert(state.obs)
+        assert (env.demonstrations.expert, env.demonstrations.script) == (None, None)
 
 
 @EVERY_TASK

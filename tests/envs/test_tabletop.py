@@ -15,7 +15,7 @@ RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"
 
 
 def start_state(env, vector, goal):
-    return program(env, "state_from_demo")(np.float32(vector), np.float32(goal))
+    return program(env, "demonstrations.state_at")(np.float32(vector), np.float32(goal))
 
 
 @pytest.mark.skipif(not RECORDED.is_dir(), reason="the recorded originals are not part of the project")
@@ -27,7 +27,7 @@ def test_replayed_recordings_of_the_original_give_its_observations_and_rewards(e
 
     def step(state, row):
         start, vector, action = row
-        fresh = env.state_from_demo(vector[:6], vector[6:])
+        fresh = env.demonstrations.state_at(vector[:6], vector[6:])
         state = env.step(jax.tree.map(lambda new, old: jnp.where(start, new, old), fresh, state), action)
         return state, (state.obs, state.reward)
 

@@ -17,10 +17,10 @@ def idle(obs):
 
 def test_success_counts_at_any_step_within_the_horizon(env):
     def leaving(obs):
-        return jnp.where(env.success(obs), 1.0, env.expert(obs))
+        return jnp.where(env.success(obs), 1.0, env.demonstrations.expert(obs))
 
     def results():
-        short, long = (episode(env, env.expert, KEY, horizon)["success"] for horizon in (10, 60))
+        short, long = (episode(env, env.demonstrations.expert, KEY, horizon)["success"] for horizon in (10, 60))
         return short, long, deployed(env, leaving, KEY, 60, 4)["deployed/success"]
 
     assert jax.jit(results)() == (0.0, 1.0, 1.0)
@@ -29,9 +29,9 @@ def test_success_counts_at_any_step_within_the_horizon(env):
 def test_wide_starts_change_no_ordinary_episode(env):
     def at_goal(key):
         goal = jnp.array([0.0, 0.0, 0.0, 2.0, -1.0, -1.0])
-        return env.state_from_demo(goal, goal)
+        return env.demonstrations.state_at(goal, goal)
 
-    runs = [(env.expert, 60, None), (env.expert, 60, env.starts.wide), (idle, 1, at_goal)]
+    runs = [(env.demonstrations.expert, 60, None), (env.demonstrations.expert, 60, env.starts.wide), (idle, 1, at_goal)]
     plain, both, resting = jax.jit(
         lambda: [deployed(env, run, KEY, steps, 4, wide=wide) for run, steps, wide in runs]
     )()

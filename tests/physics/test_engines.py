@@ -41,7 +41,7 @@ def observe_demonstrations(name, engine, steps, episodes=2):
     env, demos = make(name, engine=engine), assets.demos(name, "forward")
     firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
     actions = np.stack([demos.actions[first : first + steps] for first in firsts])
-    states = jax.jit(jax.vmap(env.state_from_demo))(demos.states[firsts], demos.goals[firsts])
+    states = jax.jit(jax.vmap(env.demonstrations.state_at))(demos.states[firsts], demos.goals[firsts])
     return play(name, env, states, actions, lambda state: state.obs[:7])
 
 

@@ -67,7 +67,7 @@ def expert_acts(monkeypatch):
 
     def act(self, key, env, actor, obs, moment, method_state):
         home = jnp.concatenate([obs[: env.state_size], env.initial_states[0]])
-        return env.expert(jnp.where((moment.phase == RETURN) & (self.name == "r3l"), home, obs))
+        return env.demonstrations.expert(jnp.where((moment.phase == RETURN) & (self.name == "r3l"), home, obs))
 
     monkeypatch.setattr(Method, "act", act)
     monkeypatch.setattr(loop, "learn", lambda problem, method, lane, *rest: lane)

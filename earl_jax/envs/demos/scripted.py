@@ -15,6 +15,7 @@ import numpy as np
 from earl_jax import envs
 from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs import Env, State
+from earl_jax.envs.demonstrations import DemoScript
 from earl_jax.errors import InputError
 from earl_jax.options.values import SEED, require
 
@@ -33,30 +34,30 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
         ValueError: the task has no demonstration script; the message lists the tasks that have one.
         RuntimeError: a demonstration failed, as in `record`.
     """
-    _require_script(env)
+    script = _require_script(env)
     require("seed", seed, SEED)
     rng = np.random.default_rng(seed)
     rows: dict[str, list[tuple]] = {direction: [] for direction in DIRECTIONS}
-    for start in env.demo_starts(seed):
-        forward, end = record(env, start.forward, rng, env.demo_hold)
+    for start in script.starts(seed):
+        forward, end = record(env, start.forward, rng, script.hold)
         rows["forward"] += forward
         if start.backward_goal is not None:
             state = end if start.backward is None else start.backward
             state = env.with_goal(state, jnp.asarray(start.backward_goal))
-            rows["backward"] += record(env, state, rng, env.demo_hold)[0]
+            rows["backward"] += record(env, state, rng, script.hold)[0]
     return {direction: stacked(recorded) for direction, recorded in rows.items() if recorded}
 
 
 def scripted_tasks() -> list[str]:
     """Return the names of the registered tasks with a demonstration script, sorted."""
-    return [name for name in envs.list_envs() if envs.make(name).demo_noise is not None]
+    return [name for name in envs.list_envs() if envs.make(name).demonstrations.script]
 
 
-def _require_script(env: Env) -> float:
-    """Return the noise of the task's demonstration script. Errors as `record`."""
-    if env.demo_noise is None:
+def _require_script(env: Env) -> DemoScript:
+    """Return the task's demonstration script. Errors as `record`."""
+    if env.demonstrations.script is None:
         raise InputError(f"{env.name} has no demonstration script; choose from {', '.join(scripted_tasks())}")
-    return env.demo_noise
+    return env.demonstrations.script
 
 
 def record(env: Env, state: State, rng: np.random.Generator, steps: int | None = None) -> tuple[list[tuple], State]:
@@ -68,12 +69,12 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         ValueError: the task has no demonstration script; the message lists the tasks that have one.
         RuntimeError: the script did not reach its goal within 400 steps, or is not at its goal after `steps`.
     """
-    noise = _require_script(env)
-    size = env.state_size
+    script, size = _require_script(env), env.state_size
+    act, noise = script.action or functools.partial(_expert_action, env), script.noise
     rows = []
     for number in range(steps or MAX_STEPS):
         obs = np.asarray(state.obs)
-        action = env.demo_action(obs)
+        action = np.array(act(obs))
         action[:-1] += rng.uniform(-noise, noise, len(action) - 1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         state, success = _step(env, state, action)
@@ -84,6 +85,14 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         if reached and ends:
             return rows, state
     raise RuntimeError(f"the demonstration script of {env.name} missed {np.asarray(state.info['goal'])}")
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _expert_action(env: Env, obs: jax.Array) -> jax.Array:
+    expert = env.demonstrations.expert
+    if expert is None:
+        raise InputError(f"the demonstration script of {env.name} needs an action or an expert")
+    return expert(obs)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
+from earl_jax.assets import Demos
+from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
 from earl_jax.envs.features import Map
 from earl_jax.envs.mujoco_env import MujocoEnv
-from earl_jax.envs.state import DemoStart, NextState, State
+from earl_jax.envs.state import NextState, State
 from earl_jax.errors import InputError
 from earl_jax.physics import EngineCost, PhysicsState
 
@@ -106,8 +107,6 @@ class DHandLightbulb(MujocoEnv):
     action_size: ClassVar[int] = 22
     goal_change: ClassVar[int] = 400
     control_step: ClassVar[float] = 0.1
-    demo_noise: ClassVar[float | None] = 0.1
-    demo_hold: ClassVar[int | None] = 200
     demo_count: ClassVar[int] = 20
     """Number of scripted demonstrations, all forward. The paper has none, and none ship."""
 
@@ -155,16 +154,26 @@ class DHandLightbulb(MujocoEnv):
         hand = jnp.asarray(START_HAND, jnp.float32)
         return self.make_state(data, observed(data.qpos, hand, data.mocap_quat[0], self.variant), info)
 
-    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+    @property
+    def demonstrations(self) -> TaskDemos:
+        script = DemoScript(noise=0.1, starts=self._demo_starts, hold=200)
+        return dataclasses.replace(
+            super().demonstrations,
+            layout=self._of_this_variant,
+            expert=self._expert,
+            script=script,
+            state_at=self._demonstrated_state,
+        )
+
+    def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.with_goal(self.start_at(vector[FINGERS + ARM : FINGERS + ARM + 2]), goal)
 
-    def demos(self, direction: str) -> assets.Demos:
-        """Return the demonstrations of `direction` in `demo_file`.
+    def _of_this_variant(self, demos: Demos) -> Demos:
+        """Return `demos`.
 
         Raises:
-            ValueError: as in `Env.demos`, or they were recorded with the other variant, whose states differ.
+            ValueError: they were recorded with the other variant, whose states differ.
         """
-        demos = super().demos(direction)
         recorded = VARIANTS[int((demos.states[:, POSE : POSE + 1] < HAND_NEVER).any())]
         if recorded != self.variant:
             raise InputError(
@@ -173,7 +182,7 @@ class DHandLightbulb(MujocoEnv):
             )
         return demos
 
-    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
+    def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         for key in jax.random.split(jax.random.key(seed), self.demo_count):
             yield DemoStart(forward=self.reset(key), backward=None, backward_goal=None)
 
@@ -232,7 +241,7 @@ class DHandLightbulb(MujocoEnv):
             cost -= jnp.where(height < level, worth + worth * (distance < radius), 0.0)
         return -cost
 
-    def expert(self, obs: jax.Array) -> jax.Array:
+    def _expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [22] of a scripted grasp: over the bulb, down, close, lift, carry to the goal of `obs`."""
         return grasp.action(*self._parts(obs))
 

@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax import assets
+from earl_jax.assets import Demos
+from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
-from earl_jax.envs.state import DemoStart, NextState, State
+from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
 
 REACH = 0.01
@@ -74,7 +75,6 @@ class Sawyer(MujocoEnv):
 
     action_size: ClassVar[int] = 4
     control_step: ClassVar[float] = 0.0125
-    demo_noise: ClassVar[float | None] = 0.2
     demo_count: ClassVar[int]
     """Number of scripted demonstrations in each direction, as in the paper's table."""
     radius: ClassVar[dict[str, float]]
@@ -109,7 +109,22 @@ class Sawyer(MujocoEnv):
     def joints_at(self, position: jax.Array) -> jax.Array:
         """Return the object's joints [j] at which its observed position is `position [3]`."""
 
-    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+    @property
+    def demonstrations(self) -> TaskDemos:
+        script = DemoScript(noise=0.2, starts=self._demo_starts)
+        return dataclasses.replace(
+            super().demonstrations,
+            layout=self._observed_demos,
+            expert=self._expert,
+            script=script,
+            state_at=self._demonstrated_state,
+        )
+
+    @abc.abstractmethod
+    def _expert(self, obs: jax.Array) -> jax.Array:
+        """Return the action [4] of a script that reaches the goal in `obs [o]`."""
+
+    def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
         position = vector[-3:]
         return self.start_at(self.joints_at(position), position, goal)
 
@@ -157,12 +172,12 @@ class Sawyer(MujocoEnv):
         del state, action, tips, object_position
         return {}
 
-    def demos(self, direction: str) -> assets.Demos:
-        demos = super().demos(direction)
+    def _observed_demos(self, demos: Demos) -> Demos:
+        """Return `demos` with the numbers that this variant observes."""
         parts = {name: getattr(demos, name)[:, self.observed_indices] for name in ("states", "goals", "next_states")}
         return demos._replace(**parts)
 
-    def demo_starts(self, seed: int) -> Iterator[DemoStart]:
+    def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         """Yield `demo_count` starts; backward demonstrations cycle through the initial states as goals."""
         for number in range(self.demo_count):
             key = jax.random.fold_in(jax.random.key(seed), number)

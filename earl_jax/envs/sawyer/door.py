@@ -138,7 +138,7 @@ class SawyerDoor(Sawyer):
         placed = tolerance(self.to_goal(obs), 0.0, GOAL_RADIUS, margin)
         return jnp.where(self.to_goal(obs) < GOAL_RADIUS, 10.0, 3.0 * near + 6.0 * placed)
 
-    def expert(self, obs: jax.Array) -> jax.Array:
+    def _expert(self, obs: jax.Array) -> jax.Array:
         return experts.door(obs[:3], self.object_in(obs), obs[self.obs_size - 3 :])
 
 

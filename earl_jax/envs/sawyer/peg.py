@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
@@ -132,7 +133,13 @@ class SawyerPeg(Sawyer):
         """Return the peg's middle [3] with its head at `position [3]`."""
         return position - HEAD
 
-    def state_from_demo(self, vector: jax.Array, goal: jax.Array) -> State:
+    @property
+    def demonstrations(self) -> TaskDemos:
+        """Those of both Sawyer tasks. The script observes the gripper, so `variant="paper"`, which omits it, has none."""
+        demos = super().demonstrations
+        return demos if self.variant == "released" else dataclasses.replace(demos, expert=None, script=None)
+
+    def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
         return self._start_with_peg(self.joints_at(vector[-3:]), goal)
 
     def _backward_demo_start(self, key: jax.Array) -> State:
@@ -219,14 +226,7 @@ class SawyerPeg(Sawyer):
         total = hamacher(jnp.where(lifted, 1.0, grasp), placed) + jnp.where(lifted, 1.0 + 5.0 * placed, 0.0)
         return jnp.where(left <= RADIUS, 10.0, total)
 
-    def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [4] of a script that brings the peg to its goal.
-
-        Raises:
-            ValueError: variant 'paper', whose observation omits the gripper.
-        """
-        if self.variant != "released":
-            raise InputError("the scripted expert of sawyer_peg observes the gripper, which variant 'paper' omits")
+    def _expert(self, obs: jax.Array) -> jax.Array:
         return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.base import Env
+from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
@@ -82,8 +83,6 @@ class HelpBudget(Env):
     model = _of_task("model")
     sparse = _of_task("sparse")
     reward_scale = _of_task("reward_scale")
-    has_demos = _of_task("has_demos")
-    demo_directions = _of_task("demo_directions")
 
     @property
     def action_size(self) -> int:
@@ -221,18 +220,26 @@ class HelpBudget(Env):
     def _budget_left(self, obs: jax.Array) -> jax.Array:
         return obs[..., self.task.state_size] > 0
 
-    def expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [a + 1] of the task's scripted controller, which never requests help."""
-        return jnp.append(self.task.expert(self.task_obs(obs)), -1.0)
+    @property
+    def demonstrations(self) -> TaskDemos:
+        """Those of the task, with a full budget and without requests for help; there is no script."""
+        demos = self.task.demonstrations
+        expert = demos.expert
+        return TaskDemos(
+            demos.task,
+            demos.file,
+            layout=lambda recorded: _with_full_budget(demos.layout(recorded)),
+            expert=expert and (lambda obs: jnp.append(expert(self.task_obs(obs)), -1.0)),
+        )
 
-    def demos(self, direction: str) -> assets.Demos:
-        """Return the task's demonstrations with a full budget and no request for help. Errors as the task's."""
-        demos = self.task.demos(direction)
-        wider = {"states": 1.0, "next_states": 1.0, "actions": -1.0}
-        parts = {
-            name: np.pad(getattr(demos, name), ((0, 0), (0, 1)), constant_values=value) for name, value in wider.items()
-        }
-        return demos._replace(**parts)
+
+def _with_full_budget(demos: assets.Demos) -> assets.Demos:
+    """Return `demos` of a task in augmented spaces."""
+    wider = {"states": 1.0, "next_states": 1.0, "actions": -1.0}
+    parts = {
+        name: np.pad(getattr(demos, name), ((0, 0), (0, 1)), constant_values=value) for name, value in wider.items()
+    }
+    return demos._replace(**parts)
 
 
 def _ended(info: dict[str, jax.Array]) -> jax.Array:

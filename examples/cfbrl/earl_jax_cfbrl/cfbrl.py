@@ -224,7 +224,7 @@ def _offsets(key: jax.Array, env: Env, steps: Steps, moved: jax.Array) -> jax.Ar
 
 def _demonstrated(env: Env) -> tuple[Steps, np.ndarray]:
     """Return all demonstrated steps, and for each the last step of its demonstration, [T]."""
-    parts = [env.demos(direction) for direction in env.demo_directions]
+    parts = [env.demonstrations.load(direction) for direction in env.demonstrations.directions]
     states, following, goals, actions, ends = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("states", "next_states", "goals", "actions", "ends")

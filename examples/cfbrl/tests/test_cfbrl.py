@@ -28,7 +28,7 @@ PAGE = Path(__file__).parents[1] / "README.md"
 
 def demonstrated_rows():
     """Return the demonstrated forward steps of the peg, whose later states are 20 steps ahead or the last one."""
-    demos = PEG.demos("forward")
+    demos = PEG.demonstrations.load("forward")
     last = np.flatnonzero(demos.ends)
     end = last[np.searchsorted(last, np.arange(len(demos.ends)))]
     later = demos.next_states[np.minimum(np.arange(len(end)) + 20, end)]
@@ -74,7 +74,7 @@ def test_without_shares_and_where_it_is_not_allowed_nothing_changes():
 
 def test_a_task_without_translations_and_corrections_keeps_its_steps():
     door, method = earl_jax.make("sawyer_door"), earl_jax.make_algo("cfbrl", hindsight=0.0)
-    demos = door.demos("forward")
+    demos = door.demonstrations.load("forward")
     steps = Steps(demos.states, demos.actions, demos.next_states, demos.next_states, demos.goals)
     every = np.ones(len(demos.ends), bool)
     new, changed, to_clone = jax.jit(lambda: method.transform(KEY, door, steps, every, every))()
@@ -154,7 +154,7 @@ def test_relabelled_rows_have_the_reward_and_the_end_of_their_new_goal():
 def test_the_cloning_draws_from_transformed_demonstrations(monkeypatch):
     monkeypatch.setattr(cfbrl, "COPIES", 4)
     method = earl_jax.make_algo("cfbrl", hindsight=0.5, translated=0.5, corrected=0.0)
-    parts = [PEG.demos(direction) for direction in ("forward", "backward")]
+    parts = [PEG.demonstrations.load(direction) for direction in ("forward", "backward")]
     obs = np.concatenate([np.concatenate([part.states, part.goals], axis=1) for part in parts])
     demos = jax.jit(lambda: method.transformed_demos(KEY, PEG))()
     assert demos.obs.shape == (4 * len(obs), 14)

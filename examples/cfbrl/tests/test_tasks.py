@@ -63,7 +63,7 @@ def test_a_task_has_the_knowledge_of_its_class_and_others_have_none(name):
 
 
 def test_a_move_of_the_peg_shifts_hand_and_peg_alike_and_stays_clear_of_the_block():
-    demos = PEG.env.demos("forward")
+    demos = PEG.env.demonstrations.load("forward")
     keys = jax.random.split(KEY, len(demos.ends))
     offset = np.asarray(jax.jit(jax.vmap(PEG.translation))(keys, demos.states, demos.next_states))
     np.testing.assert_array_equal(offset[:, :2], offset[:, 4:6])
@@ -124,11 +124,11 @@ def test_the_dynamics_of_tabletop_are_the_same_after_a_move():
 
     def move(key):
         start_key, action_key, offset_key = jax.random.split(key, 3)
-        start = env.reset_uniform(start_key)
+        start = env.starts.uniform(start_key)
         action = jax.random.uniform(action_key, (3,), minval=-1.0)
         state, following = start.obs[:6], env.step(start, action).obs[:6]
         offset = knowledge_of(env).translation(offset_key, state, following)
-        moved = env.step(env.state_from_demo(state + offset, start.info["goal"]), action).obs[:6]
+        moved = env.step(env.demonstrations.state_at(state + offset, start.info["goal"]), action).obs[:6]
         return following, offset, moved
 
     following, offset, moved = jax.device_get(jax.jit(jax.vmap(move))(jax.random.split(KEY, 400)))

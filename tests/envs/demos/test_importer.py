@@ -226,13 +226,13 @@ def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path, capsys):
     main(["import-demos", str(files["forward"]), "--backward", str(files["backward"]), "--out", str(out)])
     assert "5 forward, 5 backward" in capsys.readouterr().out
     env = make("sawyer_door", demo_file=str(out))
-    assert env.demo_directions == assets.DIRECTIONS
+    assert env.demonstrations.directions == assets.DIRECTIONS
     for name, part in shipped.items():
-        np.testing.assert_array_equal(env.demos(name).states, part.states)
+        np.testing.assert_array_equal(env.demonstrations.load(name).states, part.states)
     with pytest.raises(SystemExit):
         main(["import-demos", str(files["forward"]), "--out", str(out)])
     assert "exists" in capsys.readouterr().err
     main(["import-demos", str(files["forward"])])
     alone = make("sawyer_door", demo_file=str(tmp_path / "forward_imported.npz"))
     with pytest.raises(ValueError, match="no backward demonstrations"):
-        alone.demos("backward")
+        alone.demonstrations.load("backward")

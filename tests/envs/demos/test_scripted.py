@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.envs import demos, make
-from earl_jax.envs.state import DemoStart
+from earl_jax.envs import DemoScript, DemoStart, demos, make
 from earl_jax.envs.tabletop import TabletopOrganization
 
 
@@ -16,22 +15,26 @@ from earl_jax.envs.tabletop import TabletopOrganization
 class OneGoal(TabletopOrganization):
     """A task of another package with its own script: a pair of demonstrations without noise, and a forward one alone."""
 
+    hold: int | None = None
+
     name = "my_one_goal"
-    demo_noise = 0.0
 
-    def demo_action(self, obs):
-        return np.array(self.expert(jnp.asarray(obs)))
+    @property
+    def demonstrations(self):
+        demos = super().demonstrations
+        expert = jax.jit(demos.expert)
+        script = DemoScript(0.0, self._pair_and_forward, self.hold, action=lambda obs: np.array(expert(obs)))
+        return dataclasses.replace(demos, script=script)
 
-    def demo_starts(self, seed):
+    def _pair_and_forward(self, seed):
         start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(self.goal_states[1]))
         yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
         yield DemoStart(forward=start, backward=None, backward_goal=None)
 
 
 @pytest.mark.parametrize("hold", [None, 60])
-def test_a_task_outside_the_package_brings_its_own_script(monkeypatch, hold):
-    monkeypatch.setattr(OneGoal, "demo_hold", hold)
-    env = OneGoal()
+def test_a_task_outside_the_package_brings_its_own_script(hold):
+    env = OneGoal(hold=hold)
     made = demos.make(env)
     forward, backward = made["forward"], made["backward"]
     assert (forward.ends.sum(), backward.ends.sum()) == (2, 1)
@@ -39,7 +42,8 @@ def test_a_task_outside_the_package_brings_its_own_script(monkeypatch, hold):
     np.testing.assert_array_equal(backward.goals[0], env.initial_states[0])
     end = np.flatnonzero(forward.ends)[0]
     np.testing.assert_array_equal(backward.states[0], forward.next_states[end])
-    np.testing.assert_array_equal(forward.actions[0], env.demo_action(np.append(forward.states[0], forward.goals[0])))
+    first = env.demonstrations.expert(np.append(forward.states[0], forward.goals[0]))
+    np.testing.assert_allclose(forward.actions[0], first, rtol=1e-6)
     assert (end == 59) == (hold == 60)
     assert forward.rewards[: end + 1].sum() == 1 if hold is None else forward.rewards[end - 4 : end + 1].all()
 
@@ -53,6 +57,6 @@ def test_a_task_without_a_script_names_the_tasks_with_one():
 @pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_door", "sawyer_peg"])
 def test_a_state_can_be_restored_from_a_demonstration(name):
     env = make(name)
-    forward = env.demos("forward")
-    state = env.state_from_demo(jnp.asarray(forward.states[0]), jnp.asarray(forward.goals[0]))
+    forward = env.demonstrations.load("forward")
+    state = env.demonstrations.state_at(jnp.asarray(forward.states[0]), jnp.asarray(forward.goals[0]))
     np.testing.assert_allclose(state.obs, np.concatenate([forward.states[0], forward.goals[0]]), atol=2e-3)

@@ -208,7 +208,8 @@ def test_the_wrapper_has_the_properties_of_its_task():
     def answers(key):
         state, wide = env.starts.uniform(key), env.starts.wide(key)
         task_obs = env.task_obs(state.obs)
-        return (env.map.position(state.obs), env.expert(state.obs)), (task_obs[:2], task.expert(task_obs)), wide
+        own = env.map.position(state.obs), env.demonstrations.expert(state.obs)
+        return own, (task_obs[:2], task.demonstrations.expert(task_obs)), wide
 
     (position, action), (task_position, task_action), wide = jax.jit(answers)(jax.random.key(0))
     np.testing.assert_array_equal(position, task_position)
@@ -222,9 +223,9 @@ def test_the_wrapper_has_the_properties_of_its_task():
 def test_demonstrations_have_a_full_budget_and_never_request_help():
     task = make("tabletop_organization")
     env = HelpBudget(task, budget=4.0)
-    assert env.demo_directions == task.demo_directions
-    for direction in env.demo_directions:
-        demos, task_demos = env.demos(direction), task.demos(direction)
+    assert env.demonstrations.directions == task.demonstrations.directions == ("forward", "backward")
+    for direction in env.demonstrations.directions:
+        demos, task_demos = env.demonstrations.load(direction), task.demonstrations.load(direction)
         np.testing.assert_array_equal(demos.states, np.pad(task_demos.states, ((0, 0), (0, 1)), constant_values=1))
         np.testing.assert_array_equal(demos.next_states[:, 6], 1)
         np.testing.assert_array_equal(demos.actions, np.pad(task_demos.actions, ((0, 0), (0, 1)), constant_values=-1))

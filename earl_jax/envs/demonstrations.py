@@ -1,0 +1,76 @@
+"""The demonstrations of a task: recorded ones, a scripted expert, and the script that records them."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from earl_jax import assets
+from earl_jax.envs.state import State
+
+
+class DemoStart(NamedTuple):
+    """The start of a pair of scripted demonstrations.
+
+    `forward` is the start of the forward demonstration. `backward` is the start of the backward one; None starts it at
+    the end of the forward one. `backward_goal [g]` is its goal; None records no backward demonstration.
+    """
+
+    forward: State
+    backward: State | None
+    backward_goal: np.ndarray | None
+
+
+class DemoScript(NamedTuple):
+    """How demonstrations of a task are recorded.
+
+    `starts(seed)` yields one item for each forward demonstration. The noise is uniform in [-`noise`, `noise`], on all
+    components of an action but the last. A demonstration goes on for `hold` steps, also after success; None ends it at
+    success. `action(obs [s + g])` returns the action [a] before noise, of NumPy's arrays; None stands for the expert.
+    """
+
+    noise: float
+    starts: Callable[[int], Iterator[DemoStart]]
+    hold: int | None = None
+    action: Callable[[np.ndarray], np.ndarray] | None = None
+
+
+def as_recorded(demos: assets.Demos) -> assets.Demos:
+    """Return `demos` as they are."""
+    return demos
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskDemos:
+    """The demonstrations of a task: those in `file`, or those that ship with `task`."""
+
+    task: str
+    file: str | None = None
+    layout: Callable[[assets.Demos], assets.Demos] = as_recorded
+    """Converts recorded demonstrations to the layout of the task."""
+    expert: Callable[[jax.Array], jax.Array] | None = None
+    """Returns the action [a] of a scripted controller that reaches the goal in an observation [s + g]."""
+    script: DemoScript | None = None
+    state_at: Callable[[jax.Array, jax.Array], State] | None = None
+    """Returns a state with the state vector [s] and the goal [g], to replay a demonstration from; None if the task can
+    only start from `reset`."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether there are recorded demonstrations."""
+        return self.file is not None or assets.has_demos(self.task)
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """The directions with recorded demonstrations."""
+        return assets.demo_directions(self.file or self.task)
+
+    def load(self, direction: str) -> assets.Demos:
+        """Return the recorded demonstrations of `direction` (forward or backward) in the task's layout.
+
+        Raises:
+            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices.
+        """
+        return self.layout(assets.demos(self.file or self.task, direction))
