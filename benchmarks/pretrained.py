@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 from tyro.conf import Positional
 
 from earl_jax import assets
-from earl_jax.envs import Env, with_engine
+from earl_jax.envs import Env, chosen_engine, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import deployed
 from earl_jax.report.runs import read
@@ -70,7 +70,7 @@ def pack(folder: Path, out: Path, episodes: int = EPISODES, least: float = LEAST
     """
     run = RunFolder.open(folder)
     env, policies = load_policies(run)
-    env = env if env.engine == "kinematic" else with_engine(env, "c")
+    env = env if chosen_engine(env) == "kinematic" else with_engine(env, "c")
     arrays = arrays_of_actor(policies.actor)
     rounded = policies.replace(actor=actor_of_arrays(arrays))
     first = [scores(env, candidate, CHOOSE, episodes) for candidate in (policies, rounded)]

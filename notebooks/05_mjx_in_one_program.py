@@ -137,7 +137,7 @@ plt.show()
 `earl_jax.lifetime` is a whole training run as a pure function. A `Problem` holds what is static, so plain
 `jax.jit` takes it as an argument. Methods are pytrees: `vmap` over a learning rate is a sweep. The area under
 the deployed curve and its interval over seeds are computed on the device too, so only finished numbers leave
-the program. `auto` would train this page's task on the C engine; `for_lanes` shows its choice.
+the program. `auto` would train this page's task on the C engine; `envs.for_lanes` shows its choice.
 """
 
 # %%
@@ -146,7 +146,7 @@ problem = earl_jax.Problem(env, protocol, steps=STEPS)
 method = earl_jax.method_for(env, "naive", random_steps=RANDOM_STEPS, timeout_bootstrap=True, **NETWORK)
 keys = jax.random.split(jax.random.key(0), SEEDS)
 evaluated = np.arange(EVERY, STEPS + 1, EVERY)
-print("auto takes:", earl_jax.make(TASK).for_lanes(len(RATES) * SEEDS).engine)
+print("auto takes:", earl_jax.envs.for_lanes(earl_jax.make(TASK), len(RATES) * SEEDS).engine)
 
 
 @jax.jit

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import tyro
 
 from benchmarks.output import RESULTS, save_rows
-from earl_jax.envs import list_envs, make
+from earl_jax.envs import chosen_engine, list_envs, make
 from earl_jax.options.environment import own_cores
 
-ENVS = tuple(name for name in list_envs() if make(name).engine != "kinematic")
+ENVS = tuple(name for name in list_envs() if chosen_engine(make(name)) != "kinematic")
 MIN_SECONDS = 1.0
 """The shortest time of a timed repeat."""
 

@@ -14,7 +14,7 @@ import tyro
 
 from benchmarks.output import RESULTS, save_rows
 from earl_jax.algos import Method, make_algo
-from earl_jax.envs import make
+from earl_jax.envs import make, resolved_engine
 from earl_jax.protocol import Protocol
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
@@ -51,7 +51,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
         times.append(time.perf_counter() - began)
     rate = steps / statistics.median(times[1:])
     return {
-        "env": name, "engine": problem.env.resolved_engine, "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
+        "env": name, "engine": resolved_engine(problem.env), "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
         "steps_per_s": round(rate, 1),
         "lane_steps_per_s": round(rate * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip

@@ -29,7 +29,8 @@ class GymnasiumSession:
         if render_mode not in (None, *modes):
             raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
         self.session, self.render_mode = session, render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1 / session.env.step_seconds)}
+        view = session.env.view
+        self.metadata = self.metadata if view is None else {**self.metadata, "render_fps": round(1 / view.dt)}
         self._state: ProtocolState | None = None
         self._scene: Any = None
         self._picture_size = (height, width)

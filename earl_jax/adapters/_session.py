@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs import Env, make, start_of
+from earl_jax.envs import Env, for_lanes, make, start_of
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
@@ -95,7 +95,7 @@ class Session:
         """
         setting = setting_of(setting) if isinstance(setting, str) else setting
         env, setting = split_setting(_make_task(task, options), setting)
-        setting, env = with_explicit_horizon(setting, env, options), setting.wrap(env.for_lanes(lanes))
+        setting, env = with_explicit_horizon(setting, env, options), setting.wrap(for_lanes(env, lanes))
         return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps, starts)
 
     @property

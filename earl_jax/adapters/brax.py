@@ -15,7 +15,7 @@ from brax.envs.base import State as BraxState
 from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session
-from earl_jax.envs import Env
+from earl_jax.envs import Env, resolved_engine
 
 NO_TIME_LIMIT = 2**30
 """More steps than any lifetime has, and exact in float32, in which brax counts steps."""
@@ -99,7 +99,7 @@ class ResetFreeEnv(BraxEnv):
     @property
     def backend(self) -> str:
         """The physics engine's name, or `kinematic`."""
-        return self.session.env.resolved_engine
+        return resolved_engine(self.session.env)
 
 
 def _metrics(outputs: Outputs, interventions_before: jax.Array) -> dict[str, jax.Array]:

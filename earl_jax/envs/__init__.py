@@ -5,11 +5,9 @@ The classes are loaded on first use, so that the names can be listed without jax
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from earl_jax.errors import InputError
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
@@ -17,7 +15,8 @@ if TYPE_CHECKING:
 
     from earl_jax.envs.base import Env
     from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
-    from earl_jax.envs.features import Map, Starts
+    from earl_jax.envs.engines import chosen_engine, for_lanes, resolved_engine, with_engine
+    from earl_jax.envs.features import Map, Starts, View
     from earl_jax.envs.mujoco_env import MujocoEnv
     from earl_jax.envs.starts import start_of
     from earl_jax.envs.state import State
@@ -35,11 +34,15 @@ __all__ = [
     "Starts",
     "State",
     "TaskDemos",
+    "View",
+    "chosen_engine",
     "env_class",
+    "for_lanes",
     "list_envs",
     "locate_env",
     "make",
     "register_env",
+    "resolved_engine",
     "start_of",
     "with_engine",
     "without_budget",
@@ -55,7 +58,12 @@ _HOME = {
     "Starts": "features",
     "State": "state",
     "TaskDemos": "demonstrations",
+    "View": "features",
+    "chosen_engine": "engines",
+    "for_lanes": "engines",
+    "resolved_engine": "engines",
     "start_of": "starts",
+    "with_engine": "engines",
     "without_budget": "wrappers.without_help",
 }
 PAPER_TASKS = (
@@ -118,24 +126,6 @@ def make(name: str, **options) -> Env:
         ValueError: the name or an option is unknown; the message lists the choices.
     """
     return _ENVS.build(name, options)
-
-
-def with_engine(env: Env, engine: str | None) -> Env:
-    """Return `env` with the physics engine `engine`, or unchanged for None.
-
-    Raises:
-        ValueError: the engine is unknown or not installed, or the task has no physics engine; the message gives the
-            cause.
-    """
-    if engine is None:
-        return env
-    from earl_jax.envs.wrappers.help_budget import HelpBudget
-
-    if isinstance(env, HelpBudget):
-        return dataclasses.replace(env, task=with_engine(env.task, engine))
-    if "engine" not in {field.name for field in dataclasses.fields(env)}:
-        raise InputError(f"{env.name} is plain arithmetic: it has no physics engine to choose")
-    return dataclasses.replace(env, **{"engine": engine})
 
 
 def __getattr__(name: str) -> Any:

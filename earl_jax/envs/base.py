@@ -11,7 +11,7 @@ import numpy as np
 
 from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrations import TaskDemos
-from earl_jax.envs.features import Map, Starts
+from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
@@ -74,39 +74,6 @@ class Env(Conventions, abc.ABC):
     def title(self) -> str:
         """The name of this task in tables and figures."""
         return self.name.replace("_", " ").capitalize()
-
-    @property
-    def engine(self) -> str:
-        """The physics engine as chosen: its name, `auto`, or `kinematic` for a task without a physics engine."""
-        return "kinematic"
-
-    @property
-    def resolved_engine(self) -> str:
-        """The physics engine that steps this task, with `auto` replaced by the default for few lanes."""
-        return self.engine
-
-    @property
-    def step_seconds(self) -> float:
-        """Duration of a control step in videos, seconds."""
-        return 0.1
-
-    @property
-    def model(self) -> str:
-        """The MJCF for rendering: its name in assets, or a path."""
-        return self.name
-
-    def render_state(self, state: State) -> Any:
-        """Return the `PhysicsState` of `model` that renders `state`."""
-        return state.data
-
-    def render_goal(self, state: State) -> Any:
-        """Return the `PhysicsState` of `model` that reaches the goal of `state`; None if the goal is not rendered."""
-        del state
-
-    def for_lanes(self, lanes: int) -> "Env":
-        """Return this task with the physics engine `auto` replaced by the fastest one for a batch of `lanes`."""
-        del lanes
-        return self
 
     @property
     def obs_size(self) -> int:
@@ -178,6 +145,11 @@ class Env(Conventions, abc.ABC):
     def starts(self) -> Starts:
         """The distributions of starts beside s0 ~ rho, by default none."""
         return Starts()
+
+    @property
+    def view(self) -> View | None:
+        """How the task is drawn; None for a task without pictures."""
+        return None
 
     @property
     def demonstrations(self) -> TaskDemos:

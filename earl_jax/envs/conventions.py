@@ -16,23 +16,11 @@ class Conventions:
     if TYPE_CHECKING:  # an Env has them
         obs_size: int
         action_size: int
-        eval_horizon: int
-        step_seconds: float
 
     @property
     def observation_size(self) -> int:
         """Length of `obs`, state and goal: brax's name of `obs_size`."""
         return self.obs_size
-
-    @property
-    def dt(self) -> float:
-        """Duration of a control step in seconds: brax's name of `step_seconds`."""
-        return self.step_seconds
-
-    @property
-    def episode_length(self) -> int:
-        """H_E, the steps of an evaluation episode: brax's name of `eval_horizon`. A lifetime has no episodes."""
-        return self.eval_horizon
 
     @property
     def observation_space(self) -> "Box":

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import functools
 from typing import ClassVar
 
 import jax
@@ -10,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env, NextState, State
+from earl_jax.envs.features import View
 from earl_jax.options.values import Interval, require
-from earl_jax.physics import Actuator, EngineCost, PendingStep, PhysicsState, Simulator, fastest_engine, resolve_engine
+from earl_jax.physics import EngineCost, PendingStep, PhysicsState, Simulator, resolve_engine
 
 SUBSTEPS = Interval("[1, 1000]")
 
@@ -40,38 +40,23 @@ class MujocoEnv(Env):
             resolve_engine(self.engine)
 
     @property
-    def resolved_engine(self) -> str:
-        return resolve_engine(self.engine)
+    def model(self) -> str:
+        """The task's MJCF: its name in assets, or a path."""
+        return self.name
 
     @property
-    def step_seconds(self) -> float:
-        return self.control_step
-
-    def for_lanes(self, lanes: int) -> "MujocoEnv":
-        if self.engine != "auto":
-            return self
-        return dataclasses.replace(self, engine=fastest_engine(self.engine_cost, lanes))
+    def view(self) -> View:
+        """The simulated model in real time, without its goal."""
+        return View(self.model, dt=self.control_step)
 
     @property
-    def actuator(self) -> Actuator | None:
-        """Converts the command of a control step into the controls of each substep; None applies the command itself."""
-        return None
-
-    @property
-    def varied(self) -> tuple[str, ...]:
-        """Fields of the compiled model whose values differ by lane."""
-        return ()
-
-    @functools.cached_property
     def simulator(self) -> Simulator:
         """The simulator of this task's model on its engine."""
         return Simulator(
             model=self.model,
             timestep=self.control_step / self.substeps,
             substeps=self.substeps,
-            engine=self.resolved_engine,
-            actuator=self.actuator,
-            varied=self.varied,
+            engine=resolve_engine(self.engine),
         )
 
     @abc.abstractmethod

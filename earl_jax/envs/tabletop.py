@@ -15,7 +15,7 @@ import numpy as np
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
-from earl_jax.envs.features import Map, Starts
+from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
 
@@ -115,7 +115,11 @@ class TabletopOrganization(Env):
             goals=np.concatenate([HOME[None, :2], COASTERS]),
         )
 
-    def render_goal(self, state: State) -> PhysicsState:
+    @property
+    def view(self) -> View:
+        return View(self.name, render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState:
         return state.data.replace(qpos=state.info["goal"][:4])
 
     def _wide_start(self, key: jax.Array) -> jax.Array:

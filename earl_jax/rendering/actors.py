@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs import Env, State, list_envs, make, with_engine
+from earl_jax.envs import Env, State, chosen_engine, list_envs, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.options.values import SEED, require
+from earl_jax.rendering.scenes import view_of
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy, load_policies, pretrained, pretrained_env, select_seed
 
@@ -67,7 +68,7 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, metho
     if method is not None and acting not in (None, "policy"):
         raise InputError(f"the policy {method!r} and acting {acting!r} exclude each other: leave out one")
     env, policy = _env_and_policy(source, seed, method)
-    actors = _actors(env if env.engine == "kinematic" else with_engine(env, "c"), policy, seed)
+    actors = _actors(env if chosen_engine(env) == "kinematic" else with_engine(env, "c"), policy, seed)
     chosen = acting or next(iter(actors))
     if chosen not in actors:
         raise InputError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
@@ -155,5 +156,5 @@ def episodes(actor: Actor) -> Iterator[Episode]:
         states = jax.device_get(rollout(*actor.start(number)))
         successes = np.flatnonzero(states.metrics["success"][1:])
         last = int(successes[0]) + 1 if len(successes) else len(states.reward) - 1
-        kept = operator.itemgetter(slice(last + round(SECONDS_AFTER_GOAL / env.step_seconds) + 1))
+        kept = operator.itemgetter(slice(last + round(SECONDS_AFTER_GOAL / view_of(env).dt) + 1))
         yield Episode(states=jax.tree.map(kept, states), last=last, reached=len(successes) > 0)

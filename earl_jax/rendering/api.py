@@ -11,7 +11,7 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
-from earl_jax.rendering.scenes import Scene
+from earl_jax.rendering.scenes import Scene, view_of
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 
 ALL = "all"
@@ -67,7 +67,7 @@ def render(
     actor = actor_of(source, acting, seed, policy)
     if path.suffix == ".png":
         return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
-    seconds = actor.env.step_seconds
+    seconds = view_of(actor.env).dt
     stride = max(1, round(1 / ((fps or RATES[path.suffix]) * seconds)))
     states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride))
     with Scene(actor.env, size, camera) as scene:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.envs import Env, State
+from earl_jax.envs import Env, State, View
 from earl_jax.errors import InputError
 from earl_jax.rendering.overlays import with_overlay
 
@@ -45,10 +45,8 @@ class Scene:
         self._mujoco = mujoco = _drawing_mujoco()
         self.env = env
         self.goal = goal
-        try:
-            self.model = with_overlay(env.model)
-        except ValueError as error:
-            raise InputError(f"{env.name} cannot be drawn: {error}") from error
+        self._view = view_of(env)
+        self.model = _drawn_model(env)
         known = _camera_names(self.model)
         if camera is not None and camera not in known:
             raise InputError(f"no camera {camera!r}; choose from {', '.join(known)}")
@@ -61,10 +59,10 @@ class Scene:
         """Return the picture of one unbatched `state`, uint8 [h, w, 3]."""
         kinds, scene = self._mujoco.mjtCatBit, self._renderer.scene
         data, options = self._state
-        self._place(data, self.env.render_state(state))
+        self._place(data, self._view.render_state(state))
         self._renderer.update_scene(data, self.camera, options)
         first_marker = scene.ngeom
-        goal = self.env.render_goal(state) if self.goal else None
+        goal = self._view.render_goal(state) if self.goal else None
         if goal is not None:
             data, options = self._goal
             self._place(data, goal)
@@ -92,7 +90,27 @@ class Scene:
 
 def cameras(env: Env) -> list[str]:
     """Return the names of the cameras on `env`."""
-    return _camera_names(with_overlay(env.model))
+    return _camera_names(_drawn_model(env))
+
+
+def view_of(env: Env) -> View:
+    """Return how `env` is drawn.
+
+    Raises:
+        ValueError: the task has no pictures.
+    """
+    if env.view is None:
+        raise InputError(f"{env.name} cannot be drawn: it has no view")
+    return env.view
+
+
+def _drawn_model(env: Env) -> Any:
+    """Return the compiled model of `env` with its overlay. Errors as `Scene`."""
+    view = view_of(env)
+    try:
+        return with_overlay(view.model)
+    except ValueError as error:
+        raise InputError(f"{env.name} cannot be drawn: {error}") from error
 
 
 def _camera_names(model: Any) -> list[str]:

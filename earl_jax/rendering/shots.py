@@ -7,7 +7,7 @@ import numpy as np
 from earl_jax.envs import State
 from earl_jax.rendering.actors import Actor, episodes
 from earl_jax.rendering.output import SUPERSAMPLING, Shot
-from earl_jax.rendering.scenes import Scene
+from earl_jax.rendering.scenes import Scene, view_of
 
 MOMENTS = 6
 """Moments on a sheet of one task."""
@@ -43,7 +43,7 @@ def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int 
         for episode, step, prefix in shown:
             step = min(step, len(episode.states.reward) - 1)
             reached = ", goal reached" * (episode.reached and step == episode.last)
-            yield scene.image(episode.at(step)), f"{prefix}{step * actor.env.step_seconds:.1f} s{reached}"
+            yield scene.image(episode.at(step)), f"{prefix}{step * view_of(actor.env).dt:.1f} s{reached}"
 
 
 def portraits(actors: Iterable[Actor], size: tuple[int, int]) -> Iterator[Shot]:

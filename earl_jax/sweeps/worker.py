@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.algos import method_for
+from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
@@ -172,7 +173,7 @@ def work(
             try:
                 run, path = Run.resolve(config), inside(out, name)
                 if not has_results(path):
-                    RunFolder.create(path, config, run.env.resolved_engine, logs)
+                    RunFolder.create(path, config, resolved_engine(run.env), logs)
                 run.folder = open_folder(path, config)
                 check_logs(run.folder.logs)
                 stack.enter_context(run.folder.claimed())

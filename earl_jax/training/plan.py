@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
+from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import require_whole_windows
 from earl_jax.training import memory
@@ -40,7 +41,7 @@ class Plan:
     @property
     def engine(self) -> str:
         """The name of the physics engine that steps the task, or `kinematic`."""
-        return self.problem.env.resolved_engine
+        return resolved_engine(self.problem.env)
 
     def warmups(self, start: int) -> list[bool]:
         """Return whether each chunk from step `start`, a multiple of `chunk_steps`, to the next evaluation is warm-up."""

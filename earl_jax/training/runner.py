@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
-from earl_jax.envs import Env, without_budget
+from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
@@ -129,7 +129,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
     Their rules (H_T, settings) can differ, because lanes carry them as arrays.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
-    problem = Problem(first.env.for_lanes(lanes), first.protocol)
+    problem = Problem(for_lanes(first.env, lanes), first.protocol)
     return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
@@ -153,7 +153,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
         bar = stack.enter_context(_progress(plan, runs, progress))
         bar.message(str(plan.memory))
         if plan.engine != "kinematic":
-            bar.message(_engine_text(plan, runs[0].env.engine))
+            bar.message(_engine_text(plan, chosen_engine(runs[0].env)))
         if state is None:
             with bar.working("first state"):
                 state = jax.block_until_ready(init())

@@ -64,7 +64,7 @@ def run_motors(motors, command, memory):
 
 def test_a_command_is_clipped_to_three_tenths_of_a_radian_from_the_angle():
     memory = np.r_[np.zeros(16), 16.0, 0.0]
-    far, near = (run_motors(ENV.actuator, ANGLES + lead, memory)[0] for lead in (2.0, 0.3))
+    far, near = (run_motors(ENV.simulator.actuator, ANGLES + lead, memory)[0] for lead in (2.0, 0.3))
     np.testing.assert_allclose(far, near, atol=1e-6)
     np.testing.assert_allclose(far * DIRECTION, closed_form(0.0, 0.0, 0.3, 16.0, 0.0)[0], rtol=1e-5)
 
@@ -97,7 +97,7 @@ def test_the_standing_robot_is_in_the_state_after_the_released_reset():
     data, memory = mujoco.MjData(model), np.r_[np.zeros(16), 16.0, 0.0]
     data.qpos[7::2], data.qpos[8::2] = DIRECTION * np.pi / 2, DIRECTION * -2.1834
     for _ in range(100):
-        data.ctrl[:], memory = NOMINAL.actuator(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
+        data.ctrl[:], memory = NOMINAL.simulator.actuator(np, data.qpos, data.qvel, np.full(8, np.pi / 2), memory)
         mujoco.mj_step(model, data)
     for ours, theirs in zip(minitaur_pen.STANDING, (data.qpos, data.qvel, data.qacc_warmstart), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)

@@ -2,14 +2,14 @@
 
 import pytest
 
-from earl_jax.envs import make, with_engine
+from earl_jax.envs import chosen_engine, for_lanes, make, resolved_engine, with_engine
 from earl_jax.physics import EngineCost, engine_choice, fastest_engine
 
 
 def test_engines_are_chosen_by_name_and_a_missing_one_is_an_error_that_names_its_extra(monkeypatch, env):
     door = make("sawyer_door")
-    assert (door.engine, door.resolved_engine) == ("auto", engine_choice.DEFAULT_ENGINES["cpu"])
-    assert env.engine == env.resolved_engine == "kinematic"
+    assert (chosen_engine(door), resolved_engine(door)) == ("auto", engine_choice.DEFAULT_ENGINES["cpu"])
+    assert chosen_engine(env) == resolved_engine(env) == "kinematic"
     assert with_engine(door, "mjx") == make("sawyer_door", engine="mjx")
     with pytest.raises(ValueError, match="choose from auto, mjx, warp, c"):
         make("sawyer_door", engine="bullet")
@@ -40,9 +40,9 @@ def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
     monkeypatch.setattr(engine_choice, "default_backend", lambda: "gpu")
     monkeypatch.setattr(engine_choice, "own_cores", lambda: range(cores))
     monkeypatch.setattr(engine_choice, "is_installed", lambda engine: warp or engine != "warp")
-    assert fastest_engine(cost, lanes) == make(task).for_lanes(lanes).engine == engine
+    assert fastest_engine(cost, lanes) == for_lanes(make(task), lanes).engine == engine
     assert fastest_engine(cost, 1001) != "warp", "more lanes can have more contacts than warp has room for"
-    assert make(task, engine="c").for_lanes(lanes).engine == "c"
+    assert for_lanes(make(task, engine="c"), lanes).engine == "c"
 
 
 @pytest.mark.parametrize("cost", [None, EngineCost(host=1.0)])

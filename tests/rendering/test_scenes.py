@@ -11,6 +11,7 @@ from earl_jax.envs import HelpBudget, make
 from earl_jax.physics import load_model
 from earl_jax.rendering import scenes
 from earl_jax.rendering.scenes import Scene
+from tests.envs.chain import Chain
 
 mujoco = pytest.importorskip("mujoco", reason="pictures are drawn by MuJoCo")
 SMALL = (64, 96)
@@ -37,7 +38,9 @@ def test_images_show_the_state_and_the_goal(graphics, env):
         assert (scene.image(start) != image).any()
 
 
-def test_unknown_cameras_and_sizes_are_refused(graphics, env):
+def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphics, env):
+    with pytest.raises(ValueError, match="chain cannot be drawn: it has no view"):
+        Scene(Chain(), SMALL)
     with pytest.raises(ValueError, match="no camera 'mine'; choose from default, above"):
         Scene(env, SMALL, camera="mine")
     with pytest.raises(ValueError, match="size must be at least"):
@@ -51,8 +54,8 @@ GOAL_SITES = {"sawyer_door": "handle", "sawyer_peg": "head", "dhand_lightbulb": 
 def test_goal_markers_are_at_the_goal(name):
     env = make(name)
     state = env.reset(jax.random.key(3))
-    goal = jax.device_get(env.render_goal(state))
-    model = load_model(env.model)
+    goal = jax.device_get(env.view.render_goal(state))
+    model = load_model(env.view.model)
     data = mujoco.MjData(model)
     data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = goal.qpos, goal.mocap_pos, goal.mocap_quat
     mujoco.mj_kinematics(model, data)

@@ -35,7 +35,7 @@ def originals(tmp_path_factory, env, state):
     """The folder of a finished run, and that of a run whose newest checkpoint is of step 80."""
     schedule = Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40)
     config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), (0, 1), schedule)
-    folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, env.engine)
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, "kinematic")
     for step in (40, 80, 120):
         folder.append(config.rows(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)}))
         checkpoint.save(folder.checkpoints, state.replace(step=jnp.asarray(step, jnp.int32)))

@@ -36,7 +36,7 @@ def folder(tmp_path):
         (3, 5),
         Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40),
     )
-    return RunFolder.create(tmp_path / "run", config, env.engine)
+    return RunFolder.create(tmp_path / "run", config, "kinematic")
 
 
 def append_rows(folder, *steps):

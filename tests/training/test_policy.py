@@ -31,7 +31,7 @@ def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_ac
     schedule = Schedule(steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40)
     config = RunConfig.from_objects(helped, method, Deployment(), (0, 1), schedule)
     run = runner.Run.resolve(config, helped, method)
-    run.folder = RunFolder.create(tmp_path / "run", config, helped.engine, ())
+    run.folder = RunFolder.create(tmp_path / "run", config, "kinematic", ())
     lanes = make_train_state(make_problem(helped), method, [0, 1]).lanes
     actor = jax.tree.map(lambda leaf: leaf[:, 0], lanes.agent.actor)
     if averaged:

@@ -18,7 +18,7 @@ from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
-from earl_jax.envs.features import Map
+from earl_jax.envs.features import Map, View
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.errors import InputError
@@ -202,7 +202,11 @@ class DHandLightbulb(MujocoEnv):
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (bulb[2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
 
-    def render_goal(self, state: State) -> PhysicsState:
+    @property
+    def view(self) -> View:
+        return super().view._replace(render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState:
         joints = state.data.qpos[: ARM + FINGERS]
         upright = jnp.array([1.0, 0.0, 0.0, 0.0])
         return state.data.replace(qpos=jnp.concatenate([joints, state.info["goal"], upright]))

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import physics
+from earl_jax.envs.features import View
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
@@ -171,7 +172,11 @@ class FrankaKitchen(MujocoEnv):
         vector, changed = self._observe(data, state.info["noise"])
         return data, vector, {**changed, "sites": sensors[: 3 * len(rewards.SITES)].reshape(-1, 3)}
 
-    def render_goal(self, state: State) -> PhysicsState:
+    @property
+    def view(self) -> View:
+        return super().view._replace(render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState:
         robot, objects = state.data.qpos[: rewards.ROBOT], state.info["goal"][rewards.FIRST[rewards.ROBOT :]]
         return state.data.replace(qpos=jnp.concatenate([robot, objects]))
 

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import Map
+from earl_jax.envs.features import Map, View
 from earl_jax.envs.minitaur import body
 from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
-from earl_jax.physics import EngineCost, PhysicsState
+from earl_jax.physics import EngineCost, PhysicsState, Simulator
 
 WALLS = ("closed", "floating")
 VARIANTS = ("released", "paper")
@@ -97,12 +97,11 @@ class MinitaurPen(MujocoEnv):
         return self.name if self.walls == "closed" else f"{self.name}_floating"
 
     @property
-    def actuator(self) -> MinitaurMotors:
-        return MinitaurMotors(overheat=self.overheat, timestep=self.control_step / self.substeps)
-
-    @property
-    def varied(self) -> tuple[str, ...]:
-        return body.VARIED if self.randomize else ()
+    def simulator(self) -> Simulator:
+        """The simulator with the robot's motors and, with `randomize`, its own masses and friction in each lane."""
+        simulator = super().simulator
+        motors = MinitaurMotors(overheat=self.overheat, timestep=simulator.timestep)
+        return dataclasses.replace(simulator, actuator=motors, varied=body.VARIED if self.randomize else ())
 
     @property
     def state_size(self) -> int:
@@ -143,7 +142,11 @@ class MinitaurPen(MujocoEnv):
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, observed(data), {}
 
-    def render_goal(self, state: State) -> PhysicsState:
+    @property
+    def view(self) -> View:
+        return super().view._replace(render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState:
         upright = jnp.asarray(STANDING[0][2:], jnp.float32)
         return state.data.replace(qpos=jnp.concatenate([state.info["goal"], upright]))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
+from earl_jax.envs.features import View
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
@@ -128,7 +129,11 @@ class Sawyer(MujocoEnv):
         position = vector[-3:]
         return self.start_at(self.joints_at(position), position, goal)
 
-    def render_goal(self, state: State) -> PhysicsState:
+    @property
+    def view(self) -> View:
+        return super().view._replace(render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState:
         object_joints = self.joints_at(state.info["goal"][-3:])
         return state.data.replace(qpos=jnp.concatenate([state.data.qpos[:ARM], object_joints]))
 

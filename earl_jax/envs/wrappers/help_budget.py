@@ -16,7 +16,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.envs.base import Env
 from earl_jax.envs.demonstrations import TaskDemos
-from earl_jax.envs.features import Map, Starts
+from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
 from earl_jax.options.values import check_intervals, within
@@ -72,15 +72,11 @@ class HelpBudget(Env):
 
     name = _of_task("name")
     title = _of_task("title")
-    step_seconds = _of_task("step_seconds")
     goal_change = _of_task("goal_change")
     continuing_horizon = _of_task("continuing_horizon")
     goal_size = _of_task("goal_size")
     goal_states = _of_task("goal_states")
     initial_states = _of_task("initial_states")
-    engine = _of_task("engine")
-    resolved_engine = _of_task("resolved_engine")
-    model = _of_task("model")
     sparse = _of_task("sparse")
     reward_scale = _of_task("reward_scale")
 
@@ -92,14 +88,13 @@ class HelpBudget(Env):
     def state_size(self) -> int:
         return self.task.state_size + 1
 
-    def render_state(self, state: State) -> Any:
-        return self.task.render_state(state.data)
-
-    def render_goal(self, state: State) -> Any:
-        return self.task.render_goal(state.data)
-
-    def for_lanes(self, lanes: int) -> "HelpBudget":
-        return dataclasses.replace(self, task=self.task.for_lanes(lanes))
+    @property
+    def view(self) -> View | None:
+        view = self.task.view
+        return view and view._replace(
+            render_state=lambda state: view.render_state(state.data),
+            render_goal=lambda state: view.render_goal(state.data),
+        )
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         return self.task.sample_goal(key)

@@ -103,13 +103,14 @@ class PolicyVideos:
     def _rendered(self, run: RunFolder, lane: int) -> Film:
         """Return the film of a policy; an error in the files, the task or the drawing is its problem."""
         from earl_jax.rendering import render
+        from earl_jax.rendering.scenes import view_of
 
         seeds = run.config.seeds
         median = f", the median of {len(seeds)}" if len(seeds) > 1 else ""
         file = Path(self._folder.name) / f"{len(self._films)}.mp4"
         try:
             caption = f"policy of seed {seeds[lane]}{median}, at step {policies_step(run.policies):,}"
-            steps = round(SECONDS / run.config.build_env().step_seconds)
+            steps = round(SECONDS / view_of(run.config.build_env()).dt)
             render(run.path, file, "policy", seed=lane, steps=steps, size=SIZE, fps=FPS)
         except Exception as error:  # a folder is data: any error in it is reported and affects nothing else
             return Film(None, problem=_cause(error))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.adapters._session import Session
-from earl_jax.envs import HelpBudget, make, without_budget
+from earl_jax.envs import HelpBudget, chosen_engine, for_lanes, make, resolved_engine, without_budget
 from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.protocol import Deployment, Protocol
 from earl_jax.training.scan import run_steps
@@ -195,14 +195,14 @@ def test_the_wrapper_has_the_properties_of_its_task():
     task = make("tabletop_organization", train_horizon=77, eval_horizon=9)
     env = Deployment(budget=4.0).wrap(task)
     assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
-    assert (env.train_horizon, env.eval_horizon, env.sparse, env.engine, env.has_absorbing_state) == (
+    assert (env.train_horizon, env.eval_horizon, env.sparse, resolved_engine(env), env.has_absorbing_state) == (
         77,
         9,
         True,
         "kinematic",
         True,
     )
-    assert (env.title, env.step_seconds, env.map.unit) == (task.title, task.step_seconds, task.map.unit)
+    assert (env.title, env.view.dt, env.map.unit) == (task.title, task.view.dt, task.map.unit)
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
 
     def answers(key):
@@ -215,8 +215,8 @@ def test_the_wrapper_has_the_properties_of_its_task():
     np.testing.assert_array_equal(position, task_position)
     np.testing.assert_array_equal(action, [*task_action, -1])
     assert (wide.obs.shape, float(wide.info["budget"])) == ((env.obs_size,), 4.0)
-    wrapped_peg = HelpBudget(make("sawyer_peg"), budget=1.0).for_lanes(2)
-    assert wrapped_peg.task.engine == wrapped_peg.engine == "c"
+    wrapped_peg = for_lanes(HelpBudget(make("sawyer_peg"), budget=1.0), 2)
+    assert wrapped_peg.task.engine == chosen_engine(wrapped_peg) == "c"
     assert wrapped_peg.continuing_horizon == 50_000
 
 

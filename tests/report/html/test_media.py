@@ -70,7 +70,7 @@ def test_a_page_has_the_policy_of_the_median_seed_which_is_rendered_once(run, re
     names = [f"policy of seed {seed}, the median of {of}, at step 20" for seed, of in ((1, 3), (6, 4))]
     assert [(video.name, video.problem) for video in shown] == [(name, "") for name in names]
     assert all(video.uri.startswith("data:video/mp4;base64,") for video in shown)
-    steps = round(6 / make(TABLETOP).step_seconds)
+    steps = round(6 / make(TABLETOP).view.dt)
     assert rendered == [(run, "policy", 1, steps), (other, "policy", 3, steps)]
     assert len(told) == 2
     (run / "policies.npz").write_text("30000")
