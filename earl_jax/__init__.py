@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         register_algo,
         register_learner,
     )
-    from earl_jax.envs import Env, HelpBudget, MujocoEnv, State, list_envs, make, register_env
+    from earl_jax.envs import Env, HelpBudget, KinematicEnv, MujocoEnv, State, list_envs, make, register_env
     from earl_jax.errors import InputError
     from earl_jax.options.presets import preset
     from earl_jax.protocol import Continuing, Deployment, Protocol
@@ -45,6 +45,7 @@ _HOME = {
     "Env": "envs",
     "HelpBudget": "envs",
     "InputError": "errors",
+    "KinematicEnv": "envs",
     "Learner": "algos",
     "Method": "algos",
     "MujocoEnv": "envs",
@@ -83,6 +84,7 @@ __all__ = [
     "Env",
     "HelpBudget",
     "InputError",
+    "KinematicEnv",
     "Learner",
     "Method",
     "MujocoEnv",

@@ -73,7 +73,7 @@ itself: `train_horizon` steps pass between two interventions.
 
 # %%
 env = earl_jax.make("tabletop_organization")
-print(f"obs {env.obs_size}, action {env.action_size}, {len(env.goal_states)} goals, H_T {env.train_horizon:,}")
+print(f"obs {env.observation_size}, action {env.action_size}, {len(env.goal_states)} goals, H_T {env.train_horizon:,}")
 state = env.reset(jax.random.key(0))
 state = env.step(state, jnp.array([1.0, 0.0, -1.0]))
 print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")

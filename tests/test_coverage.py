@@ -150,7 +150,7 @@ TASKS = {
 def test_a_task_has_the_numbers_of_the_paper(name):
     env = envs.make(name)
     demos = tuple(int(env.demonstrations.load(direction).ends.sum()) for direction in env.demonstrations.directions)
-    numbers = (env.obs_size, env.action_size, env.train_horizon, env.eval_horizon, env.reward_type, demos)
+    numbers = (env.observation_size, env.action_size, env.train_horizon, env.eval_horizon, env.reward_type, demos)
     assert numbers == TASKS[name]
 
 
@@ -199,7 +199,7 @@ def published(table: str, key: str, column: str) -> dict[str, str]:
 
 MEASURED = {
     "observed numbers of the Sawyer tasks by the text": (
-        lambda: [envs.make(name, variant="paper").obs_size for name in ("sawyer_door", "sawyer_peg")],
+        lambda: [envs.make(name, variant="paper").observation_size for name in ("sawyer_door", "sawyer_peg")],
         [12, 12],
     ),
     "object numbers of the kitchen": (lambda: sum(map(len, attribute("earl_jax.envs.kitchen.reward:COMPONENTS"))), 14),

@@ -57,7 +57,13 @@ def test_the_page_of_environments_has_the_numbers_of_every_task():
     assert rows == {
         name: [
             f"{number:,}"
-            for number in (env.obs_size, env.action_size, env.train_horizon, env.eval_horizon, env.goal_change)
+            for number in (
+                env.observation_size,
+                env.action_size,
+                env.train_horizon,
+                env.eval_horizon,
+                env.continuing.goal_change,
+            )
         ]
         for name, env in tasks.items()
     }

@@ -89,7 +89,7 @@ class ResetFreeEnv(BraxEnv):
     @property
     def observation_size(self) -> int:
         """Length s + g of `obs`."""
-        return self.session.env.obs_size
+        return self.session.env.observation_size
 
     @property
     def action_size(self) -> int:

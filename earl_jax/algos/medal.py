@@ -116,7 +116,7 @@ class MEDAL(Method):
         return -jnp.log(jax.nn.sigmoid(-logits) + SMALLEST)
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Classifier:
-        params = _NETWORK.init(key, jnp.zeros((env.obs_size,)))
+        params = _NETWORK.init(key, jnp.zeros((env.observation_size,)))
         return Classifier(params, ADAM.init(params), jnp.zeros(()), jnp.zeros(()))
 
     def refresh(

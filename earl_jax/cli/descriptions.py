@@ -14,7 +14,7 @@ import numpy as np
 
 from earl_jax import algos, envs
 from earl_jax.algos.learner import learner_class
-from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_CELLS, names
+from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_NUMBERS, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
 
@@ -32,8 +32,9 @@ def task(name: str) -> dict[str, Any]:
         option["valid"] = option["valid"] or _choices(env, key)
     summary, details = _summary_and_details(type(env))
     return {
-        "summary": env.summary or summary,
-        **{cell: getattr(env, cell, None) for cell in TASK_CELLS},
+        "summary": summary,
+        **{cell: getattr(env, cell) for cell in TASK_NUMBERS},
+        "goal_change": env.continuing.goal_change,
         "reward_types": options["reward_type"]["valid"],
         "demonstrations": list(env.demonstrations.directions),
         "engines": list(ENGINES) if isinstance(env, envs.MujocoEnv) else [],

@@ -13,10 +13,10 @@ from earl_jax.options.registry import Registry
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from earl_jax.envs.base import Env
+    from earl_jax.envs.base import Env, KinematicEnv
     from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
     from earl_jax.envs.engines import chosen_engine, for_lanes, resolved_engine, with_engine
-    from earl_jax.envs.features import Map, Starts, View
+    from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
     from earl_jax.envs.mujoco_env import MujocoEnv
     from earl_jax.envs.starts import start_of
     from earl_jax.envs.state import State
@@ -25,10 +25,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PAPER_TASKS",
+    "ContinuingDefaults",
     "DemoScript",
     "DemoStart",
     "Env",
     "HelpBudget",
+    "KinematicEnv",
     "Map",
     "MujocoEnv",
     "Starts",
@@ -49,10 +51,12 @@ __all__ = [
 ]
 
 _HOME = {
+    "ContinuingDefaults": "features",
     "DemoScript": "demonstrations",
     "DemoStart": "demonstrations",
     "Env": "base",
     "HelpBudget": "wrappers.help_budget",
+    "KinematicEnv": "base",
     "Map": "features",
     "MujocoEnv": "mujoco_env",
     "Starts": "features",

@@ -1,33 +1,37 @@
-"""The contract of every task: the goal-conditioned `Env` and its pure functions."""
+"""The contract of every task: the goal-conditioned `Env` and its pure functions; and the tasks of plain arithmetic."""
 
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.conventions import Conventions
 from earl_jax.envs.demonstrations import TaskDemos
-from earl_jax.envs.features import Map, Starts, View
+from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
+from earl_jax.envs.spaces import box
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
 from earl_jax.physics import PendingStep
 
+if TYPE_CHECKING:
+    from gymnasium.spaces import Box
+
 REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
-class Env(Conventions, abc.ABC):
+class Env(abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
     Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie
     in [-1, 1] and are clipped. An env never resets itself and never ends an episode: the protocol does both.
 
-    A kinematic task writes `reset`, `transition`, `success` and `reward`. A task with a MuJoCo model is a `MujocoEnv`.
+    A task of plain arithmetic is a `KinematicEnv`, one with a MuJoCo model a `MujocoEnv`. What only some tasks have is one
+    object each: `map`, `starts`, `object_position`, `demonstrations` and `view`.
     """
 
     reward_type: str = "sparse"
@@ -40,13 +44,6 @@ class Env(Conventions, abc.ABC):
     """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
 
     name: ClassVar[str]
-    summary: ClassVar[str] = ""
-    """What the task is, in one sentence, for `earl-jax list`."""
-    action_size: ClassVar[int]
-    goal_change: ClassVar[int]
-    """Steps between goal changes in the paper's continuing setting."""
-    continuing_horizon: ClassVar[int | None] = None
-    """H_T of the released continuing setting where it differs from `train_horizon`."""
     has_absorbing_state: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
@@ -67,18 +64,32 @@ class Env(Conventions, abc.ABC):
 
     @property
     @abc.abstractmethod
+    def action_size(self) -> int:
+        """Length a of an action."""
+
+    @property
     def goal_size(self) -> int:
         """Length g of a goal."""
+        return self.goal_states.shape[1]
 
     @property
-    def title(self) -> str:
-        """The name of this task in tables and figures."""
-        return self.name.replace("_", " ").capitalize()
-
-    @property
-    def obs_size(self) -> int:
-        """Length of `obs`: state and goal."""
+    def observation_size(self) -> int:
+        """Length s + g of `obs`: state and goal."""
         return self.state_size + self.goal_size
+
+    @property
+    def observation_space(self) -> "Box":
+        """Gymnasium's space of `obs`, float32 [s + g] without bounds.
+
+        Raises:
+            ValueError: gymnasium is not installed.
+        """
+        return box(np.inf, self.observation_size)
+
+    @property
+    def action_space(self) -> "Box":
+        """Gymnasium's space of actions, float32 [a] in [-1, 1]. Errors as `observation_space`."""
+        return box(1.0, self.action_size)
 
     @property
     def sparse(self) -> bool:
@@ -103,10 +114,6 @@ class Env(Conventions, abc.ABC):
     @abc.abstractmethod
     def reset(self, key: jax.Array) -> State:
         """Return a state with s0 ~ rho and a task goal drawn uniformly."""
-
-    @abc.abstractmethod
-    def transition(self, state: State, action: jax.Array) -> NextState:
-        """Return the result of a control step from `state` with the clipped `action [a]`."""
 
     @abc.abstractmethod
     def success(self, obs: jax.Array) -> jax.Array:
@@ -135,6 +142,11 @@ class Env(Conventions, abc.ABC):
         """Return the state after a hard intervention in `state`: s0 ~ rho, with the values that persist."""
         del state
         return self.reset(key)
+
+    @property
+    def continuing(self) -> ContinuingDefaults:
+        """The numbers of the paper's continuing setting, by default a goal change every 2 H_E steps."""
+        return ContinuingDefaults(goal_change=2 * self.eval_horizon)
 
     @property
     def map(self) -> Map | None:
@@ -172,46 +184,37 @@ class Env(Conventions, abc.ABC):
         """
         return self.finish_step(state, self.start_step(state, action))
 
+    @abc.abstractmethod
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
         """Start a control step from `state` with `action [a]` and return it for `finish_step`.
 
         A program can do other work between the two calls while the host simulates. Errors as `step`.
         """
-        del state
-        return PendingStep(self.checked_action(action))
 
+    @abc.abstractmethod
     def finish_step(self, state: State, pending: PendingStep) -> State:
         """Return the state after the control step that `start_step` started from `state`."""
-        return self.checked_state(pending.payload, self.next_state(state, self.transition(state, pending.payload)))
 
-    def checked_action(self, action: jax.Array) -> jax.Array:
+    def _checked_action(self, action: jax.Array) -> jax.Array:
         """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
         check_action(action, self.action_size)
         return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
 
-    def checked_state(self, action: jax.Array, state: State) -> State:
-        """Return `state`, the result of `action [a]`; its obs is NaN, a fault, if the action is not finite.
+    def _next_state(self, state: State, action: jax.Array, following: NextState) -> State:
+        """Return the `State` after a control step from `state` with `action [a]` and the result `following`.
 
-        An engine may replace such an action, as MuJoCo does.
+        Its obs is NaN, a fault, if the action is not finite. An engine may replace such an action, as MuJoCo does.
         """
-        return state.replace(obs=jnp.where(jnp.isfinite(action).all(), state.obs, jnp.nan))
-
-    def next_state(self, state: State, following: NextState) -> State:
-        """Return the `State` after a control step from `state` with the result `following`."""
         data, vector, changed = following
-        return self.make_state(data, vector, {**state.info, **changed})
+        after = self.make_state(data, vector, {**state.info, **changed})
+        return after.replace(obs=jnp.where(jnp.isfinite(action).all(), after.obs, jnp.nan))
 
     def make_state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
         """Return the `State` with physics `data`, state vector `vector [s]` and `info`, which holds the `goal [g]`."""
-        obs = jnp.concatenate([vector, info["goal"]])
+        obs, zero = jnp.concatenate([vector, info["goal"]]), jnp.zeros(())
         metrics = {"success": self.success(obs).astype(jnp.float32)}
-        reward, done = self.transition_reward(obs, info), jnp.zeros((), jnp.float32)
-        return State(data=data, obs=obs, reward=reward, done=done, metrics=metrics, info=info)
-
-    def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
-        """Return the reward of arriving in `obs [s + g]` with `info`; override it if the reward needs more than obs."""
-        del info
-        return self.reward(obs)
+        state = State(data=data, obs=obs, reward=zero, done=zero, metrics=metrics, info=info)
+        return state.replace(reward=self.goal_reward(state, info["goal"]))
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """Return a task goal [g], uniform over `goal_states`."""
@@ -224,5 +227,29 @@ class Env(Conventions, abc.ABC):
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
-        """Return the reward that the step to `state` would have earned with `goal [g]` instead of its own goal."""
-        return self.transition_reward(jnp.concatenate([state.obs[: self.state_size], goal]), state.info)
+        """Return the reward that the step to `state` earns with `goal [g]`, its own one or another.
+
+        Override it if the reward needs more of `state` than its obs.
+        """
+        return self.reward(self.with_goal(state, goal).obs)
+
+
+@dataclasses.dataclass(frozen=True)
+class KinematicEnv(Env):
+    """A task of plain arithmetic, without a physics engine.
+
+    It writes `name`, `state_size`, `action_size`, `goal_states`, `initial_states`, `reset`, `transition`, `success` and
+    `reward`.
+    """
+
+    @abc.abstractmethod
+    def transition(self, state: State, action: jax.Array) -> NextState:
+        """Return the result of a control step from `state` with the clipped `action [a]`."""
+
+    def start_step(self, state: State, action: jax.Array) -> PendingStep:
+        del state
+        return PendingStep(self._checked_action(action))
+
+    def finish_step(self, state: State, pending: PendingStep) -> State:
+        action = pending.payload
+        return self._next_state(state, action, self.transition(state, action))

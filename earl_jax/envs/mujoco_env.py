@@ -20,8 +20,8 @@ SUBSTEPS = Interval("[1, 1000]")
 class MujocoEnv(Env):
     """A task with a MuJoCo model: `engine` is `auto`, `mjx`, `c` or `warp`; a control step has `substeps` physics steps.
 
-    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A task writes `reset`, `control`, `observe`,
-    `success` and `reward`.
+    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A task writes what a `KinematicEnv` does, with
+    `control`, `observe` and `control_step` in the place of `transition`.
     """
 
     engine: str = "auto"
@@ -67,11 +67,8 @@ class MujocoEnv(Env):
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         """Return the result of a step, given the simulated `data` and the last substep's `sensors [nsensordata]`."""
 
-    def transition(self, state: State, action: jax.Array) -> NextState:
-        return self.observe(state, action, *self.simulator.step(*self.control(state, action)))
-
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
-        action = self.checked_action(action)
+        action = self._checked_action(action)
         data, command = self.control(state, action)
         physics = self.simulator.start_step(data, command)
         return PendingStep((action, data, physics.payload), physics.ticket)
@@ -79,7 +76,7 @@ class MujocoEnv(Env):
     def finish_step(self, state: State, pending: PendingStep) -> State:
         action, data, payload = pending.payload
         data, sensors = self.simulator.finish_step(data, PendingStep(payload, pending.ticket))
-        return self.checked_state(action, self.next_state(state, self.observe(state, action, data, sensors)))
+        return self._next_state(state, action, self.observe(state, action, data, sensors))
 
 
 def leashed_target(

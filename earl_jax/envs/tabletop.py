@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.base import Env
+from earl_jax.envs.base import KinematicEnv
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
-from earl_jax.envs.features import Map, Starts, View
+from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
 
@@ -43,9 +43,10 @@ WIDE_TRIES = 64
 
 
 @dataclasses.dataclass(frozen=True)
-class TabletopOrganization(Env):
-    """Gripper and mug on a table, `obs [12]` = gripper 2, mug 2, held flag 2, goal 6; `action [3]` = dx, dy, grip.
+class TabletopOrganization(KinematicEnv):
+    """A gripper carries a mug to one of four coasters and returns home.
 
+    `obs [12]` = gripper 2, mug 2, held flag 2, goal 6; `action [3]` = dx, dy, grip.
     A step moves the gripper by up to 0.2 along each axis. `grip > 0` holds a mug nearer than 0.4. Success: the joint
     distance of gripper and mug to the goal is at most 0.2. `wide=True` is the released option `wide_init_distr`:
     gripper and mug start anywhere, the mug at least 1 from the gripper and from each coaster, and success counts the
@@ -58,18 +59,9 @@ class TabletopOrganization(Env):
     too."""
 
     name: ClassVar[str] = "tabletop_organization"
-    summary: ClassVar[str] = "A gripper carries a mug to one of four coasters and returns home."
+    state_size: ClassVar[int] = 6
     action_size: ClassVar[int] = 3
-    goal_change: ClassVar[int] = 400
-    continuing_horizon: ClassVar[int | None] = 50_000
-
-    @property
-    def state_size(self) -> int:
-        return 6
-
-    @property
-    def goal_size(self) -> int:
-        return 6
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400, train_horizon=50_000)
 
     @property
     def goal_states(self) -> np.ndarray:

@@ -102,14 +102,14 @@ class Continuing(Setting):
         return dataclasses.replace(
             super().protocol(env, eval_every, eval_episodes),
             train_horizon=self._horizon(without_budget(env)),
-            goal_change=env.goal_change if self.goal_change is None else self.goal_change,
+            goal_change=env.continuing.goal_change if self.goal_change is None else self.goal_change,
         )
 
     def _horizon(self, task: Env) -> int:
         if self.train_horizon is not None:
             return self.train_horizon
         explicit = task.train_horizon != type(task).train_horizon
-        return task.train_horizon if explicit else task.continuing_horizon or task.train_horizon
+        return task.train_horizon if explicit else task.continuing.train_horizon or task.train_horizon
 
 
 SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Deployment, Continuing)}

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.envs import PAPER_TASKS, list_envs
 from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate
 
+TITLES = {"dhand_lightbulb": "DHand lightbulb"}
+"""The titles of tasks whose name does not tell how to write it."""
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
@@ -120,8 +122,5 @@ def step_axis(axis: Any, label: str) -> None:
 
 
 def task_title(env: str) -> str:
-    """Return the title of a task, or its name if it cannot be built here."""
-    try:
-        return make(env).title
-    except ValueError:
-        return env
+    """Return the title of a task, or its name if it is not installed."""
+    return TITLES.get(env, env.replace("_", " ").capitalize()) if env in list_envs() else env

@@ -60,7 +60,7 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
     env = problem.env
 
     def init_agent(controller_key):
-        return method.learner.init(controller_key, env.obs_size, env.action_size, method.entropy_free_pairs)
+        return method.learner.init(controller_key, env.observation_size, env.action_size, method.entropy_free_pairs)
 
     agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
     return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))

@@ -51,7 +51,7 @@ class Policy(struct.PyTreeNode, eq=False):
         """Return the policy of an `actor` that was trained on `env`."""
         plain = without_budget(env)
         budget_at = None if plain is env else plain.state_size
-        return cls(learner, actor, plain.obs_size, plain.action_size, budget_at)
+        return cls(learner, actor, plain.observation_size, plain.action_size, budget_at)
 
     def __call__(self, obs: jax.Array) -> jax.Array:
         """Return the greedy action [..., a] at `obs [..., o]`.

@@ -244,7 +244,7 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
                 jax.tree.map(operator.itemgetter(span), actors),
                 step=step,
                 seeds=run.config.seeds,
-                obs_size=task.obs_size,
+                obs_size=task.observation_size,
                 action_size=task.action_size,
                 visits=None if visits is None else visits[span],
             )

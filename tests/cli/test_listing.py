@@ -70,7 +70,7 @@ def test_every_name_is_described_with_the_meaning_of_its_options(everything):
     ("arguments", "texts"),
     [
         ([], ["reset_at_goal", "sawyer_peg", "layer_norm=true", "    Trained policies: sawyer_door, tabletop_organization."]),
-        (["sawyer_peg"], ["reset_at_goal", "obs size"]),
+        (["sawyer_peg"], ["reset_at_goal", "observation size"]),
         (["sawyer_door"], ["(earl_jax.pretrained('sawyer_door', METHOD))", "seeds 3, 4; success 1.0, 1.0; return 211.86"]),
         (["vaprl"], ["epsilon=0.1", "discount=0.99  (float; in [0, 1))", "Sharma et al. 2021"]),
         (["td3"], ["policy_delay=2", "discount=0.99", "Fujimoto, van Hoof and Meger 2018"]),
@@ -119,7 +119,7 @@ def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatc
     write_files(files, tmp_path / "site")
     monkeypatch.syspath_prepend(tmp_path / "site")
     meadow, patient = listing.describe("task", "meadow"), listing.describe("method", "patient")
-    assert (meadow["obs_size"], meadow["package"], meadow["summary"]) == (12, "theirs 0.3", "Cross a meadow.")
+    assert (meadow["observation_size"], meadow["package"], meadow["summary"]) == (12, "theirs 0.3", "Cross a meadow.")
     grass = {"type": "float", "default": 0.5, "valid": None, "meaning": "`grass` is its height."}
     assert meadow["options"]["grass"] == grass
     assert meadow["options"]["reward_type"]["valid"] == ["sparse", "dense"]

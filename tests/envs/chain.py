@@ -6,11 +6,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs import Env
+from earl_jax.envs import KinematicEnv
 
 
 @dataclasses.dataclass(frozen=True)
-class Chain(Env):
+class Chain(KinematicEnv):
     """Positions 0 to `cliff`, which is irreversible; a positive action moves right, any other left.
 
     A `fragile` chain breaks when it moves left at 0.
@@ -23,9 +23,7 @@ class Chain(Env):
 
     name: ClassVar[str] = "chain"
     action_size: ClassVar[int] = 1
-    goal_change: ClassVar[int] = 10
     state_size: ClassVar[int] = 1
-    goal_size: ClassVar[int] = 1
 
     @property
     def goal_states(self):

@@ -10,9 +10,10 @@ import pytest
 
 from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
-from earl_jax.envs import HelpBudget, env_class, list_envs, make, register_env
+from earl_jax.envs import Env, HelpBudget, KinematicEnv, MujocoEnv, env_class, list_envs, make, register_env
 from earl_jax.envs.dhand.observation import TABLE
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
+from tests.envs.chain import Chain
 from tests.envs.programs import first_state, program, starts
 
 EVERY_TASK = pytest.mark.parametrize("name", list_envs())
@@ -106,7 +107,7 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), tree) for tree in trees]
     assert all(other == described[0] for other in described)
     state = trees[0]
-    assert state.obs.shape == (env.obs_size,)
+    assert state.obs.shape == (env.observation_size,)
     assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
     assert env.goal_states.shape[1:] == env.initial_states.shape[1:] == (env.goal_size,)
     same, other = (
@@ -121,7 +122,7 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
 def test_the_numbers_of_a_task_are_the_papers_or_the_releases(name):
     env = make(name)
     sizes = env.state_size, env.goal_size, env.action_size
-    horizons = env.train_horizon, env.eval_horizon, env.goal_change, env.continuing_horizon
+    horizons = env.train_horizon, env.eval_horizon, *env.continuing
     counts = len(env.goal_states), len(env.initial_states)
     assert (*sizes, *horizons, env.reward_type, env.view.dt, *counts) == NUMBERS[name]
 
@@ -202,13 +203,46 @@ def test_bad_actions_are_refused(name):
 
 
 @EVERY_TASK
-def test_a_task_has_the_names_of_brax_and_gymnasium(name):
+def test_a_task_has_the_spaces_of_gymnasium(name):
     env = make(name)
-    assert env.observation_size == env.obs_size
-    for space, size, bound in ((env.observation_space, env.obs_size, np.inf), (env.action_space, env.action_size, 1.0)):
+    for space, size, bound in (
+        (env.observation_space, env.observation_size, np.inf),
+        (env.action_space, env.action_size, 1.0),
+    ):
         assert (space.shape, space.dtype) == ((size,), np.float32)
         assert (space.high == bound).all()
         assert (space.low == -bound).all()
+
+
+WRITTEN = {"state_size", "action_size", "goal_states", "initial_states", "reset", "success", "reward"}
+"""What every task writes, beside its name."""
+
+
+def public_members(cls):
+    """Return the public names of a class and of its bases, also those that are annotated only."""
+    names = {name for base in cls.__mro__ for name in (*vars(base), *vars(base).get("__annotations__", {}))}
+    return {name for name in names if not name.startswith("_")}
+
+
+@pytest.mark.parametrize(
+    ("cls", "count", "written"),
+    [
+        (Env, 35, {"start_step", "finish_step"}),
+        (KinematicEnv, 36, {"transition"}),
+        (MujocoEnv, 43, {"control", "observe"}),
+    ],
+)
+def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, written):
+    assert len(public_members(cls)) <= count
+    assert cls.__abstractmethods__ == WRITTEN | written
+
+
+def test_transition_belongs_to_kinematic_tasks_alone():
+    assert not any(hasattr(cls, "transition") for cls in (Env, MujocoEnv, HelpBudget))
+
+
+def test_the_goal_of_a_task_changes_every_two_evaluation_horizons_unless_it_says_otherwise():
+    assert Chain(eval_horizon=7).continuing == (14, None)
 
 
 def test_spaces_need_gymnasium(env, monkeypatch):

@@ -150,7 +150,7 @@ def test_the_papers_reward_and_the_sparse_reward():
 
 
 def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitchen():
-    assert (PAPER.obs_size, PAPER.goal_states.shape, PAPER.initial_states.shape) == (46, (7, 23), (1, 23))
+    assert (PAPER.observation_size, PAPER.goal_states.shape, PAPER.initial_states.shape) == (46, (7, 23), (1, 23))
     changed = changed_parts(PAPER.goal_states, ignored={20})
     assert changed == [set().union(*(PARTS[name] for name in group)) - {20} for group in TEXT_GOALS]
     assert not PARTS["light"] & set().union(*changed), "the text has no light"

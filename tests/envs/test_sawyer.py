@@ -64,7 +64,7 @@ def test_peg_starts_cover_the_released_positions():
 def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(released, radii):
     env = dataclasses.replace(released, variant="paper")
     assert (released.radius["released"], env.radius["paper"]) == radii
-    assert (released.obs_size, env.obs_size) == (14, 12)
+    assert (released.observation_size, env.observation_size) == (14, 12)
     state, full = first_state(env), first_state(released)
     np.testing.assert_array_equal(state.obs, np.delete(full.obs, [3, 10]))
     assert env.demonstrations.load("forward").states.shape[1] == 6

@@ -31,7 +31,7 @@ def test_results_have_a_leading_seed_axis(problem, algo):
 def test_a_seed_is_selected_and_its_policy_can_be_called(env):
     result = tiny_train("fbrl")
     lane = select_seed(result.train_state, 1)
-    assert lane.env_state.obs.shape == (env.obs_size,)
+    assert lane.env_state.obs.shape == (env.observation_size,)
     policy = result.policy(1)
     obs = env.reset(jax.random.key(0)).obs
     action = policy(obs)

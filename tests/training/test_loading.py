@@ -38,7 +38,7 @@ def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
     assert visits.sum(axis=(1, 2)).tolist() == [120, 120]
     shutil.rmtree(folder.checkpoints)
     np.testing.assert_array_equal(load_visits(folder)[1], visits)
-    expected = [result.policy(lane)(jnp.full(result.env.obs_size, 0.3)) for lane in range(2)]
+    expected = [result.policy(lane)(jnp.full(result.env.observation_size, 0.3)) for lane in range(2)]
     np.testing.assert_array_equal(actions_of(folder), expected)
     assert evaluate(folder.path, episodes=2)["deployed/success"].shape == (2,)
 

@@ -19,7 +19,7 @@ class Tabletop(envs.Env):
     """earl_jax's tabletop task under brax's contract; brax's own wrapper ends episodes and resets them."""
 
     task = make(common.TABLETOP)
-    observation_size, action_size, backend = task.obs_size, task.action_size, "none"
+    observation_size, action_size, backend = task.observation_size, task.action_size, "none"
 
     def reset(self, rng: jax.Array) -> envs.State:
         env_state, zero = self.task.reset(rng), jnp.zeros(())

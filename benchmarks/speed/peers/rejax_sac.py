@@ -39,7 +39,7 @@ class Tabletop(environment.Environment):
         return spaces.Box(-1.0, 1.0, (self.task.action_size,))
 
     def observation_space(self, params):
-        return spaces.Box(-2.8, 2.8, (self.task.obs_size,))
+        return spaces.Box(-2.8, 2.8, (self.task.observation_size,))
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
-from earl_jax.envs.features import Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map, View
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.errors import InputError
@@ -83,8 +83,9 @@ NEAR, NEARER = (0.1, 0.2, 0.9), (0.04, 0.1, 2.25)
 
 @dataclasses.dataclass(frozen=True)
 class DHandLightbulb(MujocoEnv):
-    """Lift the bulb: `obs [35]` = hand joints 16, arm joints 7, bulb 3, hand 3, their difference 3, goal 3; `action [22]`.
+    """A four-finger hand on an arm picks up a bulb and holds it at a target.
 
+    `obs [35]` = hand joints 16, arm joints 7, bulb 3, hand 3, their difference 3, goal 3; `action [22]`.
     Actions 0 to 15 set the fingers' targets up to 0.8 rad from the joints. Actions 16 to 18 move the wrist by up to 1
     cm along each axis, and action 21 turns it by up to 0.02 rad about the vertical. Actions 19 and 20, roll and pitch,
     have no effect, as in MTRF. Success: the bulb's centre is within 10 cm of its goal. MTRF has 40 `substeps` of 2.5
@@ -102,10 +103,10 @@ class DHandLightbulb(MujocoEnv):
     variant: str = VARIANTS[0]
 
     name: ClassVar[str] = "dhand_lightbulb"
-    summary: ClassVar[str] = "A four-finger hand on an arm picks up a bulb and holds it at a target."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
+    state_size: ClassVar[int] = observation.STATE
     action_size: ClassVar[int] = 22
-    goal_change: ClassVar[int] = 400
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400)
     control_step: ClassVar[float] = 0.1
     demo_count: ClassVar[int] = 20
     """Number of scripted demonstrations, all forward. The paper has none, and none ship."""
@@ -113,18 +114,6 @@ class DHandLightbulb(MujocoEnv):
     def __post_init__(self):
         super().__post_init__()
         self._require_choice("variant", VARIANTS)
-
-    @property
-    def title(self) -> str:
-        return "DHand lightbulb"
-
-    @property
-    def state_size(self) -> int:
-        return observation.STATE
-
-    @property
-    def goal_size(self) -> int:
-        return 3
 
     @property
     def goal_states(self) -> np.ndarray:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.envs.features import ContinuingDefaults
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import linear, tolerance
 from earl_jax.envs.state import NextState, State
@@ -37,8 +38,9 @@ HEIGHTS = (-1.0, 10.0)
 
 @dataclasses.dataclass(frozen=True)
 class CheetahRun(MujocoEnv):
-    """Run: `obs [17]` = height, pitch, 6 joint angles, then velocities of forward and of these; `action [6]` = torques.
+    """A planar cheetah runs at 10 m/s (figure 2 of the paper).
 
+    `obs [17]` = height, pitch, 6 joint angles, then velocities of forward and of these; `action [6]` = torques.
     The task has no goal, so goals have length 0 and an observation is a state. The suite defines no success; here it is
     a speed of 10 m/s or more, where the suite's reward is 1. Starts are drawn from 512 states settled by the suite's
     procedure; the suite settles a new one for each episode. The position along the track wraps every 200 m; in the
@@ -50,19 +52,11 @@ class CheetahRun(MujocoEnv):
     eval_horizon: int = 1000
 
     name: ClassVar[str] = "cheetah_run"
-    summary: ClassVar[str] = "A planar cheetah runs at 10 m/s (figure 2 of the paper)."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.027)
+    state_size: ClassVar[int] = 17
     action_size: ClassVar[int] = 6
-    goal_change: ClassVar[int] = 1000
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(1000)
     control_step: ClassVar[float] = 0.01
-
-    @property
-    def state_size(self) -> int:
-        return 17
-
-    @property
-    def goal_size(self) -> int:
-        return 0
 
     @property
     def goal_states(self) -> np.ndarray:

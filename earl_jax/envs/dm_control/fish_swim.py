@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map, View
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import NextState, State
@@ -37,8 +37,9 @@ than 7.5 cm from a target."""
 
 @dataclasses.dataclass(frozen=True)
 class FishSwim(MujocoEnv):
-    """Swim to a target: `obs [36]` = state 33, target 3; `action [5]` = tail, tail twist, flap, left, right fin pitch.
+    """A fish swims with its mouth to a target (figure 2 of the paper).
 
+    `obs [36]` = state 33, target 3; `action [5]` = tail, tail twist, flap, left, right fin pitch.
     State: joint angles 7, uprightness 1, velocities 13, the mouth's position 3 and frame 9 (a matrix, row by row). The
     suite observes the target in the mouth's frame instead: `target_seen`. Its targets are uniform in a box. Ours are
     405 grid points of that box, because the replay stores goals as indices. The suite defines no success; here it is a
@@ -51,19 +52,11 @@ class FishSwim(MujocoEnv):
     substeps: int = 10
 
     name: ClassVar[str] = "fish_swim"
-    summary: ClassVar[str] = "A fish swims with its mouth to a target (figure 2 of the paper)."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.098)
+    state_size: ClassVar[int] = 33
     action_size: ClassVar[int] = 5
-    goal_change: ClassVar[int] = 1000
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(1000)
     control_step: ClassVar[float] = 0.04
-
-    @property
-    def state_size(self) -> int:
-        return 33
-
-    @property
-    def goal_size(self) -> int:
-        return 3
 
     @property
     def goal_states(self) -> np.ndarray:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import physics
-from earl_jax.envs.features import View
+from earl_jax.envs.features import ContinuingDefaults, View
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
@@ -87,8 +87,9 @@ are soft, as in the original: after long dragging, the last joint is 10 rad beyo
 
 @dataclasses.dataclass(frozen=True)
 class FrankaKitchen(MujocoEnv):
-    """Close two open appliances of four: `obs [46]` = robot 9, objects 14, goal 23; `action [9]`, three effective.
+    """A robot arm closes two open appliances of four.
 
+    `obs [46]` = robot 9, objects 14, goal 23; `action [9]`, three effective.
     `action[:3]` moves a mocap body, which drags the hand, by up to 2 cm along each axis. As in the released code, the
     fingers' targets are the observed angles of the first two arm joints plus `FINGER_REACH * action[:2]`, which clips
     to closed or open depending on the arm's pose, and the other components are dropped. The metric is the return over
@@ -109,24 +110,15 @@ class FrankaKitchen(MujocoEnv):
     noise: bool = True
 
     name: ClassVar[str] = "franka_kitchen"
-    summary: ClassVar[str] = "A robot arm closes two open appliances of four."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.49, device=47.0)
+    state_size: ClassVar[int] = 23
     action_size: ClassVar[int] = 9
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(800, train_horizon=50_000)
     control_step: ClassVar[float] = 0.08
-    goal_change: ClassVar[int] = 800
-    continuing_horizon: ClassVar[int | None] = 50_000
 
     def __post_init__(self):
         super().__post_init__()
         self._require_choice("variant", VARIANTS)
-
-    @property
-    def state_size(self) -> int:
-        return 23
-
-    @property
-    def goal_size(self) -> int:
-        return 23
 
     @property
     def goal_states(self) -> np.ndarray:
@@ -205,10 +197,10 @@ class FrankaKitchen(MujocoEnv):
 
         return jnp.vectorize(reward_of, signature="(o)->()")(obs)
 
-    def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
+    def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
         if self.sparse or self.variant == "paper":
-            return self.reward(obs)
-        return rewards.released(obs, info["mocap"], info["sites"])
+            return super().goal_reward(state, goal)
+        return rewards.released(self.with_goal(state, goal).obs, state.info["mocap"], state.info["sites"])
 
     def fault(self, state: State) -> jax.Array:
         low, high = physics.load_model(self.model).jnt_range.T.astype(np.float32)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map, View
 from earl_jax.envs.minitaur import body
 from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
 from earl_jax.envs.mujoco_env import MujocoEnv
@@ -61,8 +61,9 @@ REPORTED = (0.424335717, 0.477845813, 0.451270707, 0.511036733, 0.485318034, 0.4
 
 @dataclasses.dataclass(frozen=True)
 class MinitaurPen(MujocoEnv):
-    """Walk to one of 12 goals: `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2.
+    """A quadruped with eight motors walks to a position in a pen.
 
+    `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2. There are 12 goals.
     The quaternion is xyzw. `action [8]` is in leg space: four swings, then four extensions; legs: front left, back
     left, front right, back right. `randomize` draws masses (20 %), battery, viscosity and the feet's friction at every
     reset, as released. `overheat` shuts down a motor that was above 2.45 N m for a second, until the next reset.
@@ -81,10 +82,10 @@ class MinitaurPen(MujocoEnv):
     """The released reward, or that of the paper's text."""
 
     name: ClassVar[str] = "minitaur_pen"
-    summary: ClassVar[str] = "A quadruped with eight motors walks to a position in a pen."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
+    state_size: ClassVar[int] = 30
     action_size: ClassVar[int] = MOTORS
-    goal_change: ClassVar[int] = 2000
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(2000)
     control_step: ClassVar[float] = 0.01
 
     def __post_init__(self):
@@ -102,14 +103,6 @@ class MinitaurPen(MujocoEnv):
         simulator = super().simulator
         motors = MinitaurMotors(overheat=self.overheat, timestep=simulator.timestep)
         return dataclasses.replace(simulator, actuator=motors, varied=body.VARIED if self.randomize else ())
-
-    @property
-    def state_size(self) -> int:
-        return 30
-
-    @property
-    def goal_size(self) -> int:
-        return 2
 
     @property
     def reward_scale(self) -> float:

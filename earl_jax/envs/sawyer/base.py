@@ -98,10 +98,6 @@ class Sawyer(MujocoEnv):
         return len(self.observed_indices)
 
     @property
-    def goal_size(self) -> int:
-        return len(self.observed_indices)
-
-    @property
     @abc.abstractmethod
     def pose(self) -> Pose:
         """The arm's pose after a reset."""
@@ -209,7 +205,9 @@ class Sawyer(MujocoEnv):
 
     def to_goal(self, obs: jax.Array) -> jax.Array:
         """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""
-        return jnp.linalg.norm(self.object_in(obs) - obs[..., self.obs_size - 3 : self.obs_size], axis=-1)
+        return jnp.linalg.norm(
+            self.object_in(obs) - obs[..., self.observation_size - 3 : self.observation_size], axis=-1
+        )
 
     def success(self, obs: jax.Array) -> jax.Array:
         return self.to_goal(obs) <= self.radius[self.variant]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.envs.features import Map, Starts
+from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
 from earl_jax.envs.shaping import tolerance
@@ -64,8 +64,9 @@ AT_HANDLE = Pose(
 
 @dataclasses.dataclass(frozen=True)
 class SawyerDoor(Sawyer):
-    """Close the door from -60 degrees plus noise up to 9; success: the handle is within 2 cm (paper: 8 cm) of its goal.
+    """A robot arm closes an open door by its handle.
 
+    The door starts at -60 degrees plus noise up to 9. Success: the handle is within 2 cm (paper: 8 cm) of its goal.
     `door_noise=False` starts every episode at -60 degrees.
     """
 
@@ -73,11 +74,9 @@ class SawyerDoor(Sawyer):
     door_noise: bool = True
 
     name: ClassVar[str] = "sawyer_door"
-    summary: ClassVar[str] = "A robot arm closes an open door by its handle."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=12.6, warp=5.0)
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(600, train_horizon=50_000)
     demo_count: ClassVar[int] = 5
-    goal_change: ClassVar[int] = 600
-    continuing_horizon: ClassVar[int | None] = 50_000
     radius: ClassVar[dict[str, float]] = {"released": 0.02, "paper": 0.08}
     object_low: ClassVar[np.ndarray] = np.array([-0.2, 0.4, 0.05], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.35, 0.85, 0.15], np.float32)
@@ -133,13 +132,13 @@ class SawyerDoor(Sawyer):
         hand, handle = obs[..., :3], self.object_in(obs)
         hand_start = jnp.asarray(self.pose.target, jnp.float32)
         reach = jnp.linalg.norm(hand_start - handle, axis=-1) + 0.1
-        margin = jnp.linalg.norm(DOOR - obs[..., self.obs_size - 3 :], axis=-1)
+        margin = jnp.linalg.norm(DOOR - obs[..., self.observation_size - 3 :], axis=-1)
         near = tolerance(jnp.linalg.norm(hand - handle, axis=-1), 0.0, GOAL_RADIUS / 4, reach)
         placed = tolerance(self.to_goal(obs), 0.0, GOAL_RADIUS, margin)
         return jnp.where(self.to_goal(obs) < GOAL_RADIUS, 10.0, 3.0 * near + 6.0 * placed)
 
     def _expert(self, obs: jax.Array) -> jax.Array:
-        return experts.door(obs[:3], self.object_in(obs), obs[self.obs_size - 3 :])
+        return experts.door(obs[:3], self.object_in(obs), obs[self.observation_size - 3 :])
 
 
 def handle_at(angle: jax.Array) -> jax.Array:

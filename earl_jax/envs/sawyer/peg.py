@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.demonstrations import TaskDemos
-from earl_jax.envs.features import Map, Starts
+from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
@@ -72,10 +72,11 @@ START_TIPS = np.array([0.00599209, 0.60039713, 0.14930194], np.float32)
 
 @dataclasses.dataclass(frozen=True)
 class SawyerPeg(Sawyer):
-    """Insert the peg: it starts anywhere in 20 by 20 cm; success is a head within 5 cm of the end of the hole.
+    """A robot arm inserts a peg into the hole of a box.
 
-    `listed=True` starts at one of the 15 published initial states. `wide=True` starts half of the time at one of 22
-    positions all over the table (within 2 cm), as the released option `wide_init` does.
+    The peg starts anywhere in 20 by 20 cm. Success is a head within 5 cm of the end of the hole. `listed=True` starts at
+    one of the 15 published initial states. `wide=True` starts half of the time at one of 22 positions all over the table
+    (within 2 cm), as the released option `wide_init` does.
     """
 
     train_horizon: int = 100_000
@@ -83,11 +84,9 @@ class SawyerPeg(Sawyer):
     wide: bool = False
 
     name: ClassVar[str] = "sawyer_peg"
-    summary: ClassVar[str] = "A robot arm inserts a peg into the hole of a box."
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0, warp=5.6)
+    continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400, train_horizon=50_000)
     demo_count: ClassVar[int] = 10
-    goal_change: ClassVar[int] = 400
-    continuing_horizon: ClassVar[int | None] = 50_000
     radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
     object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
@@ -209,8 +208,10 @@ class SawyerPeg(Sawyer):
         tips = jnp.stack([below - side, below + side])
         return self._dense(obs, start, _caging(tips, self.object_in(obs), start, jnp.zeros(())))
 
-    def transition_reward(self, obs: jax.Array, info: dict[str, jax.Array]) -> jax.Array:
-        return self.reward(obs) if self.sparse else self._dense(obs, info["start"], info["grasp"])
+    def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
+        if self.sparse:
+            return super().goal_reward(state, goal)
+        return self._dense(self.with_goal(state, goal).obs, state.info["start"], state.info["grasp"])
 
     def _dense(self, obs: jax.Array, start: jax.Array, grasp: jax.Array) -> jax.Array:
         """Return Meta-World's peg-insertion reward [] as released with EARL, for one `obs [o]`."""

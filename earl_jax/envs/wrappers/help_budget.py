@@ -71,13 +71,10 @@ class HelpBudget(Env):
             )
 
     name = _of_task("name")
-    title = _of_task("title")
-    goal_change = _of_task("goal_change")
-    continuing_horizon = _of_task("continuing_horizon")
-    goal_size = _of_task("goal_size")
+    continuing = _of_task("continuing")
     goal_states = _of_task("goal_states")
     initial_states = _of_task("initial_states")
-    sparse = _of_task("sparse")
+    sample_goal = _of_task("sample_goal")
     reward_scale = _of_task("reward_scale")
 
     @property
@@ -95,9 +92,6 @@ class HelpBudget(Env):
             render_state=lambda state: view.render_state(state.data),
             render_goal=lambda state: view.render_goal(state.data),
         )
-
-    def sample_goal(self, key: jax.Array) -> jax.Array:
-        return self.task.sample_goal(key)
 
     def reset(self, key: jax.Array) -> State:
         return self._reset_by(self.task.reset, key)
@@ -151,17 +145,15 @@ class HelpBudget(Env):
         return jnp.zeros((), bool)
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
-        action = self.checked_action(action)
+        action = self._checked_action(action)
         step = self.task.start_step(state.data, action[:-1])
         return PendingStep((action[-1] > self.help_above, step.payload), step.ticket)
 
     def finish_step(self, state: State, pending: PendingStep) -> State:
         asked, payload = pending.payload
         moved = self.task.finish_step(state.data, PendingStep(payload, pending.ticket))
-        return self.next_state(state, self._after(state, asked, moved))
-
-    def transition(self, state: State, action: jax.Array) -> NextState:
-        return self._after(state, action[-1] > self.help_above, self.task.step(state.data, action[:-1]))
+        inner, vector, changed = self._after(state, asked, moved)
+        return self.make_state(inner, vector, {**state.info, **changed})
 
     def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
         """Return the result of a step that `asked` for help or not, bool [], and leads to `moved` in the task."""
@@ -193,8 +185,7 @@ class HelpBudget(Env):
         return self.make_state(inner, self._vector(inner, info), info)
 
     def make_state(self, data: State, vector: jax.Array, info: dict[str, jax.Array]) -> State:
-        state = super().make_state(data, vector, info)
-        return state.replace(reward=self.goal_reward(state, info["goal"]), done=_ended(info).astype(jnp.float32))
+        return super().make_state(data, vector, info).replace(done=_ended(info).astype(jnp.float32))
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
         return super().with_goal(state.replace(data=self.task.with_goal(state.data, goal)), goal)

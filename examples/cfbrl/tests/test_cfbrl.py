@@ -230,7 +230,7 @@ def test_the_policies_that_ship_load_without_this_package(monkeypatch):
     for task, methods in earl_jax.list_pretrained().items():
         if "cfbrl" in methods:
             env = earl_jax.make(task)
-            assert earl_jax.pretrained(task, "cfbrl")(np.zeros(env.obs_size)).shape == (env.action_size,)
+            assert earl_jax.pretrained(task, "cfbrl")(np.zeros(env.observation_size)).shape == (env.action_size,)
 
 
 @pytest.mark.slow

@@ -202,7 +202,7 @@ def test_the_wrapper_has_the_properties_of_its_task():
         "kinematic",
         True,
     )
-    assert (env.title, env.view.dt, env.map.unit) == (task.title, task.view.dt, task.map.unit)
+    assert (env.view.dt, env.map.unit) == (0.1, "table units")
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
 
     def answers(key):
@@ -214,10 +214,10 @@ def test_the_wrapper_has_the_properties_of_its_task():
     (position, action), (task_position, task_action), wide = jax.jit(answers)(jax.random.key(0))
     np.testing.assert_array_equal(position, task_position)
     np.testing.assert_array_equal(action, [*task_action, -1])
-    assert (wide.obs.shape, float(wide.info["budget"])) == ((env.obs_size,), 4.0)
+    assert (wide.obs.shape, float(wide.info["budget"])) == ((env.observation_size,), 4.0)
     wrapped_peg = for_lanes(HelpBudget(make("sawyer_peg"), budget=1.0), 2)
     assert wrapped_peg.task.engine == chosen_engine(wrapped_peg) == "c"
-    assert wrapped_peg.continuing_horizon == 50_000
+    assert wrapped_peg.continuing == (400, 50_000)
 
 
 def test_demonstrations_have_a_full_budget_and_never_request_help():
@@ -237,7 +237,7 @@ def test_without_help_an_agent_falls_once_and_its_requests_move_like_other_actio
     helped = HelpBudget(chain, budget=2.0)
     assert without_budget(helped) is without_budget(chain) is without_help(chain) is chain
     env = without_help(helped)
-    assert (env.obs_size, env.action_size) == (helped.obs_size, helped.action_size)
+    assert (env.observation_size, env.action_size) == (helped.observation_size, helped.action_size)
     state = env.with_goal(env.reset(jax.random.key(0)), jnp.array([3.0]))
     positions = []
     for action in (HELP, RIGHT, HELP, RIGHT):
@@ -256,7 +256,10 @@ def test_without_help_a_fault_stays_a_fault():
 def test_episodes_of_the_adapters_have_the_spaces_of_the_lifetime_and_no_help():
     setting = Deployment(budget=1.0)
     train, episodes = (Session.of(Chain(start=1), mode=mode, setting=setting) for mode in ("train", "eval"))
-    assert (episodes.env.obs_size, episodes.env.action_size) == (train.env.obs_size, train.env.action_size)
+    assert (episodes.env.observation_size, episodes.env.action_size) == (
+        train.env.observation_size,
+        train.env.action_size,
+    )
     _, result = episodes.step(episodes.start(np.uint32(0))[0], HELP)
     assert (float(result.obs[0]), float(result.obs[1]), bool(result.terminated)) == (2, 1, False)
     assert bool(train.step(train.start(np.uint32(0))[0], HELP)[1].terminated)
