@@ -111,24 +111,21 @@ class HelpBudget(Env):
         return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
     def _reset_by(self, reset: Callable[[jax.Array], State], key: jax.Array) -> State:
-        """Return the first state of a lifetime in which the task starts from `reset(key)`."""
-        inner_key, own_key = jax.random.split(key)
-        return self._initial_state(reset(inner_key), own_key)
-
-    def _initial_state(self, inner: State, key: jax.Array) -> State:
-        """Return the first state of a lifetime, with the whole budget and the task in the state `inner`.
+        """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key)`.
 
         `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime.
         Its `key` draws s' ~ rho.
         """
-        none = jnp.zeros((), jnp.int32)
+        inner_key, own_key = jax.random.split(key)
+        inner, none = reset(inner_key), jnp.zeros((), jnp.int32)
         info = {
             "goal": inner.info["goal"],
             "budget": jnp.asarray(self.budget, jnp.float32),
             "asked": none,
             "enforced": none,
+            "key": jax.random.key_data(own_key),
         }
-        return self._augmented(inner, {**info, "key": jax.random.key_data(key)})
+        return self._augmented(inner, info)
 
     def intervene(self, key: jax.Array, state: State) -> State:
         """Return the state after a hard intervention: s0 ~ rho at no cost, with budget and counts unchanged.
