@@ -214,7 +214,7 @@ def evaluate(
     columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as the way back.
     """
     task, key = without_help(env), jax.random.fold_in(state.key, EVALUATION_KEY)
-    metrics = deployed(task, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=task.reset_wide)
+    metrics = deployed(task, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=task.starts.wide)
     window = jnp.maximum(state.step - state.evaluated_at, 1).astype(jnp.float32)
     counters, of_life = continuing(
         state.counters, state.env_state, jnp.maximum(state.step, 1).astype(jnp.float32), window
