@@ -6,8 +6,6 @@ over the last 50,000 steps, with Student's interval over seeds and the permutati
 
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.output import DOCS, RESULTS, with_tables, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax.metrics.comparison import mean_interval, permutation
@@ -28,10 +26,16 @@ def table() -> str:
     lines = []
     for name, run, own in zip(NAMES, curves, scores, strict=True):
         result = permutation(own, scores[0])
-        others = [interval_text(result.difference, result.low, result.high), f"{result.p:.2g}"] if name != "sac" else ["-", "-"]
+        others = (
+            [interval_text(result.difference, result.low, result.high), f"{result.p:.2g}"]
+            if name != "sac"
+            else ["-", "-"]
+        )
         commit = short_commit(commit_of(RUNS / name))
         lines.append([name, len(own), millions(run.steps[-1]), interval_text(*mean_interval(own)), *others, commit])
-    return markdown_table(("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p", "commit"), lines)
+    return markdown_table(
+        ("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p", "commit"), lines
+    )
 
 
 def files() -> dict[Path, str]:
