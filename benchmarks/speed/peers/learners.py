@@ -28,22 +28,23 @@ class JaxLearner:
     def __init__(self, obs_size: int, action_size: int):
         import jax
 
-        from earl_jax.algos.learner import sac
+        from earl_jax.algos.learner.base import Batch as Rows
+        from earl_jax.algos.learner.sac import SAC
 
-        hyper = sac.SAC(learning_rate=LEARNING_RATE, hidden_sizes=HIDDEN, reward_scale=REWARD_SCALE)
-        self.agent = sac.init(jax.random.key(0), hyper, obs_size, action_size)
+        sac = SAC(learning_rate=LEARNING_RATE, hidden_sizes=HIDDEN, reward_scale=REWARD_SCALE)
+        self.agent = sac.init(jax.random.key(0), obs_size, action_size)
         self.key = jax.random.key(1)
 
         def act(actor, obs, key):
             key, used = jax.random.split(key)
-            return sac.act(hyper, actor, obs, used, action_size), key
+            return sac.act(used, actor, obs), key
 
         def update(agent, batch, key):
             key, used = jax.random.split(key)
-            return sac.update(hyper, agent, sac.Batch(*batch), used)[0], key
+            return sac.update(used, agent, Rows(*batch))[0], key
 
         self._act, self._update = jax.jit(act), jax.jit(update, donate_argnums=0)
-        self._values = jax.jit(lambda critics, obs, action: sac.q_values(hyper, critics, obs, action))
+        self._values = jax.jit(sac.q_values)
         self.device = jax.devices()[0].device_kind
         self.wait = jax.block_until_ready
 
