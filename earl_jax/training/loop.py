@@ -110,10 +110,10 @@ def learn(
     """
     env, phase = problem.env, lane.phase
     sampled = sampled._replace(demonstrated=sampled.row < first_row)
-    sampled = method.prepare(keys.relabel, env, problem.goals, sampled, phase, lane.method_state)
+    sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     agent = _controller(lane.agent, controller)
-    agent, method_state, diagnostics = method.learn(keys.update, env, agent, batch, phase, lane.method_state)
+    agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     if env.has_absorbing_state:
         ended = lane.env_state.done > 0

@@ -34,9 +34,9 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
 
 
-def _run_block(problem: Problem, method: Method, state: TrainState, length: int, warmup: Warmup) -> TrainState:
-    """Return all lanes after `length` steps in one scan, whose random keys are computed before it."""
-    numbers = state.step + jnp.arange(length + 1)
+def _run_block(problem: Problem, method: Method, state: TrainState, steps: int, warmup: Warmup) -> TrainState:
+    """Return all lanes after `steps` steps in one scan, whose random keys are computed before it."""
+    numbers = state.step + jnp.arange(steps + 1)
     keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
     now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
 

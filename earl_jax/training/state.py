@@ -55,8 +55,8 @@ class StepKeys(NamedTuple):
     goal: jax.Array
     reset: jax.Array
     sample: jax.Array
-    relabel: jax.Array
-    update: jax.Array
+    prepare: jax.Array
+    learn: jax.Array
 
 
 def step_keys(key: jax.Array, step: jax.Array) -> StepKeys:
