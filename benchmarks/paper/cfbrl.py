@@ -23,7 +23,7 @@ from earl_jax.report.tables import interval_text, markdown_table, millions, step
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
 PAPER = RESULTS / "paper"
 DEPLOYED = "deployed/success"
-MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "way back", ALIVE: "alive"}
+MEASURES = {DEPLOYED: "deployed", WIDE: "wide", FORWARD: "forward", BACK: "return", ALIVE: "alive"}
 RUNS = {
     "tabletop_organization": ("cfbrl-averaged", "cfbrl", "cfbrl-utd_4"),
     "sawyer_door": ("cfbrl", "cfbrl-own_goals"),

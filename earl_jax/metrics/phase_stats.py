@@ -78,7 +78,7 @@ def phase_metrics(
     direction in which no phase with a goal has ended yet does not count. `continuing/still_steps` are the steps since
     the object last moved by a centimetre (`MOVED`).
 
-    Tasks with a dense reward have no goals to reach, and methods with one phase no way back: they have the columns that
+    Tasks with a dense reward have no goals to reach, and methods with one phase no return phase: they have the columns that
     make sense for them.
     """
     counts = jnp.stack([stats.ended, stats.reached])

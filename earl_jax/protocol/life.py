@@ -211,7 +211,7 @@ def evaluate(
     `deployed/success` and `deployed/return` are the means of `protocol.eval_episodes` episodes of `policy(obs) ->
     action` from s0 ~ rho, without help (`metrics.deployed`). `continuing/reward` is C(A) so far, `continuing/recent`
     that since the last evaluation; `interventions`, `faults` and `reached` count since the first step. These and the
-    columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as the way back.
+    columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as return phases.
     """
     task, key = without_help(env), jax.random.fold_in(state.key, EVALUATION_KEY)
     metrics = deployed(task, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=task.starts.wide)

@@ -83,7 +83,7 @@ PANELS = (
     Panel(WIDE, "Deployed, from wide starts", "success of the greedy task policy"),
     Panel("continuing/reward", "Continuing", "task reward per step, over the lifetime so far"),
     Panel(FORWARD, "Forward phases", "share that reached the goal since the last evaluation"),
-    Panel(BACK, "Ways back", "share that reached the goal since the last evaluation"),
+    Panel(BACK, "Return phases", "share that reached the goal since the last evaluation"),
     Panel(ALIVE, "Lanes alive", "share of seeds that recently reached the goals of both phases"),
     Panel(STILL, "Object at rest", "steps since it last moved"),
     Panel("interventions", "Interventions", "since the first step"),

@@ -56,9 +56,9 @@ def test_a_page_shows_wide_starts_and_the_life(tmp_path):
     run = write_page_run(tmp_path / "a", "fbrl", constant(0.5, 1.0), metrics=life)
     lines = read_lines(run)
     [first, _] = cells(seed_table(lines))
-    assert (first["Deployed, from wide starts"], first["Ways back"], first["Lanes alive"]) == ("0.125", "–", "1")
+    assert (first["Deployed, from wide starts"], first["Return phases"], first["Lanes alive"]) == ("0.125", "–", "1")
     plots = {plot["title"]: plot for plot in panels(lines)}
-    wide, back = plots["Deployed, from wide starts"], plots["Ways back"]
+    wide, back = plots["Deployed, from wide starts"], plots["Return phases"]
     assert wide["range"] == back["range"] == [-0.04, 1.04]
     assert wide["lines"][0]["plain"]["mean"] == [0.125, 0.125]
     assert back["lines"][0]["plain"]["mean"] == [None, None], "JSON has no nan"
