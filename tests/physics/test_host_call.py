@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import make
+from earl_jax.physics.engines import c
 from earl_jax.physics.host_call import service
 from tests.conftest import CACHE, TESTS, assert_equal_trees, tiny_train
 from tests.envs.programs import first_state, program
@@ -84,7 +85,8 @@ def test_on_another_accelerator_a_callback_does_a_whole_step_in_its_second_part(
     env = make("sawyer_door", engine="c")
     simulator, state, command = env.simulator, first_state(env).data, jnp.ones(2)
     expected = simulator.step(state, command)
-    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    for module in (c, service):
+        monkeypatch.setattr(module, "default_backend", lambda: "tpu")
     monkeypatch.setattr(service, "is_foreign", functools.cache(service.is_foreign.__wrapped__))
     with pytest.warns(RuntimeWarning, match="cuda.*jax.pure_callback"):
         pending = simulator.start_step(state, command)
@@ -117,6 +119,7 @@ assert (np.asarray(jax.jit(run)(np.zeros((2000, 101), np.float32))) == 10).all()
 TWO_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
 
 
+@pytest.mark.slow
 def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_alike_with_one_warning(tmp_path):
     """In a process whose handlers claim another major version; each device passes more than XLA copies at once."""
     file, environment = tmp_path / "leaves.npz", {**os.environ, "XLA_FLAGS": TWO_DEVICES}

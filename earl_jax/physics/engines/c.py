@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import default_backend
 
 from earl_jax.options.environment import own_cores
 from earl_jax.physics.host_call import service
@@ -46,7 +47,7 @@ def finish_step(simulator: "Simulator", state: PhysicsState, pending: PendingSte
 
 def _host_runs_beside_device() -> bool:
     """Return whether the two parts of a step gain time: not on a CPU, nor where a callback does the work at once."""
-    return jax.default_backend() != "cpu" and service.is_foreign()
+    return default_backend() != "cpu" and service.is_foreign()
 
 
 def _field_ends(state: PhysicsState) -> np.ndarray:

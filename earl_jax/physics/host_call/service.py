@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import default_backend
 
 from earl_jax.physics.host_call import callback
 from earl_jax.physics.host_call.cuda import Stream, driver
@@ -71,7 +72,7 @@ class Service:
 def is_foreign() -> bool:
     """Return whether XLA takes foreign functions in this process; if it does not, warn of the cause."""
     try:
-        if jax.default_backend() != "cpu":
+        if default_backend() != "cpu":
             jax.devices("cuda")  # an error on other accelerators, for which there is no target
             driver()
         for platform in ("cpu", "CUDA"):

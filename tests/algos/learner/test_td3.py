@@ -9,7 +9,7 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.runs.config import method_options
-from tests.conftest import tiny_train
+from tests.conftest import CHUNK, advance, make_train_state, tiny_method, tiny_train
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
 ROWS, SIZE = 8, 2
@@ -139,10 +139,17 @@ def test_a_method_takes_another_learner_by_name_and_keeps_what_it_presets_for_al
         make_algo("naive", learner="ppo")
 
 
-def test_td3_trains_by_name_also_where_a_method_reads_its_values():
-    result = tiny_train("vaprl", learner="td3")
+def test_td3_learns_in_the_loop_also_where_a_method_reads_its_values(problem):
+    method = tiny_method("vaprl", learner="td3")
+    end = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK)
+    assert (end.lanes.counters.diagnostics["critic_loss"] > 0).all()
+    assert end.lanes.method_state.values.any()
+
+
+@pytest.mark.slow
+def test_td3_trains_by_name():
+    result = tiny_train("fbrl", learner="td3")
     assert isinstance(result.method.learner, TD3)
-    assert result.config.build_method().learner == make_algo("vaprl", **result.config.options).learner
+    assert result.config.build_method().learner == make_algo("fbrl", **result.config.options).learner
     assert (result.metrics["critic_loss"][:, -1] > 0).all()
-    assert result.train_state.lanes.method_state.values.any()
     assert result.policy(1)(np.zeros(12, np.float32)).shape == (3,)
