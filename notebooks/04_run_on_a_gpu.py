@@ -53,7 +53,7 @@ from IPython.display import Image, Markdown
 import earl_jax
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.report.plots import plot_runs
-from earl_jax.training.memory import free_bytes, need
+from earl_jax.training.memory import estimate, free_bytes
 
 # %matplotlib inline
 
@@ -92,7 +92,7 @@ rows = ["| task | steps | GB of 5 lanes | of 50 | of 100 |", "| --- | --- | --- 
 for name, steps in PUBLISHED.items():
     env = earl_jax.make(name)
     problem = earl_jax.Problem(env, earl_jax.Protocol(env.train_horizon, env.eval_horizon))
-    needs = [need(problem, earl_jax.method_for(env, "fbrl"), lanes, steps).total / 1e9 for lanes in (5, 50, 100)]
+    needs = [estimate(problem, earl_jax.method_for(env, "fbrl"), lanes, steps).total / 1e9 for lanes in (5, 50, 100)]
     rows.append(f"| {name} | {steps:,} | " + " | ".join(f"{gigabytes:.1f}" for gigabytes in needs) + " |")
 Markdown("\n".join(rows))
 
