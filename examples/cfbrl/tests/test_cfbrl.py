@@ -208,6 +208,7 @@ TINY = {"hidden_sizes": [16], "batch_size": 16, "pretrain_steps": 3, "warmup": 0
 STEPS = 40
 
 
+@pytest.mark.slow
 def test_a_life_on_tabletop_is_finite():
     env = dataclasses.replace(TABLETOP, eval_horizon=20)
     protocol = earl_jax.Protocol(env.train_horizon, env.eval_horizon, eval_every=STEPS, eval_episodes=1)
