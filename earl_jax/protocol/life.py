@@ -23,7 +23,7 @@ from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_r
 ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
 EVALUATION_KEY = 2
-"""Folded into a life's key for the evaluation, which neither changes nor repeats the randomness of the life."""
+"""Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
 DIRECTIONS = 2
 """Task goals and goals that the agent sets, whose attempts are counted separately."""
 

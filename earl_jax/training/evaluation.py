@@ -13,13 +13,11 @@ from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.values import EPISODES, SEED, require
+from earl_jax.protocol.life import EVALUATION_KEY
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState
-
-EVALUATION_KEY = 2
-"""Folded into a lane's key, so that evaluations neither change nor repeat the randomness of training."""
 
 
 def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:

@@ -14,7 +14,7 @@ from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
-from earl_jax.training.policy import Policy, deployed_actors
+from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 
 
@@ -45,8 +45,8 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
         env, method, lanes = load_lanes(folder)
         return without_budget(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     env, method, shape = _shapes(folder)
-    actors = deployed_actors(method, shape.lanes)
-    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, TASK]), actors)
+    task, actors = method.phases[TASK].controller, method.learner.deployed(shape.lanes.agent)
+    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, task]), actors)
     return without_budget(env), Policy.of_actor(env, method.learner, policies.load_policies(folder.policies, like))
 
 

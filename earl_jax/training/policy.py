@@ -44,7 +44,8 @@ class Policy(struct.PyTreeNode, eq=False):
     @classmethod
     def of(cls, env: Env, method: Method, lane: LaneState) -> "Policy":
         """Return the policy of one lane (no lane axis) of `method` on `env`."""
-        return cls.of_actor(env, method.learner, jax.tree.map(lambda leaf: leaf[TASK], deployed_actors(method, lane)))
+        task, actors = method.phases[TASK].controller, method.learner.deployed(lane.agent)
+        return cls.of_actor(env, method.learner, jax.tree.map(lambda leaf: leaf[task], actors))
 
     @classmethod
     def of_actor(cls, env: Env, learner: Learner, actor: Any) -> "Policy":
@@ -64,11 +65,6 @@ class Policy(struct.PyTreeNode, eq=False):
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
         return self.learner.greedy(self.actor, obs)[..., : self.action_size]
-
-
-def deployed_actors(method: Method, lane: LaneState) -> Any:
-    """Return the deployed actors of all controllers of a lane or of lanes, leaves [..., C, ...]."""
-    return method.learner.deployed(lane.agent)
 
 
 def pretrained(task: str, method: str, seed: int | None = None) -> Policy:

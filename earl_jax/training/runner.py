@@ -29,7 +29,6 @@ from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, join_lanes, per_lane, prepare
-from earl_jax.training.policy import deployed_actors
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
@@ -234,7 +233,9 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
     """Write the task actors and the maps of visits of the lanes of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
-    actors = jax.tree.map(lambda leaf: leaf[:, TASK], gathered(deployed_actors(runs[0].method, state.lanes)))
+    method = runs[0].method
+    task, actors = method.phases[TASK].controller, gathered(method.learner.deployed(state.lanes.agent))
+    actors = jax.tree.map(lambda leaf: leaf[:, task], actors)
     visits = gathered(state.lanes.visits)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         if run.folder and first_host():
