@@ -13,6 +13,7 @@ from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.cloning import cloning_term, cloning_weight
 from earl_jax.algos.learner.networks import apply, mlp, mode, tanh_log_prob
 from earl_jax.algos.learner.sac import SAC
+from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE
 
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
@@ -126,50 +127,30 @@ def test_a_fixed_temperature_stays():
         assert (float(after.log_temperature) == float(agent.log_temperature)) == fixed
 
 
-def test_sac_solves_a_chain_of_known_value():
-    """Two states in a row. An action > 0 earns 0 in the first state and leads to the second, where it earns 1 and ends.
-
-    Any other action ends at once, with 0.2 in the first state and 0 in the second. The best return is gamma; a policy that stops
-    at once earns 0.2. The entropy-free pair must learn the true values.
-    """
+def test_sac_solves_a_chain_of_known_value(chain):
+    """The entropy-free pair must learn the true values."""
     sac = SMALL.replace(learning_rate=3e-3, initial_temperature=0.1, target_rate=0.02, discount=0.9)
-    rng = np.random.default_rng(0)
-    is_second, action = rng.random(2000) < 0.5, rng.uniform(-1, 1, (2000, 1)).astype(np.float32)
-    go = action[:, 0] > 0
-    obs = np.stack([is_second, ~is_second], axis=1).astype(np.float32)
-    reward = np.where(is_second, go, 0.2 * ~go).astype(np.float32)
-    data = Batch(obs, action, reward, is_second | ~go, np.tile(np.float32([1.0, 0.0]), (2000, 1)))
 
     @jax.jit
     def learn(agent, keys):
         def step(agent, key):
             pick = jax.random.randint(key, (64,), 0, 2000)
-            return sac.update(key, agent, jax.tree.map(lambda leaf: jnp.asarray(leaf)[pick], data))
+            return sac.update(key, agent, jax.tree.map(lambda leaf: jnp.asarray(leaf)[pick], chain))
 
         return jax.lax.scan(step, agent, keys)[0]
 
     agent = learn(init(sac, jax.random.key(0), 2, 1, entropy_free_pairs=1), jax.random.split(jax.random.key(9), 3000))
-    states = np.float32([[0.0, 1.0], [1.0, 0.0]])
-    best = jax.jit(lambda: sac.greedy(agent.actor, states))()
+    best = jax.jit(lambda: sac.greedy(agent.actor, CHAIN_STATES))()
     assert (best > 0.1).all()
     for action, expected in ((best, [0.9, 1.0]), (-np.full((2, 1), 0.6, np.float32), [0.2, 0.0])):
-        values = q_values(sac, agent.critics, states, action)[2:]
+        values = q_values(sac, agent.critics, CHAIN_STATES, action)[2:]
         np.testing.assert_allclose(values.mean(axis=0), expected, atol=0.1)
 
 
 SHALLOW = SAC(hidden_sizes=(16,), batch_size=8, reward_scale=2.0, initial_temperature=0.3)
 """A learner for its options beyond EARL's: ensembles, several critic updates a step, and the cloning term."""
-ROWS, SIZE = 8, 2
 td_targets = jax.jit(jax.vmap(SAC.td_target, (None, 0, None, None)))
 act_with_log_prob = jax.jit(SAC.act_with_log_prob)
-
-
-@pytest.fixture(scope="module")
-def batch():
-    rng, rows = np.random.default_rng(0), np.arange(ROWS)
-    obs, next_obs = rng.normal(size=(2, ROWS, 4)).astype(np.float32)
-    action, reward = rng.uniform(-1, 1, (ROWS, SIZE)).astype(np.float32), rng.normal(size=ROWS).astype(np.float32)
-    return Batch(obs, action, reward, rows == 0, next_obs, demonstrated=rows % 4 == 1, step=np.int32(0))
 
 
 @pytest.mark.parametrize(

@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
-from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.runs.config import method_options
+from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE
 from tests.conftest import CHUNK, advance, make_train_state, tiny_method, tiny_train
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
-ROWS, SIZE = 8, 2
 init = jax.jit(SMALL.init, static_argnums=(1, 2))
 update = jax.jit(TD3.update)
-
-
-@pytest.fixture(scope="module")
-def batch():
-    rng, rows = np.random.default_rng(0), np.arange(ROWS)
-    obs, next_obs = rng.normal(size=(2, ROWS, 4)).astype(np.float32)
-    action, reward = rng.uniform(-1, 1, (ROWS, SIZE)).astype(np.float32), rng.normal(size=ROWS).astype(np.float32)
-    return Batch(obs, action, reward, rows == 0, next_obs, demonstrated=rows % 4 == 1, step=np.int32(0))
 
 
 @pytest.fixture(scope="module")
@@ -100,31 +91,23 @@ def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, ba
     assert (np.abs(SMALL.replace(exploration_noise=5.0).act(jax.random.key(6), agent.actor, batch.obs)) <= 1).all()
 
 
-def test_td3_solves_a_chain_of_known_value():
-    """That of SAC's test: only an action > 0 leads on from the first state, and earns 1 in the second, where all ends."""
+def test_td3_solves_a_chain_of_known_value(chain):
     learner = TD3(hidden_sizes=(32, 32), reward_scale=1.0, learning_rate=3e-3, target_rate=0.02, discount=0.9)
-    rng = np.random.default_rng(0)
-    is_second, action = rng.random(2000) < 0.5, rng.uniform(-1, 1, (2000, 1)).astype(np.float32)
-    go = action[:, 0] > 0
-    obs = np.stack([is_second, ~is_second], axis=1).astype(np.float32)
-    reward = np.where(is_second, go, 0.2 * ~go).astype(np.float32)
-    data = Batch(obs, action, reward, is_second | ~go, np.tile(np.float32([1.0, 0.0]), (2000, 1)))
 
     @jax.jit
     def learn(agent):
         def step(agent, number):
             key = jax.random.fold_in(jax.random.key(9), number)
-            rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jax.random.randint(key, (64,), 0, 2000)], data)
-            return learner.update(key, agent, rows._replace(step=number)), None
+            rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jax.random.randint(key, (64,), 0, 2000)], chain)
+            return learner.update(key, agent, rows._replace(step=number))[0], None
 
-        return jax.lax.scan(lambda a, n: (step(a, n)[0][0], None), agent, jnp.arange(3000))[0]
+        return jax.lax.scan(step, agent, jnp.arange(3000))[0]
 
     agent = learn(learner.init(jax.random.key(0), 2, 1))
-    states = np.float32([[0.0, 1.0], [1.0, 0.0]])
-    best = learner.greedy(agent.actor, states)
+    best = learner.greedy(agent.actor, CHAIN_STATES)
     assert (best > 0.1).all()
-    np.testing.assert_allclose(learner.q_values(agent.critics, states, best).mean(axis=0), [0.9, 1.0], atol=0.1)
-    np.testing.assert_allclose(learner.value(jax.random.key(1), agent, states), [0.9, 1.0], atol=0.15)
+    np.testing.assert_allclose(learner.q_values(agent.critics, CHAIN_STATES, best).mean(axis=0), [0.9, 1.0], atol=0.1)
+    np.testing.assert_allclose(learner.value(jax.random.key(1), agent, CHAIN_STATES), [0.9, 1.0], atol=0.15)
 
 
 def test_a_method_takes_another_learner_by_name_and_keeps_what_it_presets_for_all():
