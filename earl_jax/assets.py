@@ -29,6 +29,10 @@ COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """zipfile unpacks other compressions beyond the size that a member declares."""
 
 
+RELEASED = ("steps", "deployed", "continuing")
+"""Arrays of the released runs of a method."""
+
+
 class Demos(NamedTuple):
     """Transitions of the demonstrations of one direction, concatenated.
 
@@ -180,6 +184,20 @@ def published(table: str) -> list[dict[str, str]]:
 def published_row(table: str, **where: str) -> dict[str, str]:
     """Return the first row of a published table with the values `where` by column, or {} without such a row."""
     return next((row for row in published(table) if where.items() <= row.items()), {})
+
+
+@functools.cache
+def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
+    """Return the released evaluations of the paper's five seeds: `steps [E]`, and float32 [5, E] of `deployed` and `continuing`.
+
+    `deployed` is a success rate or a return, `continuing` the reward per step so far. What was not released is missing.
+    Source: arrays of the repository earl_benchmark at commit b05b000, up to the shortest seed. Their first row is the
+    evaluation after one interval, so one interval is added to their steps.
+    """
+    import numpy as np
+
+    with np.load(root() / "published" / "curves.npz", allow_pickle=False) as stored:
+        return {name: stored[f"{task}/{method}/{name}"] for name in RELEASED if f"{task}/{method}/{name}" in stored}
 
 
 def read_bytes(path: Path, limit: int | None = MAX_BYTES) -> bytes:

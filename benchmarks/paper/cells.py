@@ -1,22 +1,22 @@
 """The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper.cells`.
 
-A cell is a task and a method, trained at the paper's settings. Its score is the mean over the evaluations of the last 100,000
-steps. Runs of the published length are tested against the published score, as `earl-jax compare` does. Writes cells.csv,
-cells.md, a figure of each task that was run, curves.png in its folder, and the tables between comments in docs/results.md and
-README.md.
+A cell is a task and a method, trained at the paper's settings. It is tested against the paper's five seeds as `earl-jax
+compare --against published` does. Writes cells.csv, cells.md, a figure of each task that was run, curves.png in its folder, and
+the tables between comments in docs/results.md and README.md.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.artefact import methods_on, training_steps
-from earl_jax.report.comparison import RULE, published_rows, with_verdicts
+from earl_jax.report.comparison import published_rows, table_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, published_score
-from earl_jax.report.runs import read_methods
+from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 
@@ -27,11 +27,12 @@ FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 NOT_RUN = "not run"
 HEADER = (
     "task", "method", "seeds", "steps", "of", "mean [95 %]", "published", "difference [95 %]", "adjusted p", "verdict",
-    "detectable", "largest critic loss", "commit",
+    "detectable", "printed (s.e.)", "largest critic loss", "commit",
 )  # fmt: skip
-SUMMARY = ("task", "method", "seeds", "success [95 %]", "published (s.e.)", "difference [95 %]", "adjusted p")
+WHOLE = 0.95
+"""Share of its steps from which on a cell is shown in README.md."""
 COLUMNS = (
-    "env", "algo", "run", "of", "published", "seeds", "steps", "mean", "low", "high", "difference", "difference_low",
+    "env", "algo", "run", "of", "printed", "seeds", "steps", "mean", "other_mean", "low", "high", "difference", "difference_low",
     "difference_high", "p", "p_holm", "detectable", "largest_critic_loss", "commit", "verdict",
 )  # fmt: skip
 Row = dict[str, Any]
@@ -42,7 +43,7 @@ def cells(root: Path = RUNS) -> list[Row]:
     names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env)]
     folders = {name: folder for name in names if (folder := _folder(root.joinpath(*name)))}
     runs = read_methods(list(folders.values()))
-    tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs))}
+    tests = {(row["env"], row["first"]): row for row in tested_ages(runs) if row["age"] == 1.0}
     measured = {}
     for run in runs:
         test, folder = tests[run.env, run.label], folders[run.env, run.algo]
@@ -57,6 +58,11 @@ def cells(root: Path = RUNS) -> list[Row]:
     return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
 
 
+def tested_ages(runs: Sequence[MethodRuns]) -> list[Row]:
+    """Return the comparisons of `runs` with the paper at each age, p adjusted over the methods of a task at an age."""
+    return with_verdicts(published_rows(runs))
+
+
 def _folder(cell: Path) -> Path | None:
     """Return the folder of the run of a cell, which is VaPRL's with its former defaults where it has no other; None without."""
     return next((folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()), None)
@@ -65,7 +71,7 @@ def _folder(cell: Path) -> Path | None:
 def _cell(env: str, algo: str, measured: Row) -> Row:
     """Return the row of a cell from what was `measured`."""
     score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
-    names = {"env": env, "algo": algo, "of": training_steps(env), "published": score.text if score else None}
+    names = {"env": env, "algo": algo, "of": training_steps(env), "printed": score.text if score else None}
     return {**{name: measured.get(name) for name in COLUMNS}, **names}
 
 
@@ -83,55 +89,52 @@ def _tested(row: Row) -> bool:
     return row["p"] is not None and row["p"] == row["p"]
 
 
-def _difference(row: Row) -> str:
-    return interval_text(row["difference"], row["difference_low"], row["difference_high"])
-
-
 def _line(row: Row) -> list[str]:
     names = [row["env"], row["algo"] + (", former defaults" if row["run"] not in (None, row["algo"]) else "")]
+    printed, of = row["printed"] or "-", millions(row["of"])
     if row["seeds"] is None:
-        return [*names, *"--", millions(row["of"]), "-", row["published"] or "-", *"--", row["verdict"], *"---"]
-    tests = ["-", "-", row["verdict"], "-"]
+        return [*names, *"--", of, *"----", row["verdict"], "-", printed, *"--"]
+    tests = [*"---", row["verdict"], "-"]
     if _tested(row):
-        tests = [_difference(row), f"{row['p_holm']:.2g}", row["verdict"], f"{row['detectable']:.2g}"]
+        difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
+        tests = [
+            f"{row['other_mean']:.3f}",
+            difference,
+            f"{row['p_holm']:.2g}",
+            row["verdict"],
+            f"{row['detectable']:.2g}",
+        ]
     return [
-        *names, str(row["seeds"]), millions(row["steps"]), millions(row["of"]),
-        interval_text(row["mean"], row["low"], row["high"]), row["published"] or "-", *tests,
-        f"{row['largest_critic_loss']:.2g}", row["commit"],
+        *names, str(row["seeds"]), millions(row["steps"]), of, interval_text(row["mean"], row["low"], row["high"]), *tests,
+        printed, f"{row['largest_critic_loss']:.2g}", row["commit"],
     ]  # fmt: skip
 
 
-def _tested_line(row: Row) -> list[str]:
-    mean = interval_text(row["mean"], row["low"], row["high"])
-    return [
-        row["env"],
-        row["algo"],
-        str(row["seeds"]),
-        mean,
-        row["published"],
-        _difference(row),
-        f"{row['p_holm']:.2g}",
-    ]
-
-
 def files() -> dict[Path, str]:
-    """Return the tables as files, with the columns that docs/results.md has room for and the tested rows in README.md."""
+    """Return the tables as files: whole ones, with the columns that docs/results.md has room for, and README.md's."""
     rows, results, readme = cells(), DOCS / "results.md", ROOT / "README.md"
-    summary = markdown_table(HEADER[:-3], [_line(row)[:-3] for row in rows])
-    tested = markdown_table(SUMMARY, [_tested_line(row) for row in rows if _tested(row)])
+    runs = [RUNS / row["env"] / row["run"] for row in rows if row["seeds"]]
+    short = [_line(row)[:-4] for row in rows if _tested(row) and row["steps"] >= WHOLE * row["of"]]
     return {
         RUNS / "cells.csv": csv_text(rows),
-        RUNS / "cells.md": f"{cells_text(rows)}\n\n{RULE}\n",
-        results: with_tables(results.read_text(), {"cells": summary}),
-        readme: with_tables(readme.read_text(), {"cells": tested}),
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(read_methods(runs)))}\n",
+        results: with_tables(
+            results.read_text(), {"cells": markdown_table(HEADER[:-4], [_line(row)[:-4] for row in rows])}
+        ),
+        readme: with_tables(readme.read_text(), {"cells": markdown_table(HEADER[:-4], short)}),
     }
 
 
 def draw() -> None:
-    """Draw the curves of each task."""
+    """Draw the curves of each task over the released ones."""
     rows = [row for row in cells() if row["seeds"]]
     for env in dict.fromkeys(row["env"] for row in rows):
-        plot_runs([RUNS / env / row["run"] for row in rows if row["env"] == env], RUNS / env / "curves.png", smooth=10)
+        plot_runs(
+            [RUNS / env / row["run"] for row in rows if row["env"] == env],
+            RUNS / env / "curves.png",
+            smooth=10,
+            published=True,
+        )
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ def plot(
     metric: Metric = None,
     size: Literal["screen", "column", "page"] = "screen",
     smooth: int = 1,
+    published: bool = False,
 ) -> None:
     """Plot the deployed and continuing curves of runs, one line per method, with 95 % bands, and print a caption.
 
@@ -46,12 +47,13 @@ def plot(
         out: Picture to write: .png, .pdf or .svg. A line says so if it replaces one.
         size: screen, or one column (85 mm) or a whole page (175 mm) of a paper.
         smooth: Evaluations in the trailing mean that is drawn. 1 draws every evaluation.
+        published: Draw a panel for each run, with every seed, over the released seeds of the paper in grey.
     """
     from earl_jax.report.plots import caption, plot_runs
 
     with replacing(out):
-        plot_runs(folders, out, labels, metric, size, smooth)
-    print(f"{out}\n{caption(smooth)}")
+        plot_runs(folders, out, labels, metric, size, smooth, published)
+    print(f"{out}\n{caption(smooth, published)}")
 
 
 def table(
@@ -110,7 +112,7 @@ def compare(
 
     Args:
         folders: Run folders, or folders of them; seeds of the same task, method and options are pooled.
-        against: Compare each pair of runs on a task, or each run with the paper's five seeds.
+        against: Compare each pair of runs on a task, or each run with the paper's five seeds at equal steps.
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.report.comparison import compare as compare_runs

@@ -17,7 +17,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach, task_title
-from earl_jax.report.tables import markdown_table, seeds_text
+from earl_jax.report.tables import markdown_table, millions, seeds_text
 
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
 AXES = {"deployed/success": "success", "deployed/return": "return"}
@@ -61,8 +61,7 @@ def _comparison(row: Row) -> str:
     ours = _ours(row, "mean", "stderr")
     if row["published_mean"] == "-":
         return f"{ours} / - / -"
-    share = share_of_steps(row)
-    verdict = f"at {share} of the steps" if share else row["verdict"]
+    verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
 
 
@@ -80,13 +79,23 @@ def _ours(row: Row, mean: str, error: str) -> str:
 def _tests(tested: Sequence[Row]) -> str:
     """Return a table of the tests against the published scores, or a line that there is none."""
     if not tested:
-        return "No run has the published length, so none is tested against the published scores."
-    header = ["env", "method", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
+        return "No run can be tested against the paper."
+    header = ["env", "method", "steps", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
     lines = []
     for row in tested:
         numbers = [f"{row['p']:.2g}", "-" if row["p_holm"] is None else f"{row['p_holm']:.2g}"]
         text = estimate_text(estimate_of(row, "difference", "difference_"), DIGITS.get(row["metric"], 4))
-        lines.append([row["env"], row["label"], text, *numbers, row["verdict"], f"{row['detectable']:.2g}"])
+        lines.append(
+            [
+                row["env"],
+                row["label"],
+                millions(row["tested_steps"]),
+                text,
+                *numbers,
+                row["verdict"],
+                f"{row['detectable']:.2g}",
+            ]
+        )
     return markdown_table(header, lines)
 
 

@@ -20,8 +20,15 @@ from earl_jax.metrics.comparison import (
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.published import RECONSTRUCTED, published_score, published_steps, share_text
-from earl_jax.report.runs import MethodRuns, read_methods
+from earl_jax.report.published import (
+    RECONSTRUCTED,
+    TEST_RULE,
+    published_score,
+    published_steps,
+    released_beside,
+    share_text,
+)
+from earl_jax.report.runs import MethodRuns, common_steps, read_methods
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import PICTURES, new_figure, reach, save
 from earl_jax.report.tables import (
@@ -38,11 +45,12 @@ from earl_jax.report.tables import (
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
 TABLES = (".md", ".tex", ".csv")
+AGES = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
-    "Scores are means over the evaluations of the last 100,000 steps, two runs at the last step that both have. Intervals of "
-    "95 %: Student's for a mean, Welch's for a difference. p: the permutation test between runs, Welch's test against the "
-    "paper's five seeds; adjusted by Holm over this table. Detectable: the difference that the test would find with a "
-    "probability of 80 %."
+    "Scores are means over the evaluations of 100,000 steps, up to the same step. Intervals of 95 %: Student's for a mean, "
+    "Welch's for a difference. p: the permutation test between runs, adjusted by Holm over the comparisons of a task at an age. "
+    f"Detectable: the difference that Welch's test would find with a probability of 80 %. {TEST_RULE}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -64,64 +72,90 @@ def compare(
 ) -> list[Row]:
     """Return a row for each pair of methods on a task, or for each method beside its published score.
 
-    Runs of the same task, method and options are pooled. Runs that are shorter than published are not compared; their
-    verdict says so. `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score,
-    the only one that the paper's tables have.
+    Runs of the same task, method and options are pooled. Against the released runs there is a row at each of `AGES`.
+    `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score. The released runs have
+    this and `continuing/reward`.
 
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
-    if metric and against == "published":
-        raise InputError("the published scores are those of the deployed metric: leave out --metric")
     groups = read_methods(folders)
     if against == "published":
-        rows = published_rows(groups)
+        rows = published_rows(groups, metric)
     else:
         rows = [pair_row(a, b, metric) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
     if not rows:
-        choices = "two methods on one task, or --against published" if against == "runs" else "tasks of the paper"
+        choices = "two methods on one task, or --against published"
+        if against == "published":
+            choices = f"tasks of the paper with {metric}" if metric else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
     return with_verdicts(rows)
 
 
-def with_verdicts(rows: list[Row]) -> list[Row]:
-    """Return `rows` with p adjusted by Holm over all of them, and with the verdict of those that have none yet."""
-    for row, adjusted in zip(rows, holm([row["p"] for row in rows]), strict=True):
-        row["p_holm"] = float(adjusted)
-        row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
+def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:
+    """Return `rows` with p adjusted by Holm over those of the same `family`, and the verdict of those that have none yet.
+
+    By default a family has the comparisons of a task at the same age.
+    """
+    families: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        families.setdefault(tuple(row.get(name) for name in family), []).append(row)
+    for members in families.values():
+        for row, adjusted in zip(members, holm([row["p"] for row in members]), strict=True):
+            row["p_holm"] = float(adjusted)
+            row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
     return rows
 
 
-def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None) -> Row:
-    """Return the comparison of two methods on a task at the last step that both have, without an adjusted p.
+def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0) -> Row:
+    """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
 
     Raises:
         ValueError: one is scored by success and the other by return.
     """
     if metric is None and first.curves.deployed_metric != second.curves.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
-    step = int(min(first.curves.steps[-1], second.curves.steps[-1]))
+    step = int(age * common_steps(first.curves, second.curves)[1])
     scores, others = (recent_scores(runs.curves, step, metric) for runs in (first, second))
-    return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
+    row = _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
+    return {**row, "age": age}
 
 
-def published_rows(groups: Sequence[MethodRuns]) -> list[Row]:
-    """Return the comparison of each of `groups` with its published score, if it has one, without an adjusted p."""
-    rows = []
-    for group in groups:
-        score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
-        sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
-        if not score or not sample:
-            continue
-        step = int(group.curves.steps[-1])
-        scores = recent_scores(group.curves, step)
-        row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
-        if group.env in RECONSTRUCTED:
-            row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
-        elif step < length:
-            row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
-        rows.append(row)
-    return rows
+def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
+    """Return the comparisons of each of `groups` with the paper, without an adjusted p; none where the paper has nothing.
+
+    They are with the released runs at each of `AGES`, by the deployed score or another `metric`, or with the printed score of
+    a task without such runs.
+    """
+    return [
+        row for group in groups for row in _released_rows(group, metric) or ([] if metric else _printed_rows(group))
+    ]
+
+
+def _released_rows(group: MethodRuns, metric: str | None) -> list[Row]:
+    """Return the comparisons with the released runs at each age that both sides have reached."""
+    released = released_beside(group.curves)
+    if released is None or (metric or group.curves.deployed_metric) not in released.metrics:
+        return []
+    published = MethodRuns(group.env, group.algo, "published", released)
+    first, common = common_steps(group.curves, released)
+    return [pair_row(group, published, metric, age) for age in AGES if first <= age * common]
+
+
+def _printed_rows(group: MethodRuns) -> list[Row]:
+    """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
+    score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
+    sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
+    if not score or not sample:
+        return []
+    step = int(group.curves.steps[-1])
+    scores = recent_scores(group.curves, step)
+    row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
+    if group.env in RECONSTRUCTED:
+        row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
+    elif step < length:
+        row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
+    return [{**row, "age": 1.0}]
 
 
 def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sample, result: Comparison) -> Row:
@@ -183,7 +217,13 @@ def _draw(rows: Sequence[Row]) -> Any:
             colour = "C0" if row["verdict"] in ("above", "below") else "0.5"
             interval = reach(Estimate(row["difference"], row["low"], row["high"]))
             axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
-        axis.set_yticks(range(len(chosen)), [f"{row['first']} − {row['second']}" for row in chosen], fontsize="small")
+        axis.set_yticks(range(len(chosen)), [_difference(row) for row in chosen], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)
         axis.set(title=env, xlabel="difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
     return figure
+
+
+def _difference(row: Row) -> str:
+    """Return what a row compares, with the steps if there are rows of several ages."""
+    text = f"{row['first']} − {row['second']}"
+    return text if row["age"] == 1.0 else f"{text}, {millions(row['steps'])}"

@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.comparison import Sample, mean_interval, welch
+from earl_jax.metrics.comparison import Sample, mean_interval, permutation, welch
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
-from earl_jax.report.published import published_beside, published_score, published_steps, row_beside, share_text
-from earl_jax.report.runs import MethodRuns, options_text
+from earl_jax.report.published import (
+    PublishedScore,
+    published_beside,
+    published_score,
+    published_steps,
+    released_beside,
+    row_beside,
+    share_text,
+)
+from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
 from earl_jax.report.scores import recent_scores
 from earl_jax.report.style import method_order, task_order
 
@@ -26,6 +34,9 @@ DESCRIPTIONS = {
     1: "Success rate for sparse rewards, return for dense ones; the last evaluation only, as published.",
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
+
+
+CONTINUING = "continuing/reward"
 
 
 def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]]:
@@ -59,23 +70,41 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "published_high": high,
         "published_steps_low": steps_low,
         "published_steps_high": steps_high,
-        **dict.fromkeys(("difference", "difference_low", "difference_high", "detectable", "p", "p_holm")),
+        **dict.fromkeys(
+            ("tested_steps", "difference", "difference_low", "difference_high", "detectable", "p", "p_holm")
+        ),
         "verdict": "-",
     }
-    if group and score and score.sample and row["steps"] >= (steps_low or 0):
-        scores = _tested_scores(number, group)
-        result = welch(Sample.of(scores), score.sample)
-        row |= comparison_columns(scores, score.sample, result, "difference_")
+    if group:
+        row |= _test(number, group, score)
     if number == 1:
         published = assets.published_row("crossings", env=env, algo=algo)
         row["published_last10"] = (row_beside("crossings", group.curves) if group else published).get("last10") or None
     return row
 
 
-def _tested_scores(number: int, group: MethodRuns) -> np.ndarray:
-    """Return the scores [N] to test: of the last 100,000 steps for table 1, over the lifetime for table 2."""
-    curves = group.curves
-    return recent_scores(curves) if number == 1 else curves.metrics["continuing/reward"][:, -1]
+def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[str, Any]:
+    """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
+    released = released_beside(group.curves)
+    metric = CONTINUING if number == 2 else group.curves.deployed_metric
+    first, step = common_steps(group.curves, released or group.curves)
+    if released is not None and metric in released.metrics and first <= step:
+        scores, others = (_scores(number, curves, step) for curves in (group.curves, released))
+        result, other = permutation(scores, others), Sample.of(others)
+    elif released is None and score and score.sample and step >= (published_steps(group.env) or (0, 0))[0]:
+        other = score.sample
+        scores = _scores(number, group.curves, step)
+        result = welch(Sample.of(scores), other)
+    else:
+        return {}
+    return {"tested_steps": step, **comparison_columns(scores, other, result, "difference_")}
+
+
+def _scores(number: int, curves: Curves, step: int) -> np.ndarray:
+    """Return the scores [N] to test: of the 100,000 steps up to `step` for table 1, over the life up to it for table 2."""
+    if number == 1:
+        return recent_scores(curves, step)
+    return curves.metrics[CONTINUING][:, curves.steps <= step][:, -1]
 
 
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
@@ -85,19 +114,19 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     if group is None:
         return dict.fromkeys(names)
     curves = group.curves
-    metric = curves.deployed_metric if number == 1 else "continuing/reward"
+    metric = curves.deployed_metric if number == 1 else CONTINUING
     scores = curves.metrics[metric][:, -1]
     mean, low, high = mean_interval(scores)
     values = [metric, len(scores), curves.diverged, int(curves.steps[-1]), mean, float(stderr(scores)), low, high]
     if number == 1:
-        recent = _tested_scores(number, group)
+        recent = recent_scores(curves)
         values += [float(recent.mean()), float(stderr(recent))]
     return dict(zip(names, values, strict=True))
 
 
 def share_of_steps(row: dict[str, Any]) -> str:
-    """Return the share of the published steps that a run has, if it is shorter than those; else an empty text."""
+    """Return, as `at 12 % of the steps`, the share of the published ones that a shorter run has; else an empty text."""
     least = row["published_steps_low"]
     if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:
         return ""
-    return share_text(row["steps"], least)
+    return f"at {share_text(row['steps'], least)} of the steps"

@@ -10,6 +10,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels, read_all
 from earl_jax.report.scores import SHARES, trailing
 from earl_jax.report.style import (
@@ -26,6 +27,8 @@ from earl_jax.report.tables import seeds_text, steps_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
+RELEASED = {"color": "0.55"}
+"""The style of the released runs of the paper."""
 COLOUR_COUNT = 10
 """Colours of matplotlib's cycle."""
 LETTER = 0.58 / 72
@@ -55,15 +58,22 @@ class Line(NamedTuple):
     number: int
 
     @property
+    def env(self) -> str:
+        """The name of its task."""
+        return self.curves.config.env
+
+    @property
     def style(self) -> dict[str, Any]:
         """The colour, and dashes for those beyond ten colours."""
         dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
         return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
 
 
-def caption(smooth: int = 1) -> str:
+def caption(smooth: int = 1, published: bool = False) -> str:
     """Return what a picture of `plot_runs` shows, as the caption of a figure."""
     text = f"Means over seeds with Student's 95 % intervals; of fewer than {FEWEST} seeds, each is drawn thin instead."
+    if published:
+        text = "Seeds thin and their means, over the five released seeds of the paper in grey with theirs."
     smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
     return text + smoothing
 
@@ -75,6 +85,7 @@ def plot_runs(
     metric: str | None = None,
     size: Literal["screen", "column", "page"] = "screen",
     smooth: int = 1,
+    published: bool = False,
 ) -> Path:
     """Draw curves of `folders`, means with Student's 95 % bands, and return `out`.
 
@@ -85,6 +96,7 @@ def plot_runs(
         metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
         size: for a screen, or for one `column` or a whole `page` of a paper.
         smooth: evaluations in the trailing mean that is drawn; 1 draws every evaluation.
+        published: a panel for each run, with its seeds thin over the released ones of the paper in grey, and both means.
 
     Raises:
         ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, no run has the
@@ -95,21 +107,24 @@ def plot_runs(
     if size not in SIZES or smooth < 1:
         raise InputError(f"size must be one of {', '.join(SIZES)}, and smooth at least 1, not {size} and {smooth}")
     lines = _lines(read_all(folders), names)
-    tasks = task_order(line.curves.config.env for line in lines)
-    cells = [(env, panel) for env in tasks for panel in (PANELS if metric is None else [metric])]
+    tasks = task_order(line.env for line in lines)
+    of_tasks = [[line for line in lines if line.env == env] for env in tasks]
+    groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
+    cells = [(group, panel) for group in groups for panel in (PANELS if metric is None else [metric])]
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
     with matplotlib().rc_context({"font.size": layout.points}):
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
-        for axis, (env, panel) in zip(axes.flat, cells, strict=False):
-            of_task = [line for line in lines if line.curves.config.env == env]
-            _draw_panel(axis, of_task, panel, smooth, env if len(tasks) > 1 else "")
+        for axis, (group, panel) in zip(axes.flat, cells, strict=False):
+            _draw_panel(axis, group, panel, smooth, published)
+            names = [group[0].env] * (len(tasks) > 1) + [group[0].name] * published
+            axis.set_title("\n".join(filter(None, (", ".join(names), PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
             figure.suptitle(tasks[0])
-        _add_legend(figure, lines, layout)
+        _add_legend(figure, lines, layout, published)
         return save(figure, out)
 
 
@@ -121,38 +136,42 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
-def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, env: str) -> None:
-    """Draw one metric of one task."""
+def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, published: bool) -> None:
+    """Draw one metric of `lines` of a task; with `published`, each seed of a line, over those of the paper."""
     metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:
         name = line.curves.deployed_metric if panel == "deployed" else metric
-        _draw(axis, line, trailing(line.curves.metrics[name], smooth))
-    title = "\n".join(filter(None, (env, PANELS.get(panel, ""))))
-    axis.set(title=title, ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
+        released = released_beside(line.curves) if published else None
+        if released is not None and name in released.metrics:
+            _draw(axis, released.steps, trailing(released.metrics[name], smooth), RELEASED, each=True)
+        values = trailing(line.curves.metrics[name], smooth)
+        _draw(axis, line.curves.steps, values, line.style, each=published or len(values) < FEWEST)
+    axis.set(ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
     if metric in SHARES:
-        axis.set_ylim(-0.03, 1.03)  # Student's intervals of few seeds reach beyond
+        axis.set_ylim(-0.03, 1.03)
     axis.xaxis.set_major_formatter(lambda step, _: steps_text(step))
     axis.locator_params(axis="x", nbins=6)
     axis.grid(alpha=0.3)
 
 
-def _draw(axis: Any, line: Line, values: np.ndarray) -> None:
-    """Draw the mean over seeds of `values [N, E]` with Student's band, or with each of up to two seeds."""
-    estimate, few = mean_interval(values), len(values) < FEWEST
-    band = Estimate(*[estimate.value] * 3) if few else estimate
-    draw_band(axis, line.curves.steps, band, alpha=0.2, **line.style)
-    if few:
-        axis.plot(line.curves.steps, values.T, color=line.style["color"], alpha=0.3, linewidth=0.8)
+def _draw(axis: Any, steps: np.ndarray, values: np.ndarray, style: dict[str, Any], each: bool) -> None:
+    """Draw the mean over seeds of `values [N, E]` with Student's band within the axis, or with `each` seed."""
+    estimate = mean_interval(values)
+    band = Estimate(*[estimate.value] * 3) if each else estimate
+    draw_band(axis, steps, band, alpha=0.2, **style)
+    if each:
+        axis.plot(steps, values.T, color=style["color"], alpha=0.3, linewidth=0.8)
 
 
-def _add_legend(figure: Any, lines: Sequence[Line], layout: Size) -> None:
+def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, published: bool) -> None:
     """Name the lines below the panels, with as many lines of text as their names need there."""
     from matplotlib.lines import Line2D
 
-    entries = _legend_entries(lines)
+    entries = {name: line.style for name, line in _legend_entries(lines).items()}
+    entries |= {"published, five seeds": RELEASED} if published else {}
     columns = min(layout.columns, len(entries))
     letters = int(layout.width / (LETTER * layout.points * columns)) - 6
-    handles = {textwrap.fill(name, letters): Line2D([], [], **line.style) for name, line in entries.items()}
+    handles = {textwrap.fill(name, letters): Line2D([], [], **style) for name, style in entries.items()}
     height = max(sum(name.count("\n") + 1 for name in list(handles)[i::columns]) for i in range(columns))
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
     legend_below(figure, handles, columns)

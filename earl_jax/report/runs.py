@@ -204,6 +204,11 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     return Curves(config, steps, Columns(folders[0].path, metrics), folders)
 
 
+def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
+    """Return the first and the last step up to which both have evaluations; the first is later if there is no such step."""
+    return max(int(first.steps[0]), int(second.steps[0])), min(int(first.steps[-1]), int(second.steps[-1]))
+
+
 def labels(runs: Sequence[Curves]) -> list[str]:
     """Return a label for each of `runs`: its method, with the options in which its runs on the same task differ."""
     peers: dict[tuple[str, str], list[dict[str, Any]]] = {}

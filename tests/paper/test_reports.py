@@ -36,7 +36,7 @@ TEXTS = {
     "table1": [
         "| naive | 0.800 (0.071) / 0.32 (0.17) / at 0.0008 % of the steps | - / 0.00 (0.00) / - |",
         "| -2700.00 (141.42) / -2705.21 (167.10) / at 0.0004 % of the steps |",
-        "No run has the published length",
+        "No run can be tested against the paper",
         "20 steps (published 2,500,000), 1 seed, reward_scale=1.0, shorter than published",
         "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)",
         INTERVAL_RULE,

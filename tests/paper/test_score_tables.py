@@ -6,42 +6,52 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from earl_jax import assets
 from earl_jax.paper.claims import best, changes_order, table2_claims
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.paper_rows import paper_rows
 from earl_jax.report.published import published_fault, published_score
 from earl_jax.report.runs import read_methods
 from tests.paper.written_runs import PEG, RUNS, numbers, rewards, write_runs
-from tests.report.run_files import DOOR, TABLETOP, constant, read_csv
+from tests.report.run_files import DOOR, MINITAUR, TABLETOP, constant, read_csv
 
 
-def test_runs_of_the_published_length_are_tested_by_welch_and_holm(tmp_path):
-    """Ten seeds of naive at 0.95 (0.01) against 0.32 (0.19), and of VaPRL at 0.5 (0.01) against 0.98 (0.022)."""
+def gap(first, second):
+    return abs(first.mean() - second.mean())
+
+
+def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(tmp_path):
+    """Ten seeds of naive RL at 0.95 and VaPRL at 0.5 against released ones; the Minitaur's against -1041.10 (49.84)."""
     spread, options = np.tile([-0.03, 0.03], 5), rewards(steps=[1_250_000, 2_500_000])
     runs = [(TABLETOP, algo, constant(*(mean + spread)), options) for algo, mean in (("naive", 0.95), ("vaprl", 0.5))]
+    runs.append((MINITAUR, "naive", constant(*(spread - 900)), rewards(steps=[1_500_000, 3_000_000])))
     csv_file, text_file, _ = ARTEFACTS["table1"].write(write_runs(tmp_path, runs), tmp_path / "out")
-    rows = {row["algo"]: row for row in read_csv(csv_file) if row["p"]}
-    published = 0.32, 0.17 * math.sqrt(25 / 4), 5
-    naive = stats.ttest_ind_from_stats(0.95, 0.03 * math.sqrt(10 / 9), 10, *published, equal_var=False)
-    assert numbers(rows["naive"], "p", "p_holm") == pytest.approx([naive.pvalue] * 2)
-    assert float(rows["vaprl"]["p_holm"]) == pytest.approx(2 * float(rows["vaprl"]["p"]))
-    assert [rows[algo]["verdict"] for algo in ("naive", "vaprl")] == ["above", "below"]
+    rows = {(row["env"], row["algo"]): row for row in read_csv(csv_file) if row["p"]}
+    naive, vaprl, pen = (rows[name] for name in ((TABLETOP, "naive"), (TABLETOP, "vaprl"), (MINITAUR, "naive")))
+    released = assets.released_runs(TABLETOP, "naive")["deployed"][:, 240:250].mean(axis=1)
+    exact = stats.permutation_test((0.95 + spread, released), gap, n_resamples=5000, alternative="greater")
+    assert numbers(naive, "p", "tested_steps") == pytest.approx([exact.pvalue, 2_500_000])
+    assert numbers(naive, "p_holm") == numbers(naive, "p")
+    assert float(vaprl["p_holm"]) == pytest.approx(2 * float(vaprl["p"]))
+    welch = stats.ttest_ind_from_stats(
+        -900, 0.03 * math.sqrt(10 / 9), 10, -1041.1, 44.58 * math.sqrt(25 / 4), 5, equal_var=False
+    )
+    assert numbers(pen, "p", "p_holm") == pytest.approx([welch.pvalue] * 2)
+    assert [row["verdict"] for row in (naive, vaprl, pen)] == ["above", "below", "above"]
     text = text_file.read_text()
     assert "/ 0.32 (0.17) / above |" in text
-    assert "| tabletop_organization | vaprl | -0.480 [" in text
+    assert "| tabletop_organization | vaprl | 2.50M | -0.494 [" in text
 
 
-def test_table_2_compares_lifetime_rewards_with_bounds_and_missing_scores(tmp_path):
-    """Two seeds with the same reward have no spread; the published 0.009 (0.000) and 0.329 (0.080) do."""
-    lifetime = {(PEG, "naive"): 0.0015, (PEG, "oracle"): 0.5, (TABLETOP, "vaprl"): 0.0094, (DOOR, "fbrl"): 0.9}
-    steps = [3_000_000, 6_000_000]
-    runs = [(*name, constant(0.0, 0.0), rewards(reward, steps=steps)) for name, reward in lifetime.items()]
+def test_table_2_compares_lifetime_rewards_at_equal_steps(tmp_path):
+    """Nothing was released of the oracle's life, nor, counted once, of R3L's on the door."""
+    lifetime = {(PEG, "oracle"): 0.5, (TABLETOP, "vaprl"): 0.0094, (DOOR, "r3l"): 0.9, (DOOR, "fbrl"): 0.9}
+    steps = [1_250_000, 2_500_000]
+    runs = [(*name, constant(*[0.0] * 5), rewards(reward, steps=steps)) for name, reward in lifetime.items()]
     csv_file, text_file, _ = ARTEFACTS["table2"].write(write_runs(tmp_path, runs), tmp_path / "out")
     verdicts = {(row["env"], row["algo"]): row["verdict"] for row in read_csv(csv_file) if row["mean"]}
-    assert verdicts == dict(zip(lifetime, ("-", "-", "cannot tell", "above"), strict=True))
-    text = text_file.read_text()
-    assert "0.0015 (0.0000) / <0.001 / -" in text
-    assert "0.5000 (0.0000) / - / -" in text
+    assert verdicts == dict(zip(lifetime, ("-", "cannot tell", "-", "above"), strict=True))
+    assert "0.5000 (0.0000) / - / -" in text_file.read_text()
 
 
 def test_a_claim_needs_two_methods_on_a_task_and_ties_are_no_change_of_order(tmp_path):

@@ -14,6 +14,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 
 TABLETOP, DOOR, KITCHEN, LIGHTBULB = "tabletop_organization", "sawyer_door", "franka_kitchen", "dhand_lightbulb"
+MINITAUR = "minitaur_pen"
 
 
 def write_run(

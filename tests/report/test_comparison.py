@@ -5,10 +5,21 @@ import math
 import numpy as np
 import pytest
 
+from earl_jax import assets
 from earl_jax.report.comparison import compare, table_text, write_comparison
 from earl_jax.report.published import published_beside
 from earl_jax.report.runs import read
-from tests.report.run_files import DOOR, KITCHEN, LIGHTBULB, TABLETOP, constant, count_pixels, read_csv, write_run
+from tests.report.run_files import (
+    DOOR,
+    KITCHEN,
+    LIGHTBULB,
+    MINITAUR,
+    TABLETOP,
+    constant,
+    count_pixels,
+    read_csv,
+    write_run,
+)
 
 BAD, GOOD = (0.0, 0.1, 0.0, 0.1, 0.05), (0.9, 1.0, 0.95, 0.9, 1.0)
 
@@ -35,23 +46,37 @@ def test_methods_are_compared_at_the_last_step_that_both_have(folders):
     assert 0 < row["detectable"] < abs(row["difference"])
 
 
-def test_p_is_adjusted_for_all_comparisons_of_a_table(folders, tmp_path):
+def test_p_is_adjusted_for_all_comparisons_of_a_task(folders, tmp_path):
     more = [write_run(tmp_path / name, TABLETOP, name, constant(*BAD)) for name in ("r3l", "oracle")]
-    rows = compare([*folders, *more])
-    assert len(rows) == 6
+    rows = compare([*folders, *more, write_run(tmp_path / "door", DOOR, "naive", constant(*BAD))])
+    assert [row["env"] for row in rows] == [TABLETOP] * 6 + [DOOR]
+    assert rows.pop()["p_holm"] == pytest.approx(2 / 252), "another task is another family"
     assert max(row["p_holm"] for row in rows) == 1.0
     assert min(row["p_holm"] for row in rows) == pytest.approx(6 * 2 / 252)
 
 
-def test_runs_that_are_shorter_than_published_are_not_compared_with_the_published_score(folders, tmp_path):
+def test_runs_are_compared_with_the_released_ones_at_equal_ages(folders, tmp_path):
     rows = compare(folders, against="published")
-    assert len(rows) == 3
+    assert len(rows) == 3, "before the first released evaluation there is nothing to compare"
     assert all(math.isnan(row["p"]) and row["verdict"].startswith("not compared at 0.0") for row in rows)
-    whole = write_run(tmp_path / "a", TABLETOP, "naive", constant(*GOOD), steps=[1_250_000, 2_500_000])
+    steps = range(10_000, 1_000_001, 10_000)
+    part = write_run(tmp_path / "a", TABLETOP, "vaprl", np.tile([[0.9], [0.8]], 100), steps=steps)
+    rows = compare([part], against="published")
+    released = assets.released_runs(TABLETOP, "vaprl")
+    windows = [released["deployed"][:, end - 10 : end] for end in (25, 50, 75, 100)]
+    assert [row["steps"] for row in rows] == [250_000, 500_000, 750_000, 1_000_000]
+    assert [row["other_mean"] for row in rows] == pytest.approx([float(window.mean()) for window in windows])
+    assert [row["seeds"] for row in rows] == [2] * 4
+    assert [row["other_seeds"] for row in rows] == [5] * 4
+    assert rows[0]["p_holm"] == rows[0]["p"], "each age is a family of its own"
+
+
+def test_where_nothing_was_released_the_printed_score_is_tested_at_its_length(tmp_path):
+    whole = write_run(tmp_path / "a", MINITAUR, "naive", constant(-900.0, -905.0), steps=[1_500_000, 3_000_000])
     [row] = compare([whole], against="published")
-    assert row["second"] == "published 0.32 (0.17)"
-    assert row["difference"] == pytest.approx(0.95 - 0.32)
-    assert 0.01 < row["p"] < 0.05, "the five published seeds vary too: Welch's test has hardly more than four degrees"
+    assert row["second"] == "published -1041.10 (44.58)"
+    assert row["difference"] == pytest.approx(1041.1 - 902.5)
+    assert 0.01 < row["p"] < 0.06, "the five published seeds vary too: Welch's test has hardly more than four degrees"
 
 
 def test_a_task_that_is_our_reconstruction_is_not_compared_and_its_published_score_not_shown(tmp_path):
@@ -104,7 +129,7 @@ def test_another_metric_is_compared_by_its_name(tmp_path):
     assert compare(paths[:2])[0]["difference"] == 0
     [row] = compare(paths[:2], metric="deployed/success_wide")
     assert row["difference"] == pytest.approx(np.mean(GOOD) - np.mean(BAD))
-    with pytest.raises(ValueError, match="leave out --metric"):
+    with pytest.raises(ValueError, match="needs runs of tasks of the paper with deployed/success_wide"):
         compare(paths, "published", metric="deployed/success_wide")
     with pytest.raises(ValueError, match="of r3l has no value at some evaluations"):
         compare(paths, metric="deployed/success_wide")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from earl_jax.report.plots import caption, plot_runs
+from earl_jax.report.plots import RELEASED, caption, plot_runs
 from earl_jax.report.style import COLOURS, colours, method_order, task_title
 from tests.cli.process import run
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
@@ -102,3 +102,14 @@ def test_the_command_says_that_it_replaces_a_picture(sweep, tmp_path):
     assert (code, err) == (0, "")
     assert f"{out}\nMeans over seeds" in printed
     assert f"earl-jax: replaced {out} of 20" in run("plot", sweep / DOOR, "--out", out)[2]
+
+
+def test_each_run_has_panels_over_the_released_seeds_of_the_paper(sweep, drawn):
+    figure = drawn(sweep / TABLETOP, published=True)
+    assert [axis.get_title().splitlines()[0] for axis in figure.axes] == ["fbrl", "fbrl", "naive", "naive"]
+    for axis in figure.axes:
+        published = [line for line in axis.lines if line.get_color() == RELEASED["color"]]
+        assert [len(line.get_xdata()) for line in published] == [250] * 6, "five seeds and their mean"
+        assert len(axis.lines) == 6 + 4
+    assert texts(figure)[-1] == "published, five seeds"
+    assert "released seeds" in caption(published=True)

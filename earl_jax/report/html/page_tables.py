@@ -70,11 +70,11 @@ def _paper_row(number: int, row: dict[str, Any], line: Line | None) -> TableRow:
 
 
 def _verdict(row: dict[str, Any]) -> str:
-    if share := share_of_steps(row):
-        return f"at {share} of steps"
+    share = share_of_steps(row)
     if row["p_holm"] is None:
-        return ""
-    return f"{ARROWS.get(row['verdict'], '')}{row['verdict']}, p = {row['p_holm']:.2g}"
+        return share
+    verdict = f"{ARROWS.get(row['verdict'], '')}{row['verdict']}, p = {row['p_holm']:.2g}"
+    return f"{verdict}, {share}" if share else verdict
 
 
 def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:

@@ -35,14 +35,18 @@ def test_the_paper_table_has_our_scores_beside_the_published(lines):
         "3 × 300",
         "0.94 (0.04)",
     )
-    assert fbrl["verdict"] == "at 0.012 % of steps"
+    assert fbrl["verdict"] == "at 0.012 % of the steps"
     assert (rows["r3l"]["line"], rows["r3l"]["seeds × steps"], rows["r3l"]["verdict"]) == (None, "not run", "")
     assert [note[:11] for note in paper_table(2, lines)["notes"]] == ["Sawyer door"]
 
 
 def test_the_paper_table_has_the_verdict_on_a_whole_run(tmp_path):
-    run = write_page_run(tmp_path / "a", "naive", constant(0.9, 1.0, 0.95), steps=[1_250_000, 2_500_000])
-    assert cells(paper_table(1, read_lines(run)))[0]["verdict"] == "▲ above, p = 0.029"
+    scores = constant(0.9, 1.0, 0.95, 1.0, 0.9)
+    run = write_page_run(tmp_path / "a", "naive", scores, steps=[1_250_000, 2_500_000])
+    assert cells(paper_table(1, read_lines(run)))[0]["verdict"] == "▲ above, p = 0.032"
+    half = write_page_run(tmp_path / "b", "fbrl", scores, steps=[625_000, 1_250_000])
+    rows = {row["method"]: row for row in cells(paper_table(1, read_lines(half)))}
+    assert rows["fbrl"]["verdict"].endswith(", at 50 % of the steps")
 
 
 def test_the_seed_table_has_the_final_values_of_every_seed(lines):
