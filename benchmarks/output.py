@@ -49,6 +49,13 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
+def shrink(picture: Path) -> None:
+    """Reduce a picture to 256 colours, which halves the size of a figure of many thin lines."""
+    from PIL import Image
+
+    Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)
+
+
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Return the rows of a csv file."""
     with path.open(newline="") as handle:

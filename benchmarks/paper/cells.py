@@ -1,8 +1,8 @@
 """The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper.cells`.
 
 A cell is a task and a method, trained at the paper's settings. It is tested against the paper's five seeds as `earl-jax
-compare --against published` does. Writes cells.csv, cells.md, a figure of each task that was run, curves.png in its folder, and
-the tables between comments in docs/results.md and README.md.
+compare --against published` does. Writes cells.csv, cells.md, curves.png and lives.png in the folders of tasks, and the tables
+between comments in docs/results.md and README.md.
 """
 
 import json
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
+from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, shrink, with_tables, write_files
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.artefact import methods_on, training_steps
 from earl_jax.report.comparison import published_rows, table_text, with_verdicts
@@ -22,6 +22,8 @@ from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
+LIVES = (TABLETOP, "sawyer_door", "franka_kitchen")
+"""Tasks of which the rewards of the life are drawn: some of them differ from the released ones."""
 FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 """Variant of runs of VaPRL with the defaults that it had until 2026-11-23."""
 NOT_RUN = "not run"
@@ -126,15 +128,16 @@ def files() -> dict[Path, str]:
 
 
 def draw() -> None:
-    """Draw the curves of each task over the released ones."""
+    """Draw the deployed scores of each task, and the rewards of the life of some, over the released ones."""
     rows = [row for row in cells() if row["seeds"]]
     for env in dict.fromkeys(row["env"] for row in rows):
-        plot_runs(
-            [RUNS / env / row["run"] for row in rows if row["env"] == env],
-            RUNS / env / "curves.png",
-            smooth=10,
-            published=True,
-        )
+        folders = [RUNS / env / row["run"] for row in rows if row["env"] == env]
+        pictures = {"curves": read_methods(folders)[0].curves.deployed_metric}
+        if env in LIVES:
+            pictures["lives"] = "continuing/reward"
+        for name, metric in pictures.items():
+            picture = RUNS / env / f"{name}.png"
+            shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=10, published=True))
 
 
 if __name__ == "__main__":

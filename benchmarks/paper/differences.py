@@ -3,7 +3,7 @@
     python -m benchmarks.paper.differences
 
 Each difference has tests of two sets of runs in results/paper: `earl-jax compare`'s permutation test at the last step that
-both have, p adjusted by Holm over all tests here. A test without its runs is not made, and the table says `not run`.
+both have, p adjusted by Holm over the tests of a difference. A test without its runs is not made, and the table says `not run`.
 Writes results/paper/{pairs.csv,pairs.md}, the figure of the cheetah and the table between comments in docs/results.md.
 """
 
@@ -109,11 +109,11 @@ DIFFERENCES = (
 
 
 def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
-    """Return the rows of all tests whose runs are there, each with the `number` of its difference, p adjusted by Holm."""
+    """Return the rows of all tests whose runs are there, each with the `number` of its difference, its family for Holm."""
     rows = [{"number": "1", **row} for row in starts_rows(read_seeds(seeds))]
     for entry in DIFFERENCES:
         rows += [{"number": entry.number, **row} for pair in entry.pairs if (row := _pair_row(root, pair))]
-    return with_verdicts(rows)
+    return with_verdicts(rows, family=("number",))
 
 
 def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
@@ -197,7 +197,7 @@ def _short(name: str) -> str:
 def _cell_line(row: Row) -> list[str]:
     mean = interval_text(row["mean"], row["low"], row["high"])
     names = f"{row['env']} {row['algo']}, {row['seeds']} seeds", f"published, {millions(row['of'])} steps, 5 seeds"
-    return [*names, millions(row["steps"]), mean, row["published"], *"---", f"run; {row['verdict']}"]
+    return [*names, millions(row["steps"]), mean, f"{row['other_mean']:.3f}", *"---", f"run; {row['verdict']}"]
 
 
 def _number(row: Row, value: float, digits: int = 3) -> str:
