@@ -35,7 +35,7 @@ def sweep(
     Args:
         grid: TOML file of tasks, methods and options (docs/sweeps.md).
         out: Parent folder of the run folders, OUT/<task>/<method>/<options>.
-        launcher: local runs the programs on this machine; slurm submits an array job through submitit.
+        launcher: local runs the programs on this machine; slurm submits an array job.
         max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
         dry_run: Print the programs with their lanes, folders and memory, and start nothing.
     """

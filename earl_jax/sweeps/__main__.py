@@ -1,28 +1,33 @@
-"""The process of a worker, `python -m earl_jax.sweeps`: it reads a task of the launcher from stdin and prints what happens.
+"""The process of a worker, `python -m earl_jax.sweeps [FILE LINE]`: it reads a task of the launcher and prints what happens.
 
-The task is one line of JSON, and so is each event. Stdin is a pipe that the launcher holds open: the worker ends with it.
+The task is one line of JSON, and so is each event. Without a file it comes from stdin, a pipe that the launcher holds open:
+the worker ends with it.
 """
 
 import json
 import os
 import sys
 import threading
+from pathlib import Path
 
 
 def main() -> int:
-    """Do the task on stdin and return the exit code."""
-    task = json.loads(sys.stdin.readline())
-    end_with_pipe(sys.stdin.fileno())
-    if task["cores"] and hasattr(os, "sched_setaffinity"):
+    """Do the task and return the exit code, 1 if a run failed."""
+    if sys.argv[1:]:
+        path, line = sys.argv[1:]
+        task = json.loads(Path(path).read_text().splitlines()[int(line)])
+    else:
+        task = json.loads(sys.stdin.readline())
+        end_with_pipe(sys.stdin.fileno())
+    if task.get("cores") and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, task["cores"])  # before jax and the physics count the cores
     from earl_jax.sweeps import worker  # it imports jax, which takes seconds
 
     try:
-        worker.serve(task)
+        return int(worker.serve(task) > 0)
     except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or a signal before training
         print(str(interrupt) or "interrupted", file=sys.stderr)
         return getattr(interrupt, "exit_code", 130)
-    return 0
 
 
 def end_with_pipe(descriptor: int) -> None:

@@ -42,7 +42,7 @@ def sweep(
         out: the parent folder of the run folders; the same call continues unfinished runs there.
         launcher: `local`, on this machine, or `slurm`, an array job with a task per program group.
         max_lanes: the largest number of lanes in a program group.
-        slurm: name=value pairs for sbatch, including `time` (minutes).
+        slurm: options of sbatch, name=value, such as `time` (minutes).
         devices: the number of devices that share the lanes of a program group.
         per_device: the number of program groups that train on each GPU of this machine at a time, or on a machine without
             one; `auto` for the measured number. By default one group trains after another, on one GPU.
@@ -56,14 +56,13 @@ def sweep(
     """
     limit = TimeLimit.of(minutes)
     _check_options(launcher, slurm, devices, per_device, limit)
-    executor = slurm_arrays.make_executor(out, slurm) if launcher == "slurm" else None
     plan = plan_sweep(grid, out, max_lanes)
     for name in plan["finished"]:
         emit(f"done       {name}  (before)")
     common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
     tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
-    if executor is not None:
-        slurm_arrays.submit(tasks, executor, emit)
+    if launcher == "slurm":
+        slurm_arrays.submit(out, tasks, slurm, emit)
         return Outcome(failed=0)
     states = {name: "waiting" for task in tasks for name in task["runs"]} | _run_locally(tasks, per_device, emit)
     return _summarise(states, len(plan["finished"]), limit, emit)

@@ -1,81 +1,85 @@
-"""The SLURM launcher of sweeps, through submitit: an array job with a task for each program group."""
+"""The SLURM launcher of sweeps: an array job with a task for each program group."""
 
 import json
+import shlex
+import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from earl_jax.errors import InputError
-from earl_jax.sweeps.processes import Task, Workers
+from earl_jax.sweeps.processes import WORKER, Task
 
 LOGS = "slurm"
-"""Name of the folder, in that of the sweep, for submitit's scripts and logs."""
+"""Name of the folder, in that of the sweep, for the tasks and the logs of arrays."""
 RETRIES = 100
 """How often a job that reaches its time limit returns to the queue."""
+DEFAULTS = {"job-name": "earl-jax", "signal": "B:USR1@90"}
+"""Options of sbatch that others replace. The signal gives a worker 90 seconds before the time limit to save."""
 
 
-class GroupJob:
-    """A callable that trains one program group, on this or another machine. After a time-out it is submitted again."""
+def submit(out: Path, tasks: list[Task], pairs: tuple[str, ...], emit: Callable[[str], None]) -> None:
+    """Submit `tasks`, one for each program group of the sweep at `out`, as an array job.
 
-    def __call__(self, task: Task) -> None:
-        """Train all runs of `task`; failed runs are a RuntimeError that gives their causes."""
-        failures = []
-        for event in Workers().run({**task, "ignore_signals": True}):
-            print(json.dumps(event), flush=True)
-            if event["state"] == "failed":
-                failures.append(f"{event['run']}: {event['detail']}")
-        if failures:
-            raise RuntimeError("; ".join(failures))
-
-    def checkpoint(self, task: Task) -> Any:
-        """Return the job that submitit submits after a time-out or a preemption: this one again, from its checkpoints."""
-        from submitit.helpers import DelayedSubmission
-
-        return DelayedSubmission(self, task)
-
-
-def submit(tasks: list[Task], executor: Any, emit: Callable[[str], None]) -> None:
-    """Submit `tasks`, one for each program group, as an array job of `executor`."""
-    jobs = executor.map_array(GroupJob(), tasks) if tasks else []
-    for job, task in zip(jobs, tasks, strict=True):
-        for name in task["runs"]:
-            emit(f"submitted  {name}  job {job.job_id}")
-    emit(f"{len(jobs)} jobs; logs in {executor.folder}; repeat the command later to submit unfinished runs")
-
-
-def make_executor(out: Path, pairs: tuple[str, ...]) -> Any:
-    """Return submitit's executor with the parameters of sbatch in `pairs`, name=value.
+    `pairs` are options of sbatch, name=value.
 
     Raises:
-        ValueError: submitit or sbatch is missing, or a parameter is missing or unknown.
+        ValueError: sbatch is missing or refuses an option; nothing has been submitted.
     """
-    parameters = _parameters(pairs)
-    try:
-        import submitit
-    except ImportError:
-        raise InputError("--launcher slurm needs submitit: pip install 'earl-jax[slurm]'") from None
-    if "time" not in parameters:
-        raise InputError(
-            "--launcher slurm needs a time limit in minutes: --slurm time=600 partition=... gpus_per_node=1"
-        )
+    folder, options = out.resolve() / LOGS, _options(pairs)
     if (out / LOGS).is_symlink():
         raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
-    try:
-        executor = submitit.SlurmExecutor(out.resolve() / LOGS, max_num_timeout=RETRIES)
-        executor.update_parameters(**{"job_name": "earl-jax", **parameters})
-    except RuntimeError as error:
-        raise InputError(f"{error}; use --launcher slurm on a machine that has sbatch") from None
-    except ValueError as error:
-        raise InputError(" ".join(str(error).split())) from None
-    return executor
+    if tasks:
+        folder.mkdir(parents=True, exist_ok=True)
+        job = _sbatch(folder, tasks, options)
+        for number, task in enumerate(tasks):
+            for name in task["runs"]:
+                emit(f"submitted  {name}  job {job}_{number}")
+    emit(f"{len(tasks)} jobs; logs in {folder}; repeat the command later to submit unfinished runs")
 
 
-def _parameters(pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Return name=value pairs as a dictionary, numbers as numbers."""
-    parameters: dict[str, Any] = {}
+def _options(pairs: tuple[str, ...]) -> list[str]:
+    """Return the options of sbatch for name=value pairs, after the defaults that they replace."""
+    options = dict(DEFAULTS)
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise InputError(f"--slurm takes name=value, not {pair!r}")
-        parameters[name] = int(text) if text.lstrip("-").isdigit() else text
-    return parameters
+        options[name.replace("_", "-")] = text
+    return [f"--{name}={text}" for name, text in options.items()]
+
+
+def _sbatch(folder: Path, tasks: list[Task], options: list[str]) -> str:
+    """Return the number of the array job that trains `tasks`, after its submission. Errors as `submit`."""
+    with tempfile.NamedTemporaryFile("w", dir=folder, prefix="tasks-", suffix=".jsonl", delete=False) as file:
+        file.writelines(f"{json.dumps(task)}\n" for task in tasks)
+    log = str(folder).replace("%", "%%") + "/%A_%a.log"
+    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}", f"--array=0-{len(tasks) - 1}"]
+    try:
+        submitted = subprocess.run(
+            ["sbatch", *options, *own], input=_script(file.name), capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError) as error:
+        Path(file.name).unlink()
+        reason = error.stderr if isinstance(error, subprocess.CalledProcessError) else f"{error}"
+        raise InputError(f"--launcher slurm cannot submit a job: {' '.join(reason.split())}") from None
+    return submitted.stdout.strip().partition(";")[0]  # a federation adds the name of the cluster
+
+
+def _script(tasks: str) -> str:
+    """Return the batch script that trains one of the groups in the file `tasks`.
+
+    USR1 announces the time limit: the worker saves, and the job returns to the queue. SLURM sends TERM to the worker too.
+    A trap ends `wait`, so the script waits until the worker has ended.
+    """
+    return f"""#!/bin/bash
+trap 'echo "the time limit is near"; limit=yes; kill -TERM $worker' USR1
+trap : TERM
+{shlex.join(WORKER)} {shlex.quote(tasks)} $SLURM_ARRAY_TASK_ID &
+worker=$!
+until wait $worker; code=$?; ! kill -0 $worker 2>/dev/null; do :; done
+if [ "$limit" ] && [ $code != 0 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {RETRIES} ]; then
+  scontrol requeue ${{SLURM_ARRAY_JOB_ID}}_$SLURM_ARRAY_TASK_ID
+fi
+exit $code
+"""

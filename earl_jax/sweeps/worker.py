@@ -5,7 +5,6 @@ import dataclasses
 import gc
 import json
 import math
-import signal
 import traceback
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -29,7 +28,6 @@ from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import Problem
 
-SCHEDULER_SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
 Emit = Callable[[str, str, str], None]
 """Receives the name of a run, its state (started, resumed, done, stopped or failed), and the step or the cause as text."""
 
@@ -216,11 +214,10 @@ def _cause(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
-def serve(task: dict[str, Any]) -> None:
-    """Plan the `grid` of `task`, or train its `runs`, and print the plan or every event as a line of JSON.
+def serve(task: dict[str, Any]) -> int:
+    """Plan the `grid` of `task`, or train its `runs`; print the plan or every event as a line of JSON, and return the failures.
 
-    Both have the folder `out`. A grid has `max_lanes`; runs can have the other arguments of `work` by name, and
-    `ignore_signals` for jobs of submitit, which handles the signals of SLURM and resubmits the job before this process ends.
+    Both have the folder `out`. A grid has `max_lanes`; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
     if "grid" in task:
@@ -229,17 +226,19 @@ def serve(task: dict[str, Any]) -> None:
         except Exception as error:
             reply = {"state": "refused", "detail": _cause(error)}
         print(json.dumps(reply), flush=True)
-        return
-    for number in SCHEDULER_SIGNALS if task.get("ignore_signals") else ():
-        signal.signal(number, signal.SIG_IGN)
+        return 0
+    failed: list[str] = []
 
     def emit(name: str, state: str, detail: str) -> None:
+        if state == "failed":
+            failed.append(name)
         print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
     configs = {name: parse_config(config) for name, config in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
+    return len(failed)
 
 
 def parse_config(fields: dict[str, Any]) -> RunConfig:

@@ -84,6 +84,11 @@ def workers(tmp_path, monkeypatch):
     return replace
 
 
+def read_tables(out):
+    """Return the bytes of every metrics.csv of the sweep at `out`."""
+    return {path.relative_to(out): path.read_bytes() for path in out.glob("*/*/*/metrics.csv")}
+
+
 def write_executable(path, text):
     path.write_text(text)
     path.chmod(0o755)

@@ -14,7 +14,7 @@ import pytest
 from earl_jax import cli
 from earl_jax.sweeps import launcher, processes
 from tests.cli.process import ENVIRONMENT, run_process, start
-from tests.sweeps.conftest import GRID
+from tests.sweeps.conftest import GRID, read_tables
 
 
 def test_the_launcher_never_imports_jax(grid, tmp_path):
@@ -28,11 +28,6 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
     assert "program 1: 4 lanes, steps 0 to 120, replay" in process.stdout
     assert "2 runs, 0 of them done; programs to run: 1" in process.stdout
     assert not (tmp_path / "out").exists()
-
-
-def read_tables(out):
-    """Return the bytes of every metrics.csv of the sweep at `out`."""
-    return {path.relative_to(out): path.read_bytes() for path in out.glob("*/*/*/metrics.csv")}
 
 
 @pytest.mark.slow

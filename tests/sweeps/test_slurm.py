@@ -1,90 +1,196 @@
-"""The SLURM launcher, on a fake cluster that runs the tasks of an array on this machine."""
+"""The SLURM launcher, on a cluster of one node that the tests start on this machine."""
 
+import contextlib
 import os
-import sys
+import re
+import shutil
+import signal
+import socket
+import subprocess
 import time
 
 import pytest
 
-from earl_jax.sweeps import launcher, slurm
-from tests.cli.process import ADDED
-from tests.sweeps.conftest import GRID, write_executable
+from earl_jax.sweeps import slurm
+from tests.cli.process import ENVIRONMENT, run_process
+from tests.sweeps.conftest import GRID, read_tables
 
-SRUN = '#!/bin/bash\nwhile [[ "$1" == --* ]]; do [[ $1 == --unbuffered ]] || shift; shift; done\nexec "$@"\n'
-SBATCH = """#!/bin/bash
-cp "$1" FOLDER/submitted.sh
-last=$(sed -n 's/^#SBATCH --array=0-\\([0-9]*\\).*/\\1/p' "$1")
-cp "$1" "$1.kept"
-set -- "$1.kept"
-export SLURM_ARRAY_JOB_ID=7 SLURM_NTASKS=1 SLURM_JOB_NUM_NODES=1 SLURM_NODEID=0 SLURM_PROCID=0 SLURM_LOCALID=0
-(for i in $(seq 0 $last); do SLURM_JOB_ID=7$i SLURM_ARRAY_TASK_ID=$i bash "$1"; done
- touch FOLDER/ended) >FOLDER/cluster.log 2>&1 </dev/null &
-echo "Submitted batch job 7"
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
+MUNGE_FILES = ("socket", "key-file", "log-file", "pid-file", "seed-file")
+CONFIG = """
+ClusterName=test
+SlurmctldHost={node}(127.0.0.1)
+SlurmctldPort={ports[0]}
+SlurmdPort={ports[1]}
+SlurmUser=root
+# A job that returns to the queue waits until its credential has expired.
+AuthInfo=socket={folder}/munge.socket,cred_expire=5
+StateSaveLocation={folder}
+SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+ProctrackType=proctrack/pgid
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core
+NodeName={node} NodeAddr=127.0.0.1 CPUs={cores}
+PartitionName=main Nodes={node} Default=YES
 """
+LONG = GRID.replace("steps = 120", "steps = 4000").replace("checkpoint_every = 40", "checkpoint_every = 4000")
+NODE = socket.gethostname().partition(".")[0]
 
 
-@pytest.fixture
-def cluster(tmp_path, monkeypatch):
-    """A folder with an `sbatch` that returns at once and then runs the tasks of an array here, one after another."""
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    (tmp_path / "bin").mkdir()
-    write_executable(tmp_path / "bin/srun", SRUN)
-    write_executable(tmp_path / "bin/sbatch", SBATCH.replace("FOLDER", str(tmp_path)))
-    for name, value in {**ADDED, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}.items():
-        monkeypatch.setenv(name, value)
-    return tmp_path
+def ask(*command):
+    """Return the output of one of SLURM's programs."""
+    return subprocess.run(command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True, timeout=60).stdout
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 90
+    while not condition():
+        assert time.monotonic() < deadline, (ask("squeue"), ask("sinfo"))
+        time.sleep(0.1)
+
+
+def queue_is_empty():
+    return not ask("squeue", "--noheader")
+
+
+def free_ports(count):
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        return [each.getsockname()[1] for each in sockets]
+
+
+@contextlib.contextmanager
+def running(command, folder):
+    with (folder / f"{command[0]}.log").open("w") as log:
+        process = subprocess.Popen(command, env=ENVIRONMENT, stdout=log, stderr=log)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """A SLURM cluster of one node with all cores of this machine."""
+    missing = [name for name in PROGRAMS if shutil.which(name) is None]
+    if missing or os.geteuid() != 0:
+        pytest.skip(f"a cluster of SLURM needs {', '.join(missing) or 'root'}")
+    folder = tmp_path_factory.mktemp("slurm")
+    (folder / "spool").mkdir()
+    (folder / "munge.key-file").write_bytes(os.urandom(128))
+    (folder / "munge.key-file").chmod(0o600)
+    config = CONFIG.format(folder=folder, node=NODE, ports=free_ports(2), cores=os.cpu_count())
+    (folder / "slurm.conf").write_text(config)
+    munged = ["munged", "--foreground", "--force", *(f"--{name}={folder}/munge.{name}" for name in MUNGE_FILES)]
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        patch.setitem(ENVIRONMENT, "SLURM_CONF", str(folder / "slurm.conf"))
+        for command in (munged, ["slurmctld", "-D"], ["slurmd", "-D"]):
+            stack.enter_context(running(command, folder))
+        wait_for(lambda: ask("sinfo", "--noheader", "--format=%T") == "idle\n")
+        yield
+        ask("scancel", "--user=root")
+        wait_for(queue_is_empty)
+
+
+@pytest.fixture(scope="module")
+def whole(cluster, tmp_path_factory):
+    """The metrics of the runs of LONG, trained at once and without SLURM."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "grid.toml").write_text(LONG)
+    code, _, err = run_process("sweep", folder / "grid.toml", "--out", folder / "out")
+    assert code == 0, err
+    return read_tables(folder / "out")
+
+
+def submit(grid, *options):
+    """Return the lines that a sweep of `grid` prints, and its messages."""
+    arguments = ["--max-lanes", "4", "--launcher", "slurm", "--slurm", "time=10", *options]
+    _, out, err = run_process("sweep", grid, "--out", grid.parent / "out", *arguments)
+    return out.splitlines(), err
+
+
+def reach_time_limit(job, log):
+    """Let the worker stop while SLURM, which looks every 30 seconds, finds that the time is nearly over."""
+    workers = [int(line.split()[0]) for line in ask("scontrol", "listpids").splitlines() if " - " in line]
+    for worker in workers:
+        os.kill(worker, signal.SIGSTOP)
+    ask("scontrol", "update", f"JobId={job}", "TimeLimit=1")
+    wait_for(lambda: "the time limit is near" in log.read_text())
+    ask("scontrol", "update", f"JobId={job}", "TimeLimit=10")
+    for worker in workers:
+        os.kill(worker, signal.SIGCONT)
+
+
+def drain(job, log):
+    ask("scontrol", "update", f"NodeName={NODE}", "State=drain", "Reason=test")
+    ask("scontrol", "requeue", job)
+    wait_for(lambda: ask("squeue", "--noheader", "--format=%T") == "PENDING\n")
+    wait_for(lambda: ask("sinfo", "--noheader", "--format=%T") == "drained\n")
+    ask("scontrol", "update", f"NodeName={NODE}", "State=resume")
+
+
+def cancel(job, log):
+    ask("scancel", job)
+    wait_for(queue_is_empty)
+
+
+def interrupt(end, job, out):
+    """Let `end` end the job after its next evaluation, and check that it saves a checkpoint."""
+    log, rows = out / f"slurm/{job}.log", read_tables(out)
+    wait_for(lambda: read_tables(out) != rows)
+    before = log.read_text().count("stopped at step")
+    end(job, log)
+    wait_for(lambda: log.read_text().count("stopped at step") > before)
+    step = re.findall(r"stopped at step (\d+) by SIGTERM", log.read_text())[-1]
+    assert step.zfill(9) in {path.name for path in out.glob("*/*/*/checkpoints/*")}
 
 
 @pytest.mark.slow
-def test_an_array_has_one_task_per_program_group(grid, cluster):
-    grid.write_text(GRID.replace("steps = 120", "steps = 40"))
-    out, lines = cluster / "out", []
-    arguments = {"launcher": "slurm", "max_lanes": 2, "slurm": ("time=30", "partition=fast"), "emit": lines.append}
-    assert launcher.sweep(grid, out, **arguments) == (0, ())
-    assert [line.rsplit("  ", 1)[1] for line in lines[:2]] == ["job 7_0", "job 7_1"]
-    script = (cluster / "submitted.sh").read_text()
-    for option in ("--array=0-1", "--time=30", "--partition=fast", "--job-name=earl-jax"):
-        assert option in script
-    deadline = time.monotonic() + 240
-    while not (cluster / "ended").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    log = (cluster / "cluster.log").read_text()
-    assert log.count('"state": "done"') == log.count("Job completed successfully") == 2, log
-    lines.clear()
-    assert launcher.sweep(grid, out, **arguments) == (0, ())
-    assert [line[:4] for line in lines[:2]] == ["done", "done"]
-    assert lines[2].startswith(f"0 jobs; logs in {out / 'slurm'}")
+def test_a_job_that_slurm_ends_saves_and_continues_to_the_same_numbers(grid, whole):
+    grid.write_text(LONG)
+    lines, err = submit(grid)
+    assert len(lines) == 3, err
+    job, out = lines[0].rpartition(" ")[2], grid.parent / "out"
+    for end in (reach_time_limit, drain, cancel):
+        interrupt(end, job, out)
+    assert read_tables(out) != whole
+    submit(grid)
+    wait_for(queue_is_empty)
+    assert read_tables(out) == whole
 
 
-def test_a_job_fails_if_a_run_fails_and_is_submitted_again_after_a_time_out(workers):
-    workers('emit("done") if name == "a" else emit("failed", "ValueError: broken")\n')
-    slurm.GroupJob()({"out": "", "runs": {"a": {}}})
-    task = {"out": "", "runs": {"b": {}}}
-    with pytest.raises(RuntimeError, match="b: ValueError: broken"):
-        slurm.GroupJob()(task)
-    pytest.importorskip("submitit", reason="the extra [slurm] is not installed")
-    again = slurm.GroupJob().checkpoint(task)
-    assert (type(again.function), again.args) == (slurm.GroupJob, (task,))
+@pytest.mark.slow
+def test_a_sweep_of_four_runs_is_an_array_with_a_task_for_each_program(cluster, grid):
+    grid.write_text(GRID.replace("steps = 120", "steps = 40").replace("[1, 10]", "[1, 3, 10, 30]"))
+    assert re.fullmatch(
+        "earl-jax: .* cannot submit a job: .*unrecognized option '--party=x'.*\n", submit(grid, "party=x")[1]
+    )
+    lines, err = submit(grid, "job_name=four")
+    assert [line[-2:] for line in lines[:4]] == ["_0", "_0", "_1", "_1"], err
+    assert "four 10:00" in ask("squeue", "--noheader", "--format=%j %l")
+    wait_for(queue_is_empty)
+    logs = [path.read_text() for path in (grid.parent / "out/slurm").glob("*.log")]
+    assert [log.count('"state": "done"') for log in logs] == [2, 2], logs
+    lines, err = submit(grid)
+    assert [line[:4] for line in lines[:4]] == ["done"] * 4, err
+    assert lines[4].startswith(f"0 jobs; logs in {grid.parent / 'out/slurm'}")
 
 
 @pytest.mark.parametrize(
-    ("parameters", "missing", "message"),
-    [
-        ((), None, "needs a time limit"),
-        (("time=5", "party=x"), None, "Unavailable parameter.*partition"),
-        (("time=5",), "submitit", r"pip install 'earl-jax\[slurm\]'"),
-        (("time=5",), "sbatch", "on a machine that has sbatch"),
-        (("time=5",), "folder", "slurm is a link"),
-    ],
+    ("obstacle", "message"),
+    [("program", "cannot submit a job: .*No such file or directory: 'sbatch'"), ("link", "slurm is a link")],
 )
-def test_invalid_options_and_missing_programs_are_refused(grid, cluster, monkeypatch, parameters, missing, message):
-    if missing == "submitit":
-        monkeypatch.setitem(sys.modules, "submitit", None)
-    elif missing == "sbatch":
-        monkeypatch.setenv("PATH", str(cluster / "empty"))
-    elif missing == "folder":
-        (cluster / "out").mkdir()
-        (cluster / "out/slurm").symlink_to(cluster)
+def test_an_array_that_cannot_be_submitted_leaves_no_file(tmp_path, monkeypatch, obstacle, message):
+    if obstacle == "program":
+        monkeypatch.setenv("PATH", str(tmp_path))
+    else:
+        (tmp_path / "slurm").symlink_to(tmp_path)
     with pytest.raises(ValueError, match=message):
-        launcher.sweep(grid, cluster / "out", "slurm", slurm=parameters)
-    assert not (cluster / "submitted.sh").exists()
+        slurm.submit(tmp_path, [{"runs": {"a": {}}}], (), print)
+    assert not list(tmp_path.glob("**/tasks*"))

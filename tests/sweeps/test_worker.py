@@ -180,24 +180,33 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
     with folder.claimed() if "in use" in message else contextlib.nullcontext():
         if "damaged" in message:
             folder.config_file.write_text("{}")
-        worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}})
+        assert worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}}) == 1
     event = json.loads(capsys.readouterr().out)
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
     assert message in event["detail"]
 
 
-def test_a_worker_keeps_to_its_cores_and_leaves_signals_to_submitit(monkeypatch):
+def test_a_worker_keeps_to_its_cores_and_ends_with_its_launcher(monkeypatch):
     calls, (reading, writing) = [], os.pipe()
-    task = {"out": "", "runs": {}, "progress": False, "cores": [2, 3], "ignore_signals": True}
+    task = {"out": "", "runs": {}, "progress": False, "cores": [2, 3]}
     os.write(writing, f"{json.dumps(task)}\n".encode())
+    monkeypatch.setattr(sys, "argv", ["worker"])
     monkeypatch.setattr(sys, "stdin", os.fdopen(reading))
     monkeypatch.setattr(process, "end_with_pipe", lambda descriptor: calls.append(descriptor == reading))
     monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cores: calls.append((pid, cores)), raising=False)
-    monkeypatch.setattr(signal, "signal", lambda number, action: calls.append(action))
     monkeypatch.setattr(worker, "work", lambda *_, progress, **options: calls.append(progress))
     assert process.main() == 0
-    assert calls == [True, (0, [2, 3]), *[signal.SIG_IGN] * 3, False]
+    assert calls == [True, (0, [2, 3]), False]
     os.close(writing)
+
+
+def test_a_worker_of_an_array_takes_a_line_of_a_file_and_fails_with_its_runs(tmp_path, monkeypatch, capsys):
+    runs = [{"runs": {name: {"env": "cheetah", "seeds": []}}} for name in "ab"]
+    (tmp_path / "tasks").write_text("".join(f"{json.dumps({'out': str(tmp_path), **task})}\n" for task in runs))
+    monkeypatch.setattr(sys, "argv", ["worker", str(tmp_path / "tasks"), "1"])
+    monkeypatch.setattr(worker, "parse_config", lambda fields: None)
+    assert process.main() == 1
+    assert json.loads(capsys.readouterr().out)["run"] == "b"
 
 
 BUSY = """
