@@ -1,30 +1,70 @@
 """Several hosts that run one program: joining them, the host that writes files, and arrays on several hosts."""
 
+import atexit
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, is_input_error
+
+
+@contextlib.contextmanager
+def failing_at_once() -> Iterator[None]:
+    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it."""
+    try:
+        yield
+    except BaseException as error:
+        if jax.process_count() > 1:
+            atexit.register(_leave, 2 if is_input_error(error) else 1)  # it runs before jax's own
+        raise
+
+
+def _leave(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def gathered(tree: Any) -> Any:
-    """Return the arrays of `tree` as NumPy arrays, including those on other hosts; every host must call this."""
+    """Return the arrays of `tree` as NumPy arrays, including those on other hosts; every host must call this.
+
+    Raises:
+        ValueError: another host has ended.
+    """
 
     def gather(leaf):
         if isinstance(leaf, jax.Array) and not leaf.is_fully_addressable:
             if leaf.is_fully_replicated:
                 return np.asarray(leaf.addressable_data(0))
-            return np.asarray(multihost_utils.process_allgather(leaf, tiled=True))
+            with _asking_all_hosts():
+                return np.asarray(multihost_utils.process_allgather(leaf, tiled=True))
         return np.asarray(leaf)
 
     return jax.tree.map(gather, tree)
 
 
 def of_first_host(flag: bool) -> bool:
-    """Return the `flag` of the first host; every host must call this."""
-    return flag if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(flag)))
+    """Return the `flag` of the first host; every host must call this. Errors as `gathered`."""
+    if jax.process_count() == 1:
+        return flag
+    with _asking_all_hosts():
+        return bool(multihost_utils.broadcast_one_to_all(np.asarray(flag)))
+
+
+@contextlib.contextmanager
+def _asking_all_hosts() -> Iterator[None]:
+    try:
+        yield
+    except (RuntimeError, ValueError) as error:  # jax has no class for it
+        cause = str(error).partition("\n")[0]
+        remedy = "start the run again on all hosts with earl-jax resume"
+        raise InputError(f"another host has ended ({cause}); {remedy}") from error
 
 
 def join_hosts(hosts: str | None) -> None:

@@ -21,7 +21,7 @@ from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import Row, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.hosts import failing_at_once, first_host, gathered
 from earl_jax.runs.logging import Log, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
@@ -143,7 +143,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
     """
     keep_programs()
     method = placed(join_lanes([run.method for run in runs]), plan.mesh)
-    with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
+    with failing_at_once(), StopRequest(limit) as stop, contextlib.ExitStack() as stack:
         for run in runs:
             if run.folder and first_host():
                 run.folder.record_engine(plan.engine)

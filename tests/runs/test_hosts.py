@@ -1,11 +1,42 @@
 """Several hosts that run one program."""
 
+import signal
+import socket
+import time
+
 import pytest
 
 from earl_jax.runs.hosts import join_hosts
+from tests.cli.process import run, start, training
 
 
 def test_hosts_take_auto_or_an_address_with_two_numbers():
     join_hosts(None)
     with pytest.raises(ValueError, match="--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not 'two'"):
         join_hosts("two")
+
+
+def start_two(*arguments):
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{listener.getsockname()[1]}"
+    return [start(*arguments, "--hosts", f"{address},2,{number}") for number in range(2)]
+
+
+@pytest.mark.slow
+def test_a_host_that_dies_ends_the_other_one_and_costs_nothing(tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    outputs = [host.communicate(timeout=240) for host in start_two(*training(whole, "--steps", "400"))]
+    assert (whole / "policies.npz").exists(), outputs
+    first, second = start_two(*training(killed, "--steps", "400"))
+    while not list(killed.glob("checkpoints/0*")) and second.poll() is None:
+        time.sleep(0.01)
+    second.kill()
+    _, message = first.communicate(timeout=30)  # jax would wait for a minute, and abort
+    assert first.returncode == 2, message
+    assert "earl-jax: another host has ended" in message.splitlines()[-1]
+    assert second.wait() == -signal.SIGKILL
+    assert run("table", killed)[0] == 0
+    assert (killed / "metrics.csv").read_bytes() != (whole / "metrics.csv").read_bytes()
+    outputs = [host.communicate(timeout=240) for host in start_two("resume", killed)]
+    assert (killed / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes(), outputs
