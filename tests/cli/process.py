@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import socket
 import subprocess
 import sys
 import warnings
@@ -23,6 +24,12 @@ ADDED = {
 }
 """Variables that let a process find the tests and share their compiled programs."""
 ENVIRONMENT = {**os.environ, **ADDED}
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("localhost", 0))
+        return listener.getsockname()[1]
 
 
 def start(*arguments):

@@ -1,13 +1,12 @@
 """Several hosts that run one program."""
 
 import signal
-import socket
 import time
 
 import pytest
 
 from earl_jax.runs.hosts import join_hosts
-from tests.cli.process import run, start, training
+from tests.cli.process import free_port, run, start, training
 
 
 def test_hosts_take_auto_or_an_address_with_two_numbers():
@@ -17,9 +16,7 @@ def test_hosts_take_auto_or_an_address_with_two_numbers():
 
 
 def start_two(*arguments):
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{listener.getsockname()[1]}"
+    address = f"localhost:{free_port()}"
     return [start(*arguments, "--hosts", f"{address},2,{number}") for number in range(2)]
 
 

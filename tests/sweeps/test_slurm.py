@@ -12,7 +12,7 @@ import time
 import pytest
 
 from earl_jax.sweeps import slurm
-from tests.cli.process import ENVIRONMENT, run_process
+from tests.cli.process import ENVIRONMENT, free_port, run_process
 from tests.sweeps.conftest import GRID, read_tables
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
@@ -56,14 +56,6 @@ def queue_is_empty():
     return not ask("squeue", "--noheader")
 
 
-def free_ports(count):
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [each.getsockname()[1] for each in sockets]
-
-
 @contextlib.contextmanager
 def running(command, folder):
     with (folder / f"{command[0]}.log").open("w") as log:
@@ -85,7 +77,7 @@ def cluster(tmp_path_factory):
     (folder / "spool").mkdir()
     (folder / "munge.key-file").write_bytes(os.urandom(128))
     (folder / "munge.key-file").chmod(0o600)
-    config = CONFIG.format(folder=folder, node=NODE, ports=free_ports(2), cores=os.cpu_count())
+    config = CONFIG.format(folder=folder, node=NODE, ports=[free_port(), free_port()], cores=os.cpu_count())
     (folder / "slurm.conf").write_text(config)
     munged = ["munged", "--foreground", "--force", *(f"--{name}={folder}/munge.{name}" for name in MUNGE_FILES)]
     with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:

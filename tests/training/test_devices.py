@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 
@@ -12,6 +11,7 @@ import pytest
 import earl_jax
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.devices import lane_mesh
+from tests.cli.process import free_port
 from tests.conftest import CACHE, TESTS
 
 FOUR_DEVICES = {
@@ -69,12 +69,6 @@ def test_more_devices_than_there_are_is_an_error():
     with pytest.raises(ValueError, match=r"2 devices requested, but 1 available \(cpu\)"):
         lane_mesh(2, 8)
     assert lane_mesh(None, 8) is None
-
-
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("localhost", 0))
-        return listener.getsockname()[1]
 
 
 def run_on_two_hosts(*arguments, minutes=("60", "60")):
