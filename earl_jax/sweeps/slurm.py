@@ -21,12 +21,12 @@ DEFAULTS = {"job-name": "earl-jax", "signal": "B:USR1@90"}
 def submit(out: Path, tasks: list[Task], pairs: tuple[str, ...], emit: Callable[[str], None]) -> None:
     """Submit `tasks`, one for each program group of the sweep at `out`, as an array job.
 
-    `pairs` are options of sbatch, name=value.
+    `pairs` are options of sbatch, name=value; `array_parallelism` is the number of tasks that run at once.
 
     Raises:
         ValueError: sbatch is missing or refuses an option; nothing has been submitted.
     """
-    folder, options = out.resolve() / LOGS, _options(pairs)
+    folder, options = out.resolve() / LOGS, _options(pairs, len(tasks))
     if (out / LOGS).is_symlink():
         raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
     if tasks:
@@ -38,14 +38,16 @@ def submit(out: Path, tasks: list[Task], pairs: tuple[str, ...], emit: Callable[
     emit(f"{len(tasks)} jobs; logs in {folder}; repeat the command later to submit unfinished runs")
 
 
-def _options(pairs: tuple[str, ...]) -> list[str]:
-    """Return the options of sbatch for name=value pairs, after the defaults that they replace."""
+def _options(pairs: tuple[str, ...], tasks: int) -> list[str]:
+    """Return the options of sbatch for name=value pairs, after the defaults that they replace, and for a number of `tasks`."""
     options = dict(DEFAULTS)
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise InputError(f"--slurm takes name=value, not {pair!r}")
         options[name.replace("_", "-")] = text
+    at_once = options.pop("array-parallelism", None)
+    options["array"] = f"0-{tasks - 1}" + (f"%{at_once}" if at_once else "")
     return [f"--{name}={text}" for name, text in options.items()]
 
 
@@ -54,7 +56,7 @@ def _sbatch(folder: Path, tasks: list[Task], options: list[str]) -> str:
     with tempfile.NamedTemporaryFile("w", dir=folder, prefix="tasks-", suffix=".jsonl", delete=False) as file:
         file.writelines(f"{json.dumps(task)}\n" for task in tasks)
     log = str(folder).replace("%", "%%") + "/%A_%a.log"
-    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}", f"--array=0-{len(tasks) - 1}"]
+    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}"]
     try:
         submitted = subprocess.run(
             ["sbatch", *options, *own], input=_script(file.name), capture_output=True, text=True, check=True

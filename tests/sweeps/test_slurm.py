@@ -163,9 +163,10 @@ def test_a_sweep_of_four_runs_is_an_array_with_a_task_for_each_program(cluster, 
     assert re.fullmatch(
         "earl-jax: .* cannot submit a job: .*unrecognized option '--party=x'.*\n", submit(grid, "party=x")[1]
     )
-    lines, err = submit(grid, "job_name=four")
+    lines, err = submit(grid, "job_name=four", "array_parallelism=2")
     assert [line[-2:] for line in lines[:4]] == ["_0", "_0", "_1", "_1"], err
     assert "four 10:00" in ask("squeue", "--noheader", "--format=%j %l")
+    assert "ArrayTaskThrottle=2" in ask("scontrol", "show", "job")
     wait_for(queue_is_empty)
     logs = [path.read_text() for path in (grid.parent / "out/slurm").glob("*.log")]
     assert [log.count('"state": "done"') for log in logs] == [2, 2], logs
