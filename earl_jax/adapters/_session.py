@@ -126,7 +126,7 @@ class Session:
     def _outputs(self, state: ProtocolState, **of_step: jax.Array) -> Outputs:
         """Return the outputs of a step that led to `state` with the values `of_step`, or of a reset without them."""
         false = jnp.zeros((), bool)
-        values = {"reward": jnp.zeros(()), "success": false, "truncated": false, "fault": false, **of_step}
+        values = {"reward": jnp.zeros((), jnp.float32), "success": false, "truncated": false, "fault": false, **of_step}
         return Outputs(
             obs=state.obs,
             reached=state.counters.reached > 0,

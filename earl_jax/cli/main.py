@@ -13,6 +13,7 @@ from earl_jax.cli.arguments import REGISTRY, join_seeds
 from earl_jax.cli.episodes import demos, import_demos, render
 from earl_jax.cli.help_text import readable
 from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, table
+from earl_jax.cli.jax_start import start_failure
 from earl_jax.cli.listing import list_
 from earl_jax.cli.paper import reproduce
 from earl_jax.cli.quickstart import quickstart
@@ -61,9 +62,10 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
     except Exception as error:
-        if not is_input_error(error) or TRACEBACK in arguments:
+        cause = str(error) if is_input_error(error) else start_failure(error)
+        if cause is None or TRACEBACK in arguments:
             raise
-        print(f"earl-jax: {str(error)[:LONGEST]}", file=sys.stderr)
+        print(f"earl-jax: {cause[:LONGEST]}", file=sys.stderr)
         raise SystemExit(2) from None
 
 

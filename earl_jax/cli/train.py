@@ -139,11 +139,13 @@ def _of_run(path: Path) -> tuple["Env", "Method", "Setting", tuple[int, ...], Sc
     Raises:
         ValueError: there is no valid config at `path`.
     """
-    from earl_jax.runs.folder import RunFolder, read_config
+    from earl_jax.runs.contents import CONFIG
+    from earl_jax.runs.folder import RunFolder, read_config, require_same_settings
 
     if not path.exists():
         raise InputError(f"--config takes a run folder or a config.json, and {path} does not exist")
     config = RunFolder.open(path).config if path.is_dir() else read_config(path)[0]
+    require_same_settings(path / CONFIG if path.is_dir() else path)
     return config.build_env(), config.build_method(), config.build_setting(), config.seeds, config.schedule
 
 

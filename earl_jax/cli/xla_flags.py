@@ -2,11 +2,13 @@
 
 import mmap
 import os
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from earl_jax.errors import InputError
 from earl_jax.sweeps.slots import cuda_plugin
 
 VARIABLE = "XLA_FLAGS"
@@ -17,6 +19,7 @@ FLAGS = {
 """Values by name, each with a text of XLA's table of flags without which the value is not understood. The first flag lets
 kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of steps of a task that the device
 simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
+TRIAL = "import jaxlib.xla_client as xla; xla.make_cpu_client()"
 COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
 
 
@@ -25,12 +28,26 @@ def set_flags(arguments: Sequence[str]) -> None:
 
     Flags that XLA_FLAGS contains already keep their values. A flag that the installed XLA does not know is not set,
     because XLA ends a process for it.
+
+    Raises:
+        ValueError: XLA refuses the value of XLA_FLAGS.
     """
-    trains = bool(arguments) and arguments[0] in COMMANDS and not {"-h", "--help"} & set(arguments)
-    added = helpful_flags(os.environ) if trains else []
+    if not arguments or arguments[0] not in COMMANDS or {"-h", "--help"} & set(arguments):
+        return
+    if os.environ.get(VARIABLE):
+        _try_flags()
+    added = helpful_flags(os.environ)
     if added:
         os.environ[VARIABLE] = " ".join([*os.environ.get(VARIABLE, "").split(), *added])
         print(f"earl-jax: XLA_FLAGS has {' '.join(added)}; a value of your own in XLA_FLAGS is kept", file=sys.stderr)
+
+
+def _try_flags() -> None:
+    """Raise an InputError with XLA's reason if it ends another process for the flags of this one."""
+    trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, check=False)
+    if trial.returncode:
+        reason = trial.stderr.partition("\n")[0].rpartition("] ")[2]
+        raise InputError(f"XLA refuses {VARIABLE}={os.environ[VARIABLE]}: {reason}")
 
 
 def helpful_flags(environment: Mapping[str, str]) -> list[str]:

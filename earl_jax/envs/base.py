@@ -14,6 +14,7 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.spaces import box
 from earl_jax.envs.state import NextState, State, all_finite, check_action
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
 from earl_jax.physics import PendingStep
 
@@ -46,6 +47,10 @@ class Env(abc.ABC):
     name: ClassVar[str]
     has_absorbing_state: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        cls.reset = package_types()(cls.reset)
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
@@ -176,6 +181,7 @@ class Env(abc.ABC):
         """
         return None
 
+    @package_types()
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state after one control step with `action [a]` in [-1, 1].
 
@@ -216,6 +222,7 @@ class Env(abc.ABC):
         state = State(data=data, obs=obs, reward=zero, done=zero, metrics=metrics, info=info)
         return state.replace(reward=self.goal_reward(state, info["goal"]))
 
+    @package_types()
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """Return a task goal [g], uniform over `goal_states`."""
         goals = jnp.asarray(self.goal_states)

@@ -17,6 +17,7 @@ from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.metrics.continuing import Counters, continuing, count_step, init_counters
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import advance_phase_stats, init_phase_stats, phase_metrics
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
 
@@ -75,6 +76,7 @@ class StepResult(NamedTuple):
     terminated: jax.Array
 
 
+@package_types()
 def init(
     env: Env,
     protocol: Protocol,
@@ -112,6 +114,7 @@ def init(
     )
 
 
+@package_types()
 def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[ProtocolState, StepResult]:
     """Return the life after one control step with `action [a]`, and what to learn from the step.
 
@@ -165,6 +168,7 @@ def _result(env: Env, state: ProtocolState, env_state: State, end: StepEnd) -> S
     )
 
 
+@package_types()
 def set_goal(env: Env, state: ProtocolState, goal: jax.Array | None = None) -> ProtocolState:
     """Return `state` at the start of an attempt at `goal [g]`, which stays until the next `set_goal` or `intervene`.
 
@@ -191,6 +195,7 @@ def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) ->
     )
 
 
+@package_types()
 def intervene(env: Env, state: ProtocolState) -> ProtocolState:
     """Return the life after an intervention that the caller orders, which is counted: s0 ~ rho and a task goal.
 
@@ -203,6 +208,7 @@ def intervene(env: Env, state: ProtocolState) -> ProtocolState:
     return _with_task_goal(env, state.replace(key=key, env_state=env_state, counters=counters), goal_key)
 
 
+@package_types()
 def evaluate(
     env: Env, protocol: Protocol, state: ProtocolState, policy: Callable[[jax.Array], jax.Array]
 ) -> tuple[ProtocolState, dict[str, jax.Array]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError, brief
+from earl_jax.options.jax_settings import recorded_settings, require_settings
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
 from earl_jax.runs.config import Row, RunConfig
@@ -164,8 +165,11 @@ class RunFolder:
         step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
         return self._table(step, whole=True).rows
 
-    def require_rows(self) -> None:
-        """Raise a ValueError, as `rows` does, if rows or columns up to the newest checkpoint are damaged or missing."""
+    def require_resumable(self) -> None:
+        """Raise a ValueError if jax has other settings here, or, as `rows`, if rows or columns up to the newest checkpoint
+        are damaged or missing.
+        """
+        require_same_settings(self.config_file)
         step = newest(self.checkpoints)
         table = self._table(step)
         missing = sorted(COLUMNS.difference(table.columns))
@@ -257,9 +261,15 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         raise InputError(f"{file} is damaged: {cause}") from error
 
 
+def require_same_settings(file: Path) -> None:
+    """Raise a ValueError if a setting of jax that changes numbers is not that of the run of `file`, a valid config.json."""
+    require_settings(json.loads(read_bytes(file, LARGEST_CONFIG)).get("jax", {}), str(file))
+
+
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:
     """Return the text of config.json."""
-    more = {"id": uuid.uuid4().hex, "engine": engine, "logs": list(logs), "provenance": provenance()}
+    more = {"id": uuid.uuid4().hex, "engine": engine, "logs": list(logs)}
+    more |= {"jax": recorded_settings(), "provenance": provenance()}
     try:
         return json.dumps({"format": FORMAT, **dataclasses.asdict(config), **more}, indent=2) + "\n"
     except TypeError as error:

@@ -13,6 +13,7 @@ from typing import Any
 from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, is_input_error
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -87,6 +88,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     return [group for groups in by_key.values() for group in groups]
 
 
+@package_types()
 def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     """Return the plan of a grid as JSON values (`launcher.plan_sweep` describes them); nothing is written.
 
@@ -146,10 +148,11 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
         raise InputError(
             f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
         )
-    folder.require_rows()
+    folder.require_resumable()
     return dataclasses.replace(folder, config=config)
 
 
+@package_types()
 def work(
     out: Path,
     configs: dict[str, RunConfig],

@@ -13,6 +13,7 @@ from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS, seed_list
@@ -71,6 +72,7 @@ class Result:
         return Policy.of(self.env, select_seed(self.method, lane), select_seed(self.train_state, lane))
 
 
+@package_types()
 def train(
     env: str | Env,
     algo: str | Method = ALGO,
@@ -152,6 +154,7 @@ def _new_run(
     return Run.resolve(RunConfig.from_objects(env, method, setting, seeds, schedule), env, method, setting)
 
 
+@package_types()
 def resume(
     folder: str | Path,
     *,
@@ -182,7 +185,7 @@ def resume(
     """
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
-    opened.require_rows()  # rather than after the training
+    opened.require_resumable()  # rather than after the training
     check_logs(opened.logs)
     config = opened.config if steps is None else dataclasses.replace(opened.config, steps=steps)
     setting = config.build_setting()

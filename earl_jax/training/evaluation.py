@@ -12,6 +12,7 @@ from earl_jax.envs.state import all_finite
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.protocol.life import EVALUATION_KEY
 from earl_jax.runs.folder import RunFolder
@@ -55,6 +56,7 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
     return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.starts.wide)
 
 
+@package_types()
 def evaluate(
     folder: str | Path, episodes: int = 100, seed: int = 0, engine: str | None = None, starts: str = "initial"
 ) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from earl_jax.algos import Method
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, per_lane, prepare
@@ -15,6 +16,7 @@ from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, Warmup
 
 
+@package_types()
 def lifetime(
     problem: Problem, method: Method, keys: jax.Array, steps: int | None = None
 ) -> tuple[TrainState, dict[str, jax.Array]]:

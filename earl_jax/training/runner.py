@@ -177,7 +177,7 @@ def _train_to_end(
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))
         if step > previous and step % plan.problem.protocol.eval_every == 0:
-            with bar.working("evaluation"):
+            with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
                 state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
                 metrics = gathered(metrics)
             _record(runs, step, metrics, bar)

@@ -10,7 +10,18 @@ import pytest
 
 from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
-from earl_jax.envs import Env, HelpBudget, KinematicEnv, MujocoEnv, env_class, list_envs, make, register_env
+from earl_jax.envs import (
+    PAPER_TASKS,
+    Env,
+    HelpBudget,
+    KinematicEnv,
+    MujocoEnv,
+    env_class,
+    list_envs,
+    make,
+    register_env,
+    with_engine,
+)
 from earl_jax.envs.dhand.observation import TABLE
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.chain import Chain
@@ -20,6 +31,10 @@ EVERY_TASK = pytest.mark.parametrize("name", list_envs())
 VARIANTS = [(name, {"variant": "paper"}) for name in list_envs() if "variant" in env_class(name).__dataclass_fields__]
 OPTIONS = [*[(name, {"reward_type": reward}) for name in list_envs() for reward in ("sparse", "dense")], *VARIANTS]
 ENVS = [make(name, **options) for name, options in OPTIONS]
+IN_FLOAT64 = [
+    ("tabletop_organization", None), ("minitaur_pen", "c"),
+    *[pytest.param(name, engine, marks=pytest.mark.slow) for name in PAPER_TASKS[1:] for engine in ("c", "mjx")],
+]  # fmt: skip
 HELPED = [HelpBudget(make(name, reward_type="dense"), 2.0) for name in ("tabletop_organization", "sawyer_peg")]
 STEPS, LANES = 200, 4
 NUMBERS = {
@@ -116,6 +131,18 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     )
     assert hash(env) == hash(same) != hash(other)
     assert repr(env) == repr(same) != repr(other)
+
+
+@pytest.mark.parametrize(("name", "engine"), IN_FLOAT64)
+def test_reset_and_step_are_the_same_program_where_a_user_computes_in_float64(name, engine):
+    env = with_engine(make(name), engine)
+
+    def traced():
+        return str(jax.make_jaxpr(lambda key: env.step(env.reset(key), np.zeros(env.action_size)))(jax.random.key(0)))
+
+    expected = traced()
+    with jax.enable_x64(True):
+        assert traced() == expected
 
 
 @pytest.mark.parametrize("name", NUMBERS)

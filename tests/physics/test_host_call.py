@@ -47,6 +47,15 @@ def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
     np.testing.assert_array_equal(second_answer, 2 * (ROWS + 1)[:, :2])
 
 
+def test_rows_of_other_types_reach_the_host_as_float32(double_service):
+    for dtype in (np.float64, np.int32, np.float16):
+        with jax.enable_x64(True):
+            row = jnp.asarray(ROWS[1], dtype)
+            answers = service.step(double_service, row, 2), start_and_finish(double_service, row)
+        for answer in answers:
+            np.testing.assert_array_equal(answer, 2 * ROWS[1, :2], strict=True)
+
+
 def test_an_error_on_the_host_is_raised_by_the_program():
     def refuse(rows, stream):
         raise ValueError("no such state")

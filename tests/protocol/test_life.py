@@ -45,6 +45,19 @@ def live(env, protocol, actions, keys=KEYS, rules=None, attempt_steps=1000):
     return jax.device_get(run(keys, rules))
 
 
+def test_a_life_is_the_same_program_where_a_user_computes_in_float64():
+    env, protocol = Chain(), make_problem(Chain()).protocol
+
+    def lived(key):
+        life = advance(env, init(env, protocol, key), np.ones(env.action_size))[0]
+        life = intervene(env, set_goal(env, life, env.sample_goal(key)))
+        return evaluate(env, protocol, life, lambda obs: jnp.ones(env.action_size))
+
+    expected = str(jax.make_jaxpr(lived)(KEYS[0]))
+    with jax.enable_x64(True):
+        assert str(jax.make_jaxpr(lived)(KEYS[0])) == expected
+
+
 def test_a_life_is_that_of_naive_rl_in_the_training_loop():
     """Interventions every 7 steps, attempts of 5 steps, and goal changes every 4, one in each lane, and faults in all."""
     problem, method = make_problem(OneGoal()), tiny_method("naive", 3, episode_length=5)

@@ -110,18 +110,19 @@ def _register_target(target: str, platform: str, work: Callable[[Frame], None]) 
 
 
 def step(name: str, row: jax.Array, width: int) -> jax.Array:
-    """Return the answer [width] of service `name` to one lane's `row [k]`; vmap makes a single call.
+    """Return the answer [width] of service `name` to one lane's `row [k]`, read as float32; vmap makes a single call.
 
     The foreign function has this target on a CPU only; the callback works on all platforms.
     """
+    row = row.astype(jnp.float32)
     if not is_foreign():
         return callback.step(lambda rows: _SERVICES[name].serve(rows, 0), row, width)
     return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
 
 
 def start(name: str, row: jax.Array) -> jax.Array:
-    """Start the work on one lane's `row [k]` and return its ticket [1]; only if `is_foreign()`."""
-    return _call(f"{name}.start", row, TICKET)
+    """Start the work on one lane's `row [k]`, read as float32, and return its ticket [1]; only if `is_foreign()`."""
+    return _call(f"{name}.start", row.astype(jnp.float32), TICKET)
 
 
 def finish(name: str, ticket: jax.Array, width: int) -> jax.Array:

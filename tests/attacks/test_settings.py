@@ -1,0 +1,108 @@
+"""Settings of jax: they change no number of the package, or a command refuses them with one line that names them."""
+
+import contextlib
+import json
+
+import jax
+import pytest
+
+from tests.attacks.conftest import contents, one_line
+from tests.cli.process import ENVIRONMENT, TASK, run, run_process, training
+
+STRICT = {
+    "JAX_ENABLE_X64": "1",
+    "JAX_NUMPY_RANK_PROMOTION": "raise",
+    "JAX_NUMPY_DTYPE_PROMOTION": "strict",
+    "JAX_TRANSFER_GUARD": "disallow",
+}
+CHECKED = {"JAX_DEBUG_NANS": "1", "JAX_DEBUG_INFS": "1", "JAX_CHECK_TRACER_LEAKS": "1"}
+OTHER = {
+    "jax_default_matmul_precision": "highest",
+    "jax_default_prng_impl": "rbg",
+    "jax_disable_jit": True,
+    "jax_random_seed_offset": 7,
+    "jax_threefry_partitionable": False,
+}
+
+
+@contextlib.contextmanager
+def configured(**settings):
+    """A context in which `jax.config` has these values."""
+    before = {name: getattr(jax.config, name) for name in settings}
+    try:
+        for name, value in settings.items():
+            jax.config.update(name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+
+
+def test_types_promotion_and_transfers_that_a_process_forbids_change_no_number(whole, tmp_path):
+    with (
+        jax.enable_x64(True),
+        jax.numpy_rank_promotion("raise"),
+        jax.numpy_dtype_promotion("strict"),
+        jax.transfer_guard("disallow"),
+    ):
+        code, _, err = run(*training(tmp_path / "run"))
+    assert code == 0, err
+    assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+@pytest.mark.parametrize(("name", "value"), OTHER.items())
+def test_a_run_is_not_continued_or_repeated_with_a_setting_that_changes_its_numbers(name, value, copy, tmp_path):
+    before = contents(copy)
+    for command in (["resume", copy], ["train", "--config", copy, "--out", tmp_path / "other"]):
+        with configured(**{name: value}):
+            code, _, err = run(*command)
+        one_line(code, err, name, str(value), f"unset {name.upper()}")
+    assert contents(copy) == before
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_config_records_the_settings_and_one_without_them_had_the_defaults(copy):
+    config = json.loads((copy / "config.json").read_text())
+    recorded = config.pop("jax")
+    assert set(OTHER) < set(recorded)
+    (copy / "config.json").write_text(json.dumps(config))
+    with configured(jax_random_seed_offset=7):
+        one_line(*run("resume", copy)[::2], "jax_random_seed_offset 0")
+    (copy / "config.json").write_text(json.dumps(config | {"jax": recorded | {"jax_random_seed_offset": 7}}))
+    one_line(*run("resume", copy)[::2], "set JAX_RANDOM_SEED_OFFSET=7")
+    (copy / "config.json").write_text(json.dumps(config | {"jax": [7]}))
+    one_line(*run("resume", copy)[::2], "jax must be a dict")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variables", [STRICT, CHECKED], ids=["strict", "checked"])
+def test_variables_that_forbid_or_check_change_no_number(variables, whole, tmp_path, monkeypatch):
+    for name, value in variables.items():
+        monkeypatch.setitem(ENVIRONMENT, name, value)
+    code, _, err = run_process(*training(tmp_path / "run"))
+    assert code == 0, err
+    assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("JAX_PLATFORMS", "cuda"),
+        ("JAX_PLATFORMS", "quantum"),
+        ("JAX_ENABLE_X64", "maybe"),
+        ("JAX_NUM_CPU_DEVICES", "many"),
+        ("XLA_FLAGS", "nonsense"),
+        ("XLA_FLAGS", "--xla_nonsense=1"),
+        ("XLA_FLAGS", "--xla_force_host_platform_device_count=many"),
+    ],
+)
+def test_a_variable_with_which_jax_does_not_start_is_named_in_one_line(name, value, copy, monkeypatch):
+    monkeypatch.setitem(ENVIRONMENT, "CUDA_VISIBLE_DEVICES", "")
+    monkeypatch.setitem(ENVIRONMENT, name, value)
+    before = contents(copy)
+    for command in (["train", TASK, "--out", "new"], ["resume", copy]):
+        code, _, err = run_process(*command)
+        one_line(code, err, f"{name}={value}")
+    assert contents(copy) == before
+    assert run_process("list")[0] == 0
