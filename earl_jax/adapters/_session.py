@@ -17,6 +17,7 @@ from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import (
     Deployment,
@@ -199,7 +200,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
 @functools.cache
 def jitted(session: Session, name: str, batched: bool = False) -> Callable:
     """Return the method `name` of `session` under jit, for one lane or over a leading axis of lanes."""
-    method = getattr(session, name)
+    method = package_types()(getattr(session, name))
     return jax.jit(jax.vmap(method) if batched else method)
 
 

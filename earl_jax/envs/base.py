@@ -49,8 +49,10 @@ class Env(abc.ABC):
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __init_subclass__(cls, **options: Any):
+        """Give `reset` of every task the package's types, as `step` has them."""
         super().__init_subclass__(**options)
-        cls.reset = package_types()(cls.reset)
+        if "reset" in vars(cls):
+            cls.reset = package_types()(cls.reset)
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)

@@ -23,14 +23,15 @@ RECORDED: dict[str, Any] = {
 def package_types() -> Iterator[None]:
     """A context and a decorator in which jax has the types and rules that this package is written for.
 
-    Numbers are float32 and int32, shapes and types promote as they do by default, and transfers to a device are allowed,
-    whatever the variables of the process or the program around it say.
+    Numbers are float32 and int32, shapes and types promote as they do by default, and implicit transfers and the use of a
+    key by several functions are allowed, whatever the variables of the process or the program around it say.
     """
     with (
         jax.enable_x64(False),
         jax.numpy_rank_promotion("allow"),
         jax.numpy_dtype_promotion("standard"),
         jax.transfer_guard("allow"),
+        jax.debug_key_reuse(False),
     ):
         yield
 
@@ -50,6 +51,6 @@ def require_settings(recorded: Any, source: str) -> None:
         if value != now:
             remedy = f"unset {name.upper()}" if value == default else f"set {name.upper()}={value}"
             raise InputError(
-                f"{source} was trained with {name} {brief(value)}, and here it is {brief(now)}, which would give other "
+                f"{source} was trained with {name} {brief(value)}, and here it is {brief(now)}, which can change its "
                 f"numbers; {remedy} to continue or repeat the run"
             )

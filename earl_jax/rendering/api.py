@@ -9,6 +9,7 @@ from rich.progress import track
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene, view_of
@@ -24,6 +25,7 @@ DEFAULT_SECONDS = 10.0
 """Length of a film, unless the caller sets the number of steps."""
 
 
+@package_types()
 def render(
     source: str | Path,
     out: str | Path | None = None,

@@ -16,7 +16,7 @@ STRICT = {
     "JAX_TRANSFER_GUARD": "disallow",
 }
 CHECKED = {"JAX_DEBUG_NANS": "1", "JAX_DEBUG_INFS": "1", "JAX_CHECK_TRACER_LEAKS": "1"}
-OTHER = {
+OTHER: dict[str, object] = {
     "jax_default_matmul_precision": "highest",
     "jax_default_prng_impl": "rbg",
     "jax_disable_jit": True,
@@ -50,13 +50,16 @@ def test_types_promotion_and_transfers_that_a_process_forbids_change_no_number(w
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
-@pytest.mark.parametrize(("name", "value"), OTHER.items())
-def test_a_run_is_not_continued_or_repeated_with_a_setting_that_changes_its_numbers(name, value, copy, tmp_path):
+def test_a_run_is_not_continued_or_repeated_with_a_setting_that_changes_its_numbers(copy, tmp_path):
     before = contents(copy)
-    for command in (["resume", copy], ["train", "--config", copy, "--out", tmp_path / "other"]):
+    for name, value in OTHER.items():
         with configured(**{name: value}):
-            code, _, err = run(*command)
+            code, _, err = run("resume", copy)
         one_line(code, err, name, str(value), f"unset {name.upper()}")
+    for config in (copy, copy / "config.json"):
+        with configured(jax_random_seed_offset=7):
+            code, _, err = run("train", "--config", config, "--out", tmp_path / "other")
+        one_line(code, err, "unset JAX_RANDOM_SEED_OFFSET")
     assert contents(copy) == before
     assert not (tmp_path / "other").exists()
 
@@ -89,11 +92,8 @@ def test_variables_that_forbid_or_check_change_no_number(variables, whole, tmp_p
     ("name", "value"),
     [
         ("JAX_PLATFORMS", "cuda"),
-        ("JAX_PLATFORMS", "quantum"),
+        ("JAX_DEFAULT_DEVICE", "quantum"),
         ("JAX_ENABLE_X64", "maybe"),
-        ("JAX_NUM_CPU_DEVICES", "many"),
-        ("XLA_FLAGS", "nonsense"),
-        ("XLA_FLAGS", "--xla_nonsense=1"),
         ("XLA_FLAGS", "--xla_force_host_platform_device_count=many"),
     ],
 )

@@ -22,6 +22,7 @@ def plugin(tmp_path, monkeypatch):
     """A CUDA plugin that knows the flags; jaxlib is the installed one."""
     (tmp_path / "xla_cuda_plugin.so").write_bytes(b"ELF\0" + TABLE)
     monkeypatch.setattr(xla_flags, "cuda_plugin", lambda: tmp_path)
+    monkeypatch.setattr(xla_flags, "TRIAL", "")
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     monkeypatch.setenv("XLA_FLAGS", "--xla_dump_to=x")
     return tmp_path / "xla_cuda_plugin.so"

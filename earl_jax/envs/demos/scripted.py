@@ -17,12 +17,14 @@ from earl_jax.assets import DIRECTIONS, Demos
 from earl_jax.envs import Env, State
 from earl_jax.envs.demonstrations import DemoScript
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import SEED, require
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""
 
 
+@package_types()
 def make(env: Env, seed: int = 0) -> dict[str, Demos]:
     """Return the demonstrations of `env` by direction: one for each start that the task's script names.
 
