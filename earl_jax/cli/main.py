@@ -13,7 +13,6 @@ from earl_jax.cli.arguments import REGISTRY, join_seeds
 from earl_jax.cli.episodes import demos, import_demos, render
 from earl_jax.cli.help_text import readable
 from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, table
-from earl_jax.cli.jax_start import start_failure
 from earl_jax.cli.listing import list_
 from earl_jax.cli.paper import reproduce
 from earl_jax.cli.quickstart import quickstart
@@ -24,6 +23,7 @@ from earl_jax.cli.train import resume, train
 from earl_jax.cli.xla_flags import set_flags
 from earl_jax.errors import is_input_error
 from earl_jax.options.environment import FRACTION
+from earl_jax.options.jax_start import start_failure
 from earl_jax.runs.files import RunWarning
 
 FUNCTIONS = (

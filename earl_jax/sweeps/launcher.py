@@ -56,13 +56,14 @@ def sweep(
     """
     limit = TimeLimit.of(minutes)
     _check_options(launcher, slurm, devices, per_device, limit)
+    options = slurm_arrays.options_of(slurm)
     plan = plan_sweep(grid, out, max_lanes)
     for name in plan["finished"]:
         emit(f"done       {name}  (before)")
     common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
     tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
     if launcher == "slurm":
-        slurm_arrays.submit(out, tasks, slurm, emit)
+        slurm_arrays.submit(out, tasks, options, emit)
         return Outcome(failed=0)
     states = {name: "waiting" for task in tasks for name in task["runs"]} | _run_locally(tasks, per_device, emit)
     return _summarise(states, len(plan["finished"]), limit, emit)

@@ -18,15 +18,13 @@ DEFAULTS = {"job-name": "earl-jax", "signal": "B:USR1@90"}
 """Options of sbatch that others replace. The signal gives a worker 90 seconds before the time limit to save."""
 
 
-def submit(out: Path, tasks: list[Task], pairs: tuple[str, ...], emit: Callable[[str], None]) -> None:
+def submit(out: Path, tasks: list[Task], options: dict[str, str], emit: Callable[[str], None]) -> None:
     """Submit `tasks`, one for each program group of the sweep at `out`, as an array job.
 
-    `pairs` are options of sbatch, name=value; `array_parallelism` is the number of tasks that run at once.
-
     Raises:
-        ValueError: sbatch is missing or refuses an option; nothing has been submitted.
+        ValueError: sbatch is missing or refuses one of its `options`; nothing has been submitted.
     """
-    folder, options = out.resolve() / LOGS, _options(pairs, len(tasks))
+    folder = out.resolve() / LOGS
     if (out / LOGS).is_symlink():
         raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
     if tasks:
@@ -38,28 +36,35 @@ def submit(out: Path, tasks: list[Task], pairs: tuple[str, ...], emit: Callable[
     emit(f"{len(tasks)} jobs; logs in {folder}; repeat the command later to submit unfinished runs")
 
 
-def _options(pairs: tuple[str, ...], tasks: int) -> list[str]:
-    """Return the options of sbatch for name=value pairs, after the defaults that they replace, and for a number of `tasks`."""
+def options_of(pairs: tuple[str, ...]) -> dict[str, str]:
+    """Return the options of sbatch of name=value `pairs`, with the defaults that they replace.
+
+    `array_parallelism` is the number of tasks that run at once.
+
+    Raises:
+        ValueError: a pair is none.
+    """
     options = dict(DEFAULTS)
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise InputError(f"--slurm takes name=value, not {pair!r}")
         options[name.replace("_", "-")] = text
-    at_once = options.pop("array-parallelism", None)
-    options["array"] = f"0-{tasks - 1}" + (f"%{at_once}" if at_once else "")
-    return [f"--{name}={text}" for name, text in options.items()]
+    return options
 
 
-def _sbatch(folder: Path, tasks: list[Task], options: list[str]) -> str:
+def _sbatch(folder: Path, tasks: list[Task], options: dict[str, str]) -> str:
     """Return the number of the array job that trains `tasks`, after its submission. Errors as `submit`."""
     with tempfile.NamedTemporaryFile("w", dir=folder, prefix="tasks-", suffix=".jsonl", delete=False) as file:
         file.writelines(f"{json.dumps(task)}\n" for task in tasks)
     log = str(folder).replace("%", "%%") + "/%A_%a.log"
-    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}"]
+    at_once = options.get("array-parallelism")
+    array = f"0-{len(tasks) - 1}" + (f"%{at_once}" if at_once else "")
+    given = [f"--{name}={text}" for name, text in options.items() if name != "array-parallelism"]
+    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}", f"--array={array}"]
     try:
         submitted = subprocess.run(
-            ["sbatch", *options, *own], input=_script(file.name), capture_output=True, text=True, check=True
+            ["sbatch", *given, *own], input=_script(file.name), capture_output=True, text=True, check=True
         )
     except (OSError, subprocess.CalledProcessError) as error:
         Path(file.name).unlink()

@@ -14,6 +14,7 @@ from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.options.jax_settings import package_types
+from earl_jax.options.jax_start import start_failure
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -209,9 +210,11 @@ def _train_group(
 
 
 def _cause(error: Exception) -> str:
-    """Return `error` as one line, after printing its traceback if it is more than invalid input."""
+    """Return `error` as one line, after printing its traceback if it is more than invalid input or settings of jax."""
     if isinstance(error, InputError):
         return str(error)
+    if cause := start_failure(error):
+        return cause
     if not is_input_error(error):
         traceback.print_exception(error)
     return f"{type(error).__name__}: {error}".splitlines()[0]

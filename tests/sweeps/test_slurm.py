@@ -185,5 +185,5 @@ def test_an_array_that_cannot_be_submitted_leaves_no_file(tmp_path, monkeypatch,
     else:
         (tmp_path / "slurm").symlink_to(tmp_path)
     with pytest.raises(ValueError, match=message):
-        slurm.submit(tmp_path, [{"runs": {"a": {}}}], (), print)
+        slurm.submit(tmp_path, [{"runs": {"a": {}}}], {}, print)
     assert not list(tmp_path.glob("**/tasks*"))
