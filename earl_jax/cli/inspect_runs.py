@@ -46,7 +46,7 @@ def plot(
         folders: Run folders, or folders of them, such as those of a sweep. Each task has panels of its own.
         out: Picture to write: .png, .pdf or .svg. A line says so if it replaces one.
         size: screen, or one column (85 mm) or a whole page (175 mm) of a paper.
-        smooth: Evaluations in the trailing mean that is drawn. 1 draws every evaluation.
+        smooth: Evaluations in the trailing mean that is drawn. 1 draws evaluations as they are, at most 2,000 of a line.
         published: Draw a panel for each run, with every seed, over the released seeds of the paper in grey.
     """
     from earl_jax.report.plots import caption, plot_runs

@@ -12,7 +12,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels, read_all
-from earl_jax.report.scores import SHARES, trailing
+from earl_jax.report.scores import SHARES, evenly_spaced, trailing
 from earl_jax.report.style import (
     LINE_STYLES,
     PICTURES,
@@ -35,6 +35,8 @@ LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
 FEWEST = 3
 """Fewest seeds that have a band; of fewer, each is drawn."""
+POINTS = 2000
+"""Most evaluations drawn of a line, more than a panel has pixels."""
 
 
 class Size(NamedTuple):
@@ -95,7 +97,7 @@ def plot_runs(
         names: names of the lines, in the order of `report.runs.labels`.
         metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
         size: for a screen, or for one `column` or a whole `page` of a paper.
-        smooth: evaluations in the trailing mean that is drawn; 1 draws every evaluation.
+        smooth: evaluations in the trailing mean that is drawn; 1 draws evaluations as they are, at most 2,000 of a line.
         published: a panel for each run, with its seeds thin over the released ones of the paper in grey, and both means.
 
     Raises:
@@ -156,6 +158,8 @@ def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, publi
 
 def _draw(axis: Any, steps: np.ndarray, values: np.ndarray, style: dict[str, Any], each: bool) -> None:
     """Draw the mean over seeds of `values [N, E]` with Student's band within the axis, or with `each` seed."""
+    shown = evenly_spaced(values.shape[1], POINTS)
+    steps, values = steps[shown], values[:, shown]
     estimate = mean_interval(values)
     band = Estimate(*[estimate.value] * 3) if each else estimate
     draw_band(axis, steps, band, alpha=0.2, **style)

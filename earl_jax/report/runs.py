@@ -103,11 +103,10 @@ def read(path: Path) -> Curves:
         folder.config.build_env()
     except InputError as error:  # it names the choices, but not the run
         raise InputError(f"{path}: {error}") from error
-    rows = folder.rows()
-    if not rows:
+    table = folder.table()
+    if not len(table.steps):
         raise InputError(f"{path} has no evaluation yet")
-    steps, metrics = folder.config.curves(rows)
-    return Curves(folder.config, steps, Columns(path, metrics), (folder,))
+    return Curves(folder.config, table.steps, Columns(path, table.metrics), (folder,))
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:

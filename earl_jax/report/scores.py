@@ -48,8 +48,14 @@ def last_mean(scores: np.ndarray, count: int = WINDOW) -> np.ndarray:
 
 def trailing(curve: np.ndarray, window: int = WINDOW) -> np.ndarray:
     """Return the mean of the last `window` evaluations, or of all so far if fewer, at each evaluation of `curve [..., E]`."""
-    ends = range(1, curve.shape[-1] + 1)
-    return np.stack([curve[..., max(0, end - window) : end].mean(axis=-1) for end in ends], axis=-1)
+    window = min(window, curve.shape[-1])
+    starts = [curve[..., :end].mean(axis=-1, keepdims=True) for end in range(1, window)]
+    return np.concatenate([*starts, np.lib.stride_tricks.sliding_window_view(curve, window, -1).mean(axis=-1)], axis=-1)
+
+
+def evenly_spaced(count: int, most: int) -> np.ndarray:
+    """Return the indices of `count` evaluations, or of `most` of them if there are more, the first and the last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def level_crossings(curves: Curves) -> dict[float, Estimate]:

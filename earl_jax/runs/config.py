@@ -16,8 +16,6 @@ from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 
-Row = dict[str, float]
-"""One row of metrics.csv: the metrics of one seed at one evaluation."""
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
 DEEPEST = 8
@@ -142,25 +140,6 @@ class RunConfig:
         """
         passed = step // self.checkpoint_every > (step - self.eval_every) // self.checkpoint_every
         return passed or step == self.steps
-
-    def rows(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
-        """Return the rows of `metrics [N]`, one for each seed."""
-        return [
-            {"step": step, "seed": seed, **{name: values[i].item() for name, values in metrics.items()}}
-            for i, seed in enumerate(self.seeds)
-        ]
-
-    def curves(self, rows: list[Row]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return evaluation steps [E] and metrics [N, E] of `rows`."""
-        steps = np.array(sorted({int(row["step"]) for row in rows}))
-        if not rows:
-            return steps, {}
-        names = [name for name in rows[0] if name not in ("step", "seed")]
-        table = {(int(row["step"]), int(row["seed"])): row for row in rows}
-        return steps, {
-            name: np.array([[table[step, seed][name] for step in steps.tolist()] for seed in self.seeds])
-            for name in names
-        }
 
 
 def deployed_metric(env: Env) -> str:

@@ -1,5 +1,6 @@
 """What is in a run folder: whether a run has results there, which entries are a run's own, and their removal."""
 
+import itertools
 import os
 import re
 import shutil
@@ -10,7 +11,7 @@ from pathlib import Path
 from earl_jax.errors import InputError
 from earl_jax.runs.checkpoint import NAME, PARTS, UNFINISHED, saved_steps
 from earl_jax.runs.files import LOCK, PART, check_kind
-from earl_jax.runs.table import table_text
+from earl_jax.runs.table import lines_of
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
 TENSORBOARD, WANDB = "tensorboard", "wandb"
@@ -33,8 +34,8 @@ def has_results(path: Path) -> bool:
     """Return whether a run in the folder at `path` has rows of metrics, policies or checkpoints."""
     if (path / POLICIES).exists() or saved_steps(path / CHECKPOINTS):
         return True
-    text = table_text(path / METRICS)
-    return text.count("\n") > 1 or (bool(text) and not text.startswith("step"))
+    first, second, *_ = *itertools.islice(lines_of(path / METRICS), 2), "", ""
+    return second.endswith("\n") or (bool(first) and not first.startswith("step"))
 
 
 def unknown_entries(path: Path) -> list[str]:

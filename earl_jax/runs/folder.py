@@ -2,24 +2,27 @@
 
 import contextlib
 import dataclasses
+import itertools
 import json
 import os
 import sys
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import recorded_settings, require_settings
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps
-from earl_jax.runs.config import Row, RunConfig
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
 from earl_jax.runs.files import append, locked, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
-from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text
+from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text, whole_lines
 
 FORMAT = 2
 """The format of config.json, which the file names."""
@@ -147,47 +150,46 @@ class RunFolder:
         """Replace entries of config.json."""
         write_atomically(self.config_file, json.dumps({**self._config_values(), **values}, indent=2) + "\n")
 
-    def append(self, rows: list[Row]) -> None:
-        """Append rows to metrics.csv, in the columns that it has, and flush them to the disk."""
+    def append(self, step: int, metrics: Mapping[str, np.ndarray]) -> None:
+        """Append the rows of `metrics [N]` to metrics.csv, in the columns that it has, and flush them to the disk."""
         try:
-            append(self.metrics, csv_text(rows, columns_of(self.metrics)))
+            append(self.metrics, csv_text(step, self.config.seeds, metrics, columns_of(self.metrics)))
         except OSError as error:
             cause, remedy = error.strerror or error, f"earl-jax resume {self.path} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {cause}; {remedy}") from error
 
-    def rows(self) -> list[Row]:
-        """Return the rows of metrics.csv, up to its last complete evaluation.
+    def table(self) -> Table:
+        """Return the table of metrics, up to its last complete evaluation.
 
         Raises:
             ValueError: a row is damaged, repeated, missing or of another run, or the newest checkpoint comes after the
                 last row; the message says what to do.
         """
         step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
-        return self._table(step, whole=True).rows
+        return self._table(step, whole=True)
 
     def require_resumable(self) -> None:
-        """Raise a ValueError if jax has other settings here, or, as `rows`, if rows or columns up to the newest checkpoint
+        """Raise a ValueError if jax has other settings here, or, as `table`, if rows or columns up to the newest checkpoint
         are damaged or missing.
         """
         require_same_settings(self.config_file)
         step = newest(self.checkpoints)
         table = self._table(step)
         missing = sorted(COLUMNS.difference(table.columns))
-        if missing and table.rows and step:
+        if missing and table.step and step:
             raise self._damaged(table, f"it has no column {', '.join(missing)}")
 
-    def rows_until(self, step: int) -> list[Row]:
-        """Drop the rows after `step`, which a resumed run writes again, and return the remaining ones.
+    def table_until(self, step: int) -> Table:
+        """Drop the rows after `step`, which a resumed run writes again, and return the table of the remaining ones.
 
         Raises:
             ValueError: a row up to `step` is damaged or missing.
         """
-        table = self._table(step)
-        count = step // self.config.eval_every * len(self.config.seeds)
-        text = "".join(f"{line}\n" for line in table.lines[: count + 1]) if count else ""
-        if self.metrics.exists() and (read_bytes(self.metrics) != text.encode() or self.metrics.stat().st_nlink > 1):
-            write_atomically(self.metrics, text)
-        return table.rows[:count]
+        table = self._table(step).until(step)
+        count = len(table.steps) * len(self.config.seeds)
+        if self.metrics.exists():
+            write_atomically(self.metrics, "".join(itertools.islice(whole_lines(self.metrics), count and count + 1)))
+        return table
 
     def _table(self, step: int, whole: bool = False) -> Table:
         """Return the table of metrics; raise an InputError unless its rows up to `step`, or its `whole`, are intact."""

@@ -40,7 +40,7 @@ class CSVLog:
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Append the rows of `step` to metrics.csv; they are on the disk when this returns."""
-        self._folder.append(self._folder.config.rows(step, metrics))
+        self._folder.append(step, metrics)
 
     def close(self) -> None:
         """Do nothing, because all rows are on the disk already."""

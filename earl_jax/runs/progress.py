@@ -4,17 +4,14 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from earl_jax.metrics.continuing import DIVERGED
-
-if TYPE_CHECKING:
-    from earl_jax.runs.config import Row
 
 SMOOTHING = 0.8
 SILENCE = 60.0
@@ -103,14 +100,14 @@ class Progress:
             self._speed = SMOOTHING * self._speed + (1 - SMOOTHING) * speed
         self._bar.update(self._task, advance=steps, speed=self._speed_text())
 
-    def report(self, step: int, rows: list["Row"]) -> None:
-        """Show an evaluation: the deployed metric and the continuing reward, means over seeds."""
-        score, reward = (sum(row[name] for row in rows) / len(rows) for name in (self._metric, "continuing/reward"))
+    def report(self, step: int, metrics: Mapping[str, np.ndarray]) -> None:
+        """Show an evaluation: the deployed metric and the continuing reward, means over seeds of `metrics [N]`."""
+        score, reward = (metrics[name].mean(dtype=float) for name in (self._metric, "continuing/reward"))
         self._bar.update(self._task, score=f"{score:.2f}")
-        diverged = sum(row.get(DIVERGED, 0) > 0 for row in rows)
-        if diverged:
+        marks = metrics.get(DIVERGED, np.zeros(1)) > 0
+        if marks.any():
             self.message(
-                f"step {step}: {diverged} of {len(rows)} lanes have diverged (a loss or a parameter is not finite)"
+                f"step {step}: {marks.sum()} of {len(marks)} lanes have diverged (a loss or a parameter is not finite)"
             )
         if self._plain:
             line = f"step {step}/{self._steps}  {self._metric} {score:.3f}  continuing/reward {reward:.5f}"

@@ -7,131 +7,142 @@ import contextlib
 import csv
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from earl_jax.errors import InputError
-from earl_jax.runs.config import Row, RunConfig
-from earl_jax.runs.files import opened, read_bytes
+import numpy as np
 
-KEYS = {"step", "seed"}
+from earl_jax.errors import InputError
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.files import opened
+
+KEYS = ("step", "seed")
 COLUMNS = {
     *("deployed/success", "deployed/return", "continuing/reward", "continuing/recent"),
     *("interventions", "faults", "reached"),
 }
 """Metrics that every run writes; others depend on the task, the method and the release."""
+LONGEST = 1 << 16
+"""Letters of a line; a longer one is cut, is no row and is the last one read, so that no file takes much memory."""
+BLOCK = 4096
+"""Lines that are parsed together."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Table:
     """A table of metrics as far as it is intact.
 
-    `columns` are the names in its header. `lines` are its complete lines, the header first. `rows` are those of whole
-    evaluations before the first error, which `problem` describes; it is empty if there is none. The last evaluation is
-    no error if a kill truncated it.
+    `columns` are the names in its header. `steps [E]` and `metrics` of arrays [N, E] are those of the whole evaluations
+    before the first error, which `problem` describes; it is empty if there is none. The last evaluation is no error if a
+    kill truncated it. Without an evaluation there are no metrics.
     """
 
-    columns: tuple[str, ...]
-    lines: tuple[str, ...]
-    rows: list[Row]
-    problem: str
+    columns: tuple[str, ...] = ()
+    steps: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
+    metrics: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    problem: str = ""
 
     @property
     def step(self) -> int:
-        """The last evaluation of `rows`, or 0."""
-        return int(self.rows[-1]["step"]) if self.rows else 0
+        """The step of the last evaluation, or 0."""
+        return int(self.steps[-1]) if len(self.steps) else 0
+
+    def until(self, step: int) -> "Table":
+        """Return the table without the evaluations after `step`."""
+        count = int(np.searchsorted(self.steps, step, side="right"))
+        metrics = {name: values[:, :count] for name, values in self.metrics.items()}
+        return dataclasses.replace(self, steps=self.steps[:count], metrics=metrics)
 
     @classmethod
     def read(cls, path: Path, config: RunConfig) -> "Table":
         """Return the table at `path`, which is empty if there is no file."""
-        lines = [line for line in table_text(path).split("\n")[:-1] if line.strip()]
-        columns: list[str] = []
-        rows: list[Row] = []
-        problem = ""
-        try:
-            columns = _header(lines[0]) if lines else []
-            for line, (step, seed) in zip(lines[1:], _expected(config), strict=False):
-                rows.append(_row(columns, line, step, seed))
-            if len(lines) - 1 > len(rows):
-                raise InputError(f"comes after step {config.steps}, the last one of the run")
-        except InputError as error:
-            problem = f"line {len(rows) + 2 if columns else 1} {error}"
-        return cls(tuple(columns), tuple(lines), rows[: len(rows) - len(rows) % len(config.seeds)], problem)
+        lines, seeds = whole_lines(path), len(config.seeds)
+        columns = tuple(_cells(next(lines, "")))
+        if not set(columns) >= set(KEYS) or len(set(columns)) < len(columns):
+            return cls(problem="line 1 is not the header" if columns else "")
+        blocks, count, problem = [np.empty((0, len(columns)))], 0, ""
+        while not problem and (block := list(itertools.islice(lines, BLOCK))):
+            rows, problem = _rows(block, columns, config, count)
+            blocks.append(rows)
+            count += len(rows)
+        problem = problem and f"line {count + 2} {problem}"
+        if count < seeds:
+            return cls(columns, problem=problem)
+        values = np.concatenate(blocks)[: count - count % seeds].reshape(-1, seeds, len(columns))
+        metrics = dict(zip(columns, np.ascontiguousarray(values.transpose(2, 1, 0)), strict=True))
+        steps, _ = (metrics.pop(name) for name in KEYS)
+        return cls(columns, steps[0].astype(int), metrics, problem)
 
 
-def table_text(path: Path) -> str:
-    """Return the text of the table at `path`, with the line ends of Unix, or "" if there is no file."""
-    try:
-        text = read_bytes(path).decode("utf-8-sig", errors="replace")
-    except FileNotFoundError:
-        return ""
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+def lines_of(path: Path) -> Iterator[str]:
+    """Yield the lines of the table at `path` that are not blank, with the line ends of Unix; none if there is no file."""
+    with contextlib.suppress(FileNotFoundError), opened(path) as handle:
+        text = io.TextIOWrapper(handle, encoding="utf-8-sig", errors="replace")
+        line = "\n"
+        while line.endswith("\n"):
+            line = text.readline(LONGEST)
+            if line.strip() or len(line) == LONGEST:
+                yield line
+
+
+def whole_lines(path: Path) -> Iterator[str]:
+    """Yield the lines of `lines_of` without the last one if a kill truncated it."""
+    return (line for line in lines_of(path) if line.endswith("\n") or len(line) == LONGEST)
 
 
 def columns_of(path: Path) -> list[str]:
     """Return the columns of the table at `path`, of which only the start is read; [] without a complete header."""
-    with contextlib.suppress(FileNotFoundError), opened(path) as handle:
-        line = next((line for line in handle if line.strip()), b"").decode(errors="replace")
-        return cells(line) if line.endswith("\n") else []
-    return []
+    return _cells(next(whole_lines(path), ""))
 
 
-def cells(line: str) -> list[str]:
-    """Return the cells of a line.
-
-    Raises:
-        ValueError: it cannot be read, because a cell is too long.
-    """
-    try:
-        return next(csv.reader([line]))
-    except csv.Error as error:
-        raise InputError(f"cannot be read ({error})") from error
-
-
-def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Return the lines of `rows` under existing `columns`, or with a header of their own if there are none.
+def csv_text(step: int, seeds: Sequence[int], metrics: Mapping[str, np.ndarray], columns: Sequence[str]) -> str:
+    """Return the rows of `metrics [N]` under existing `columns`, or with a header of their own if there are none.
 
     Raises:
         ValueError: a column is not among the values of the rows.
     """
-    foreign = [name for name in columns if name not in rows[0]]
+    values = {"step": [step] * len(seeds), "seed": seeds, **{name: array.tolist() for name, array in metrics.items()}}
+    foreign = [name for name in columns if name not in values]
     if foreign:
         raise InputError(f"it has columns that this run does not write: {', '.join(foreign)}")
     text = io.StringIO()
-    names = columns or list(rows[0])
-    writer = csv.DictWriter(text, names, extrasaction="ignore", lineterminator="\n")
-    if not columns:
-        writer.writeheader()
-    writer.writerows(rows)
+    names = columns or list(values)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([] if columns else [names])
+    writer.writerows(zip(*(values[name] for name in names), strict=True))
     return text.getvalue()
 
 
-def _header(line: str) -> list[str]:
-    columns = cells(line)
-    if not set(columns) >= KEYS or len(set(columns)) < len(columns):
-        raise InputError("is not the header")
-    return columns
+def _cells(line: str) -> list[str]:
+    return next(csv.reader([line]), [])
 
 
-def _expected(config: RunConfig) -> Iterator[tuple[int, int]]:
-    """Yield step and seed of each row of a whole run."""
-    for step in range(config.eval_every, config.steps + 1, config.eval_every):
-        for seed in config.seeds:
-            yield step, seed
+def _rows(lines: Sequence[str], columns: Sequence[str], config: RunConfig, count: int) -> tuple[np.ndarray, str]:
+    """Return the rows [R, C] on `lines`, which follow `count` others, before the first error, and what it is."""
+    rows = _numbers(lines, len(columns))
+    index = np.arange(count, count + len(rows))
+    steps = config.eval_every * (index // len(config.seeds) + 1)
+    expected = np.stack([steps, np.array(config.seeds)[index % len(config.seeds)]], axis=1)
+    found = rows[:, [columns.index(name) for name in KEYS]]
+    wrong = np.flatnonzero((found != expected).any(axis=1) | (steps > config.steps))
+    if not len(wrong):
+        return rows, "" if len(rows) == len(lines) else "is not a row of numbers"
+    first = wrong[0]
+    if steps[first] > config.steps:
+        return rows[:first], f"comes after step {config.steps}, the last one of the run"
+    (step, seed), (wanted, of_seed) = found[first], expected[first]
+    return rows[:first], f"is step {step:.15g} of seed {seed:.15g} instead of step {wanted} of seed {of_seed}"
 
 
-def _row(columns: Sequence[str], line: str, step: int, seed: int) -> Row:
-    """Return the row on a line; raise an InputError that says why it is not a row of numbers of `step` and `seed`."""
-    texts = cells(line)
-    try:
-        row = {name: _number(text) for name, text in zip(columns, texts, strict=True)}
-    except ValueError as error:
-        raise InputError("is not a row of numbers") from error
-    if (row["step"], row["seed"]) != (step, seed):
-        raise InputError(f"is step {row['step']} of seed {row['seed']} instead of step {step} of seed {seed}")
-    return row
-
-
-def _number(text: str) -> float:
-    is_integer = text.lstrip("-").isdigit() and len(text) < 19  # a longer one fits in no array
-    return int(text) if is_integer else float(text)
+def _numbers(lines: Sequence[str], width: int) -> np.ndarray:
+    """Return the rows [R, width] on `lines` before the first that does not have as many numbers."""
+    with contextlib.suppress(ValueError):
+        rows = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+        if rows.shape[1] == width:
+            return rows
+    if len(lines) == 1:
+        return np.empty((0, width))
+    half = len(lines) // 2
+    rows = _numbers(lines[:half], width)
+    return rows if len(rows) < half else np.concatenate([rows, _numbers(lines[half:], width)])

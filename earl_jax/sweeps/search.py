@@ -259,10 +259,10 @@ def _score(path: Path, steps: int) -> float | None:
     if not (path / CONFIG).is_file():
         return None
     folder = RunFolder.open(path)
-    reached, metrics = folder.config.curves([row for row in folder.rows() if row["step"] <= steps])
-    if not len(reached) or reached[-1] < steps:
+    table = folder.table().until(steps)
+    if table.step < steps:
         return None
-    return float(recent_scores(reached, metrics[folder.config.deployed_metric]).mean())
+    return float(recent_scores(table.steps, table.metrics[folder.config.deployed_metric]).mean())
 
 
 def _open_study(path: Path, identity: str) -> Any:

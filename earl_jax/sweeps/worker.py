@@ -129,8 +129,7 @@ def _reached(folder: RunFolder) -> int:
     """Return the step of the newest checkpoint, or the last step of a finished run whose checkpoints were removed."""
     step, steps = newest(folder.checkpoints), folder.config.steps
     if step == 0 and policies_step(folder.policies) == steps:
-        rows = folder.rows()
-        return steps if rows and rows[-1]["step"] == steps else 0
+        return steps if folder.table().step == steps else 0
     return step
 
 

@@ -199,14 +199,13 @@ def resume(
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
         train_state = run_program(plan, [run], progress, limit)
-    steps, metrics = run.config.curves(run.rows)
     return Result(
         config=run.config,
         env=run.env,
         method=run.method,
         seeds=run.config.seeds,
-        steps=steps,
-        metrics=metrics,
+        steps=np.array(run.steps, int),
+        metrics=run.metrics,
         train_state=train_state,
         engine=plan.engine,
     )

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import itertools
 import operator
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +18,13 @@ from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
-from earl_jax.runs.config import Row, RunConfig, deployed_metric
+from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host, gathered
 from earl_jax.runs.logging import Log, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
+from earl_jax.runs.table import Table
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
@@ -39,8 +39,8 @@ from earl_jax.training.stopping import Stopped, StopRequest
 class Run:
     """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `rows` are its metrics so
-    far.
+    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `evaluations` are those so far,
+    arrays [n] at each of `steps`.
     """
 
     config: RunConfig
@@ -49,7 +49,8 @@ class Run:
     protocol: Protocol
     folder: RunFolder | None = None
     listeners: Sequence[Log] = ()
-    rows: list[Row] = dataclasses.field(default_factory=list)
+    steps: list[int] = dataclasses.field(default_factory=list)
+    evaluations: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def resolve(
@@ -77,7 +78,9 @@ class Run:
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
         """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
-        self.rows = self.folder.rows_until(step) if self.folder and first_host() else []
+        table = self.folder.table_until(step) if self.folder and first_host() else Table()
+        self.steps = table.steps.tolist()
+        self.evaluations = {name: list(values.T) for name, values in table.metrics.items()}
         unfinished = step < self.config.steps and first_host()
         self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
         try:
@@ -86,13 +89,18 @@ class Run:
             for log in self._logs:
                 log.close()
 
-    def add(self, step: int, metrics: dict[str, np.ndarray]) -> list[Row]:
-        """Return the rows of `metrics [n]` at `step`, after writing them to every log."""
-        rows = self.config.rows(step, metrics)
-        self.rows += rows
+    def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
+        """Write `metrics [n]` at `step` to every log and keep them, in the columns of the evaluations so far."""
         for log in self._logs:
             log.log(step, metrics)
-        return rows
+        self.steps.append(step)
+        for name in self.evaluations or metrics:
+            self.evaluations.setdefault(name, []).append(metrics[name])
+
+    @property
+    def metrics(self) -> dict[str, np.ndarray]:
+        """The metrics [n, E] of all evaluations."""
+        return {name: np.array(values, float).T for name, values in self.evaluations.items()}
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "capacity", "mesh"))
@@ -135,7 +143,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
 def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: TimeLimit | None = None) -> TrainState:
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
-    Each run's metrics are added to its `rows` and to its folder, which also receives checkpoints of the run's lanes.
+    Each run's metrics are added to its `evaluations` and to its folder, which also receives checkpoints of the run's lanes.
     With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a checkpoint.
 
     Raises:
@@ -222,11 +230,9 @@ def _save_checkpoints(runs: Sequence[Run], state: TrainState, due: Sequence[bool
 
 def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar: Progress) -> None:
     """Add `metrics [N]` of all lanes to the runs that they belong to."""
-    rows = [
+    for run, span in zip(runs, _lane_spans(runs), strict=True):
         run.add(step, {name: values[span] for name, values in metrics.items()})
-        for run, span in zip(runs, _lane_spans(runs), strict=True)
-    ]
-    bar.report(step, list(itertools.chain(*rows)))
+    bar.report(step, metrics)
 
 
 def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:

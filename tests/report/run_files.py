@@ -48,7 +48,7 @@ def write_run(
     values = {"deployed/success": scores, "deployed/return": scores, **(metrics or {})}
     columns = {name: np.broadcast_to(value, scores.shape) for name, value in values.items()}
     for number, step in enumerate(steps):
-        folder.append(config.rows(step, {name: column[:, number] for name, column in columns.items()}))
+        folder.append(step, {name: column[:, number] for name, column in columns.items()})
     return path
 
 

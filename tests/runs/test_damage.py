@@ -2,7 +2,9 @@
 
 import contextlib
 import json
+import os
 import shutil
+import tracemalloc
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ from earl_jax.runs import checkpoint
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import save_policies
-from earl_jax.runs.table import COLUMNS
+from earl_jax.runs.table import COLUMNS, Table
 from earl_jax.sweeps.worker import open_folder
 from earl_jax.training import api
 from tests.cli.process import run, snapshot
@@ -37,7 +39,7 @@ def originals(tmp_path_factory, env, state):
     config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), (0, 1), schedule)
     folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, "kinematic")
     for step in (40, 80, 120):
-        folder.append(config.rows(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)}))
+        folder.append(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)})
         checkpoint.save(folder.checkpoints, state.replace(step=jnp.asarray(step, jnp.int32)))
     save_policies(folder.policies, {"w": np.zeros(2)}, step=120, seeds=(0, 1), obs_size=1, action_size=1)
     running = shutil.copytree(folder.path, folder.path.parent / "running")
@@ -109,28 +111,60 @@ def test_damage_after_the_newest_checkpoint_is_mended_by_resuming(originals, tmp
     whole = (running / "metrics.csv").read_text()
     (running / "metrics.csv").write_text(whole + whole.splitlines(keepends=True)[-1])
     assert f"earl-jax resume {running} continues from step 80" in message_of(lambda: read(running))
-    assert [row["step"] for row in RunFolder.open(running).rows_until(80)] == [40, 40, 80, 80]
+    assert RunFolder.open(running).table_until(80).steps.tolist() == [40, 80]
     assert (running / "metrics.csv").read_text() == "".join(whole.splitlines(keepends=True)[:5])
+
+
+def test_ten_gigabytes_are_read_in_little_memory_and_cut_off_by_resuming(finished):
+    whole = (finished / "metrics.csv").read_bytes()
+    os.truncate(finished / "metrics.csv", 10 << 30)
+    tracemalloc.start()
+    assert "metrics.csv is damaged: line 8 is not a row of numbers" in message_of(lambda: read(finished))
+    with pytest.raises(AssertionError, match="training started"):
+        resume(finished)
+    assert RunFolder.open(finished).table_until(120).step == 120
+    assert tracemalloc.get_traced_memory()[1] < 50 << 20
+    tracemalloc.stop()
+    assert (finished / "metrics.csv").read_bytes() == whole
+
+
+@pytest.mark.parametrize("line", [2, 3, 4097, 4098, 10_001])
+@pytest.mark.parametrize("row", ["x,0,0", "7,0,0", "1,0"])
+def test_the_first_wrong_line_of_a_long_table_is_named(tmp_path, problem, line, row):
+    schedule = Schedule(steps=5000, eval_every=1, eval_episodes=2, checkpoint_every=1)
+    config = RunConfig.from_objects(problem.env, tiny_method("naive"), Deployment(), (5, 3), schedule)
+    lines = ["step,seed,x", *(f"{step},{seed},{step / 7}" for step in range(1, 5001) for seed in (5, 3))]
+    path = tmp_path / "metrics.csv"
+    path.write_text("\n".join([*lines, ""]))
+    table = Table.read(path, config)
+    assert (table.step, table.problem) == (5000, "")
+    np.testing.assert_equal(table.metrics["x"], np.arange(1, 5001) / 7 * np.ones((2, 1)))
+    lines[-1], lines[line - 1] = "also wrong", row
+    path.write_text("\n".join([*lines, ""]))
+    table = Table.read(path, config)
+    assert table.step == (line - 2) // 2
+    cause = "is step 7 of seed 0 instead of step" if row[0] == "7" else "is not a row of numbers"
+    assert f"line {line} {cause}" in table.problem
 
 
 @pytest.mark.parametrize("kind", damage.READABLE)
 def test_other_line_ends_are_read_and_replaced(finished, kind):
-    rows, text = RunFolder.open(finished).rows(), (finished / "metrics.csv").read_bytes()
+    metrics, text = RunFolder.open(finished).table().metrics, (finished / "metrics.csv").read_bytes()
     damage.READABLE[kind](finished)
-    assert RunFolder.open(finished).rows() == rows
-    RunFolder.open(finished).rows_until(120)
+    np.testing.assert_equal(RunFolder.open(finished).table().metrics, metrics)
+    RunFolder.open(finished).table_until(120)
     assert (finished / "metrics.csv").read_bytes() == text
 
 
 def test_further_rows_keep_the_columns_of_the_file(originals, tmp_path):
     folder = RunFolder.open(shutil.copytree(originals["running"], tmp_path / "run"))
-    folder.rows_until(80)
-    scores = {name: float(number) for number, name in enumerate(sorted(COLUMNS, reverse=True))}
-    folder.append([{"added": 1.0, **scores, "seed": seed, "step": 120} for seed in (0, 1)])
-    assert folder.rows()[-1] == {"step": 120, "seed": 1, **scores}
+    folder.table_until(80)
+    scores = {name: np.full(2, number / 7) for number, name in enumerate(sorted(COLUMNS, reverse=True))}
+    folder.append(120, {"added": np.ones(2), **scores})
+    np.testing.assert_equal({name: values[:, -1] for name, values in folder.table().metrics.items()}, scores)
     del scores["faults"]
     with pytest.raises(InputError, match="columns that this run does not write: faults"):
-        folder.append([{"step": 160, "seed": 0, **scores}])
+        folder.append(160, scores)
 
 
 def test_a_column_that_a_table_needs_is_named(finished):
@@ -182,7 +216,7 @@ def test_an_unknown_log_concerns_training_only(finished, log):
 def test_other_entries_are_no_checkpoints(finished, kind):
     damage.IGNORED[kind](finished)
     assert checkpoint.newest(finished / "checkpoints") == 120
-    assert len(RunFolder.open(finished).rows()) == 6
+    assert RunFolder.open(finished).table().step == 120
 
 
 def test_a_checkpoint_after_the_end_of_the_run_is_refused(finished):

@@ -42,7 +42,7 @@ def folder(tmp_path):
 def append_rows(folder, *steps):
     for step in steps:
         metrics = {"deployed/success": np.array([step / 7, 1.0]), "continuing/reward": np.array([0.5, step / 7])}
-        folder.append(folder.config.rows(step, metrics))
+        folder.append(step, metrics)
 
 
 def build(config):
@@ -105,10 +105,8 @@ def test_a_truncated_table_is_continued_without_losing_or_repeating_a_row(folder
     append_rows(folder, 40, 80, 120)
     original = folder.metrics.read_bytes()
     folder.metrics.write_bytes(original[:cut])
-    steps = [int(row["step"]) for row in folder.rows()]
-    complete = sorted({step for step in steps if steps.count(step) == 2})
-    last = max(complete, default=0)
-    assert len(folder.rows_until(last)) == 2 * len(complete)
+    last = folder.table().step
+    assert folder.table_until(last).step == last == 40 * max(0, (original[:cut].count(b"\n") - 1) // 2)
     append_rows(folder, *range(last + 40, 160, 40))
     assert folder.metrics.read_bytes() == original
 
@@ -117,14 +115,14 @@ def test_an_error_names_the_damaged_line_of_the_table(folder):
     append_rows(folder, 40, 80)
     folder.metrics.write_text(folder.metrics.read_text().replace("80,3,", "80,x,"))
     with pytest.raises(ValueError, match=r"metrics\.csv is damaged: line 4 is not a row of numbers"):
-        folder.rows()
+        folder.table()
 
 
 @pytest.mark.parametrize("name", ["metrics.csv", "checkpoints"])
 def test_a_link_is_not_read(folder, name):
     (folder.path / name).symlink_to(folder.path.parent / "victim")
     with pytest.raises(ValueError, match=f"{name} is a link"):
-        RunFolder.open(folder.path).rows()
+        RunFolder.open(folder.path).table()
 
 
 def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):

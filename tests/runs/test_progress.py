@@ -2,12 +2,13 @@
 
 import threading
 
+import numpy as np
 import pytest
 
 from earl_jax.runs import progress
 from earl_jax.runs.progress import Progress, duration
 
-ROWS = [{"step": 40, "seed": 0, "deployed/success": 0.5, "continuing/reward": 0.25}]
+METRICS = {"deployed/success": np.array([0.25, 0.75]), "continuing/reward": np.array([0.0, 0.5])}
 
 
 class Clock:
@@ -50,11 +51,11 @@ def test_a_line_has_speed_and_time_left_without_the_compilation(clock, capsys):
     with make() as bar:
         bar.start_at(80)
         work(bar, clock, "training", 500.0)
-        bar.report(120, ROWS)
+        bar.report(120, METRICS)
         work(bar, clock, "training", 4.0)
-        bar.report(160, ROWS)
+        bar.report(160, METRICS)
         clock.now += 56.0  # an evaluation
-        bar.report(160, ROWS)
+        bar.report(160, METRICS)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("step")]
     assert lines[0] == "step 120/400  deployed/success 0.500  continuing/reward 0.25000  steps/s 0.1"
     assert lines[1].endswith("steps/s 10  time left 24 s")
@@ -65,7 +66,7 @@ def test_the_last_line_has_no_time_left(clock, capsys):
     with make() as bar:
         work(bar, clock, "training", 1.0, steps=200)
         work(bar, clock, "training", 1.0, steps=200)
-        bar.report(400, ROWS)
+        bar.report(400, METRICS)
     assert capsys.readouterr().err.splitlines()[-1].endswith("steps/s 200")
 
 
@@ -93,7 +94,7 @@ def test_silence_is_broken_during_a_compilation_and_during_training(capsys, monk
 def test_without_show_nothing_is_printed(clock, capsys):
     with make(show=False) as bar:
         work(bar, clock, "training", 1.0)
-        bar.report(40, ROWS)
+        bar.report(40, METRICS)
     assert capsys.readouterr().err == ""
 
 
@@ -106,5 +107,5 @@ def test_durations(seconds, text):
 
 def test_an_evaluation_counts_the_lanes_that_have_diverged(capsys):
     with make() as bar:
-        bar.report(40, [{**ROWS[0], "diverged": diverged} for diverged in (0, 1)])
+        bar.report(40, {**METRICS, "diverged": np.array([0, 1])})
     assert "1 of 2 lanes have diverged" in capsys.readouterr().err

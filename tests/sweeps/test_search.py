@@ -3,6 +3,7 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from earl_jax.runs.config import deployed_metric
@@ -43,11 +44,11 @@ def batches(monkeypatch):
         done.append((next(iter(configs.values())).steps, sorted(configs)))
         for name, config in configs.items():
             score = 1 - abs(config.options.get("discount", 0.99) - 0.95)
-            metrics = {"deployed/return": 0.0, deployed_metric(config.build_env()): score}
+            metrics = {"deployed/return": np.zeros(2), deployed_metric(config.build_env()): np.full(2, score)}
             exists = (out / name).exists()
             folder = RunFolder.open(out / name) if exists else RunFolder.create(out / name, config, "kinematic")
-            for step in range(40 * (1 + len(folder.rows()) // 2), config.steps + 1, 40):
-                folder.append([{"step": step, "seed": seed, **metrics} for seed in range(2)])
+            for step in range(folder.table().step + 40, config.steps + 1, 40):
+                folder.append(step, metrics)
 
     monkeypatch.setattr(module, "work", work)
     return done

@@ -80,7 +80,7 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
 def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     config = worker.parse_config(worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
-    folder.append(config.rows(40, {"deployed/success": np.zeros(2)}))
+    folder.append(40, {"deployed/success": np.zeros(2)})
     assert list(worker.plan(grid, tmp_path)["groups"][0]["runs"]) == NAMES
     before = (folder.path / "config.json").read_bytes()
     grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))
@@ -176,7 +176,7 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
 def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, capsys, message):
     fields = worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]]
     folder = RunFolder.create(tmp_path / NAMES[0], worker.parse_config(fields), "kinematic")
-    folder.append(folder.config.rows(40, {"deployed/success": np.zeros(2)}))
+    folder.append(40, {"deployed/success": np.zeros(2)})
     with folder.claimed() if "in use" in message else contextlib.nullcontext():
         if "damaged" in message:
             folder.config_file.write_text("{}")

@@ -12,7 +12,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
 from earl_jax.report.runs import Curves, MethodRuns, by_method
-from earl_jax.report.scores import SHARES, WINDOW, trailing
+from earl_jax.report.scores import SHARES, WINDOW, evenly_spaced, trailing
 from earl_jax.report.style import colours, lightened, shaded
 from earl_jax.runs.folder import RunFolder
 
@@ -122,7 +122,7 @@ def _curve(line: Line, metric: str) -> dict[str, Any]:
     curves = line.curves
     values = curves.metrics[metric]
     count = len(curves.steps)
-    indices = np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
+    indices = evenly_spaced(count, POINTS)
     smooth = metric == curves.deployed_metric and count >= 2 * WINDOW
     return {
         "line": line.key,
