@@ -116,7 +116,7 @@ def plot_runs(
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
-    with matplotlib().rc_context({"font.size": layout.points}):
+    with matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
             _draw_panel(axis, group, panel, smooth, published)

@@ -226,7 +226,7 @@ def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
         raise InputError(
             f"there are {len(names)} labels for {len(lines)} runs; give one for each of: {'; '.join(lines)}"
         )
-    return names or lines
+    return [_plain(name) for name in names] or lines
 
 
 def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
@@ -235,8 +235,13 @@ def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -
     An option with its default value is not named, so a run with the defaults has the bare name.
     """
     named = [key for key in sorted(options) if any(other.get(key) != options[key] for other in peers)]
-    text = ", ".join(f"{key}={options[key]}" for key in named)
+    text = _plain(", ".join(f"{key}={options[key]}" for key in named))
     return f"{algo} ({text})" if text else algo
+
+
+def _plain(text: str) -> str:
+    """Return `text` with escapes in the place of letters that cannot be printed, which would break a line or hide text."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def read_methods(folders: Sequence[Path]) -> list[MethodRuns]:
@@ -254,4 +259,4 @@ def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
 
 def options_text(options: dict[str, Any]) -> str:
     """Return changed options in one line, or `the defaults` if there are none."""
-    return ", ".join(f"{name}={value}" for name, value in sorted(options.items())) or "the defaults"
+    return _plain(", ".join(f"{name}={value}" for name, value in sorted(options.items()))) or "the defaults"

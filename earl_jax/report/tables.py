@@ -2,7 +2,6 @@
 
 import csv
 import math
-import re
 import shutil
 import sys
 import textwrap
@@ -21,6 +20,11 @@ from earl_jax.report.scores import last_mean, row_of
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]
 """The heading of a column, and the function that gives its cell of a row."""
+LATEX = str.maketrans(
+    {letter: f"\\{letter}" for letter in "%&_#${}"}
+    | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "−": "$-$"}
+)
+"""What stands in LaTeX for the letters that have a meaning there."""
 GAP = "  "
 EMPTY = {"", "-"}
 
@@ -154,7 +158,7 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
     """Return a markdown table."""
-    rows = ["| " + " | ".join(map(str, line)) + " |" for line in (header, *lines)]
+    rows = ["| " + " | ".join(str(cell).replace("|", r"\|") for cell in line) + " |" for line in (header, *lines)]
     return "\n".join([rows[0], "|" + " --- |" * len(header), *rows[1:]])
 
 
@@ -166,7 +170,7 @@ def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
 
 
 def _latex_text(value: Any) -> str:
-    return re.sub(r"([%&_#$])", r"\\\1", str(value)).replace("−", "$-$")
+    return str(value).translate(LATEX)
 
 
 def shown_table(header: Sequence[str], lines: Sequence[Sequence[Any]], width: int | None) -> str:

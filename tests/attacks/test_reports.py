@@ -8,11 +8,13 @@ import pytest
 
 from tests.attacks.conftest import one_line
 from tests.cli.process import run
+from tests.report.run_files import rising, write_page_run
 
 HOSTILE = (
     "<script>alert(1)</script>", "</script><script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "'; alert(1); '", "<!--",
     "]]>", "{{ 7 * 7 }}", "{% raw %}", "${alert(1)}", "javascript:alert(1)", "\u202egnp.exe", "\u2028", "|x|y|",
     "<style>*{display:none}</style>", "&lt;script&gt;", "\\u003cscript\\u003e", "\x1b[2J", "%s%n", "<svg/onload=alert(1)>",
+    "$\\frac{", "$x$ ^{_", "_x_ %{y}", "<a href='javascript:alert(1)'>link</a>", "a\nb", "\ud800", "x" * 200,
 )  # fmt: skip
 
 
@@ -25,6 +27,27 @@ def runs_code(page):
 def changed(folder, **values):
     file = folder / "config.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
+
+
+def write_labelled(root):
+    """Return the folders of runs whose options, and so their labels, are the hostile texts."""
+    return [
+        write_page_run(root / f"run{number}", "naive", rising(3, 30), env_options={"demo_file": text})
+        for number, text in enumerate(HOSTILE)
+    ]
+
+
+def test_hostile_labels_are_text_in_pictures_and_tables(tmp_path):
+    labelled = write_labelled(tmp_path)
+    for arguments in (["plot", "--out", tmp_path / "x.pdf"], ["table"], ["table", "--out", tmp_path / "x.tex"]):
+        code, out, err = run(arguments[0], *labelled, *arguments[1:])
+        assert (code, err) == (0, "")
+        if arguments == ["table"]:
+            rows = [line.replace("\\|", "").count("|") for line in out.splitlines() if line.startswith("|")]
+            assert len(rows) == 2 + len(HOSTILE)
+            assert len(set(rows)) == 1
+            assert out.isprintable() or set(out) - set(filter(str.isprintable, out)) == {"\n"}
+    assert r"\$\textbackslash{}frac\{" in (tmp_path / "x.tex").read_text()
 
 
 @pytest.mark.parametrize("where", ["folder", "algo", "provenance"])

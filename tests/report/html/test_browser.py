@@ -4,11 +4,25 @@ import shutil
 
 import pytest
 
+from tests.attacks.test_reports import HOSTILE, write_labelled
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update",
 ]  # fmt: skip
+
+HOVER_TEXTS = """async () => {
+  const plot = document.querySelector(".plot"), texts = [];
+  for (const [number, trace] of plot.data.entries()) {
+    if (trace.hoverinfo === "skip") continue;
+    Plotly.Fx.hover(plot, [{ curveNumber: number, pointNumber: 0 }]);
+    await new Promise((next) => setTimeout(next, 100));  // it ignores calls that follow too soon
+    texts.push(plot.querySelector(".hoverlayer").textContent);
+  }
+  return texts;
+}"""
+"""The texts that a plot shows of its lines under the mouse."""
 
 
 @pytest.fixture
@@ -45,3 +59,22 @@ def test_a_browser_shows_the_page_without_errors(browser, written):
     tab.evaluate("dispatchEvent(new Event('beforeprint')); dispatchEvent(new Event('afterprint'))")
     assert messages == []
     assert [url for url in requests if not url.startswith(("data:", "blob:"))] == [written.as_uri()]
+
+
+@pytest.mark.slow
+def test_hostile_texts_are_text_in_a_browser(browser, tmp_path):
+    from earl_jax.report.html.writing import write_page
+
+    page = write_page(write_labelled(tmp_path), tmp_path / "page.html")
+    tab, events = browser.new_page(), []
+    for name in ("console", "pageerror", "dialog", "popup"):
+        tab.on(name, lambda event: events.append(event))
+    tab.on("request", lambda request: events.append(request.url))
+    tab.goto(page.as_uri())
+    tab.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
+    shown = tab.evaluate("document.body.textContent"), "".join(tab.evaluate(HOVER_TEXTS))
+    assert events == [page.as_uri()]
+    for text in HOSTILE:
+        printed = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in f"(demo_file={text})")
+        assert printed in shown[0]
+        assert "".join(printed.split()) in "".join(shown[1].split())

@@ -4,7 +4,7 @@
   const all = (selector, inside = document) => [...inside.querySelectorAll(selector)];
   const variable = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const translucent = (colour, share) => colour + Math.round(255 * share).toString(16).padStart(2, "0");
-  const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+  const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/%\{/g, "%&#123;");
 
   async function unpacked(id) {
     const bytes = Uint8Array.from(atob(document.getElementById(id).textContent), (character) => character.charCodeAt(0));
