@@ -9,6 +9,7 @@ import dataclasses
 import importlib
 import importlib.util
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.runs.contents import TENSORBOARD, WANDB
-from earl_jax.runs.files import make_folder
+from earl_jax.runs.files import RunWarning, make_folder
 from earl_jax.runs.folder import RunFolder
 
 
@@ -91,8 +92,8 @@ class WandbLog:
                 project="earl_jax", name=folder.path.name, group=f"{config.env}/{config.algo}", id=folder.id,
                 config=dataclasses.asdict(config), dir=str(folder.path), resume="allow", reinit="create_new",
             )  # fmt: skip
-        except wandb.Error as error:
-            raise InputError(f"wandb: {error}; WANDB_MODE=offline needs no account") from error
+        except Exception as error:  # wandb's own, and those of its settings and its files
+            raise InputError(f"wandb: {' '.join(str(error).split())}; WANDB_MODE=offline needs no account") from error
         self._seeds = config.seeds
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
@@ -102,6 +103,32 @@ class WandbLog:
     def close(self) -> None:
         """Finish the run."""
         self._run.finish()
+
+
+class OptionalLog:
+    """A log without which training goes on: its first error is a `RunWarning`, after which it receives nothing more."""
+
+    def __init__(self, name: str, log: Log):
+        self._name, self._log, self._failed = name, log, False
+
+    def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
+        """Pass the metrics on."""
+        self._try(self._log.log, step, metrics)
+
+    def close(self) -> None:
+        """Close the log."""
+        self._try(self._log.close)
+
+    def _try(self, action: Callable[..., None], *arguments: Any) -> None:
+        if self._failed:
+            return
+        try:
+            action(*arguments)
+        except Exception as error:
+            self._failed = True
+            cause = " ".join(str(error).split()) or type(error).__name__
+            message = f"the log {self._name} has failed and receives nothing more, and training goes on: {cause}"
+            warnings.warn(message, RunWarning, stacklevel=3)
 
 
 LIBRARIES = {TENSORBOARD: "tensorboardX", WANDB: "wandb"}
@@ -123,4 +150,4 @@ def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> li
     """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
     if folder is None:
         return list(others)
-    return [CSVLog(folder), *(LOGS[name](folder, since) for name in folder.logs), *others]
+    return [CSVLog(folder), *(OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs), *others]

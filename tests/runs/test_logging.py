@@ -1,15 +1,18 @@
 """Logs of a run: all of them receive the same metrics."""
 
+import contextlib
 import sys
 import types
 
 import numpy as np
 import pytest
 
-from earl_jax import make, make_algo, train
+from earl_jax import make, make_algo, resume, train
+from earl_jax.errors import InputError
 from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs, open_logs, scalars
 from tests.conftest import TINY, TINY_RUN
@@ -82,7 +85,7 @@ def test_tensorboard_receives_the_metrics_and_purges_steps_after_the_checkpoint(
 
 def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, monkeypatch):
     calls = []
-    library = types.SimpleNamespace(init=lambda **options: Recorder(calls, **options), Error=RuntimeError)
+    library = types.SimpleNamespace(init=lambda **options: Recorder(calls, **options))
     monkeypatch.setitem(sys.modules, "wandb", library)
     folder = make_folder(tmp_path / "run", "wandb")
     log_metrics(folder, 0, 40)
@@ -92,6 +95,53 @@ def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, mon
         (folder.id, "allow", str(folder.path))
     ] * 2
     assert calls[-2:] == [(80, scalars((3, 5), METRICS[80])), "closed"]
+
+
+def fail(*_, **__):
+    raise BrokenPipeError("its service\nhas gone")
+
+
+def test_a_log_that_fails_gets_one_warning_and_no_more_metrics(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(Recorder, "log", fail)
+    library = types.SimpleNamespace(init=lambda **options: Recorder(calls, **options))
+    monkeypatch.setitem(sys.modules, "wandb", library)
+    folder = make_folder(tmp_path / "run", "wandb")
+    with pytest.warns(RunWarning, match="the log wandb has failed .* training goes on: its service has gone") as caught:
+        log_metrics(folder, 0, 40, 80)
+    assert len(caught) == 1
+    assert (folder.table().step, len(calls)) == (80, 1)
+
+
+def test_a_run_of_wandb_that_cannot_start_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", types.SimpleNamespace(init=fail))
+    with pytest.raises(InputError, match=r"^wandb: its service has gone; WANDB_MODE=offline needs no account$"):
+        open_logs(make_folder(tmp_path / "run", "wandb"), [], 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_real_wandb_offline_is_resumed_and_its_end_costs_no_training(tmp_path, monkeypatch, ended):
+    wandb = pytest.importorskip("wandb", reason="the test needs the extra 'wandb'")
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+
+    class EndOfWandb(ListLog):
+        """Ends the service of wandb at the first evaluation."""
+
+        def log(self, step, metrics):
+            super().log(step, metrics)
+            if ended:
+                wandb.teardown()
+
+    log, out, run = EndOfWandb(), tmp_path / "run", {**TINY_RUN, **TINY, "steps": 80}
+    with pytest.warns(RunWarning, match="the log wandb has failed") if ended else contextlib.nullcontext():
+        train("tabletop_organization", "naive", logs=["wandb", log], out=out, **run)
+        result = resume(out, steps=160)
+    expected = train("tabletop_organization", "naive", **{**run, "steps": 160})
+    np.testing.assert_equal(result.metrics, expected.metrics)
+    identifier = RunFolder.open(out).id
+    assert len(list((out / "wandb").glob(f"offline-run-*-{identifier}/run-{identifier}.wandb"))) == 2
 
 
 class ListLog:
