@@ -24,11 +24,11 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
-    env, method, shape = _shapes(folder)
-    state = restore(folder.checkpoints, shape, with_replay=False)
-    if state is None:
+    shapes = _shapes(folder) if newest(folder.checkpoints) else None  # tracing takes long for a report of many runs
+    state = restore(folder.checkpoints, shapes[2], with_replay=False) if shapes else None
+    if not shapes or state is None:
         raise InputError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
-    return env, method, state.lanes
+    return *shapes[:2], state.lanes
 
 
 def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
