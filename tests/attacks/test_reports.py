@@ -55,7 +55,7 @@ def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     folders = [shutil.copytree(whole, tmp_path / "good")]
     for number, text in enumerate(HOSTILE):
-        name = text.replace("/", "_") if where == "folder" else f"run{number}"
+        name = text.encode(errors="replace").decode().replace("/", "_") if where == "folder" else f"run{number}"
         folders.append(shutil.copytree(whole, tmp_path / "runs" / name))
         if where == "algo":
             changed(folders[-1], algo=text)
