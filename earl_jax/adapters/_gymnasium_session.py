@@ -8,9 +8,12 @@ import numpy as np
 from earl_jax.adapters._session import Outputs, Session, checked_array, jitted
 from earl_jax.envs import State
 from earl_jax.errors import InputError
+from earl_jax.options.values import Interval, require
 from earl_jax.protocol import ProtocolState
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+PIXELS = Interval("[1, 16384]", whole=True)
+"""The widths and heights of pictures that drivers of graphics offer."""
 
 
 class GymnasiumSession:
@@ -23,8 +26,10 @@ class GymnasiumSession:
         """Take over `session`, which has no state before the first reset.
 
         Raises:
-            ValueError: the render mode is unknown; the message lists the choices.
+            ValueError: the render mode is unknown, or a size is not a number of pixels; the message has the choices.
         """
+        require("width", width, PIXELS)
+        require("height", height, PIXELS)
         modes = self.metadata["render_modes"]
         if render_mode not in (None, *modes):
             raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")

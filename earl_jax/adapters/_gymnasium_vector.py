@@ -1,5 +1,6 @@
 """Many lanes of a task in one jitted program, as gymnasium's vector environment."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -11,7 +12,8 @@ from gymnasium.vector.utils import batch_space
 from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
 from earl_jax.adapters._session import Outputs, Session, checked_array
 from earl_jax.envs import Env
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
+from earl_jax.options.values import COUNT, require
 
 
 class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
@@ -36,8 +38,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         **options: Any,
     ):
         """Make `num_envs` lanes with `autoreset_mode`; the other arguments and errors are those of `ResetFreeEnv`."""
-        if num_envs < 1:
-            raise InputError(f"num_envs must be at least 1, not {num_envs}")
+        require("num_envs", num_envs, COUNT)
         self.num_envs = num_envs
         self._open(Session.of(task, lanes=num_envs, **options), render_mode, width, height)
         env = self.session.env
@@ -48,13 +49,24 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._over = np.zeros(num_envs, bool)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Return observations [N, s + g] and infos after a reset of all lanes, or of `options["reset_mask"]` [N]."""
-        super().reset(seed=seed)
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict]:
+        """Return observations [N, s + g] and infos after a reset of all lanes, or of `options["reset_mask"]` [N].
+
+        `seed` is that of the first lane, `seed + i` of lane i; or a list of N, in which None is a lane without a seed.
+        """
+        if isinstance(seed, Sequence):
+            lane_seeds = seed
+            if len(seed) != self.num_envs:
+                raise InputError(f"a list of seeds has one for each of {self.num_envs} lanes, not {brief(seed)}")
+        else:
+            super().reset(seed=seed)
+            lane_seeds = [None if seed is None else seed + lane for lane in range(self.num_envs)]
         first = self._state is None
         mask = self._mask(options) | first
-        from_seed = mask & (first or seed is not None)
-        generators = [self.np_random if seed is None else np_random(seed + i)[0] for i in range(self.num_envs)]
+        from_seed = mask & [first or lane_seed is not None for lane_seed in lane_seeds]
+        generators = [self.np_random if lane_seed is None else np_random(lane_seed)[0] for lane_seed in lane_seeds]
         seeds = np.stack([draw_seed(generator) for generator in generators])
         states = self._call("start", seeds)[0] if first else self._state
         self._state, outputs = self._call("restart", states, seeds, from_seed, mask)
@@ -63,10 +75,10 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         return np.array(outputs.obs), self._masked_infos(outputs, mask)
 
     def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
-        options = {"reset_mask": np.ones(self.num_envs, bool), **(options or {})}
-        mask = np.array(options.pop("reset_mask"))
-        if options:
-            raise InputError(f"reset has no option {', '.join(options)}; it takes reset_mask only")
+        options = options or {}
+        if not isinstance(options, dict) or options.keys() - {"reset_mask"}:
+            raise InputError(f"reset takes the option reset_mask only, not {brief(options)}")
+        mask = np.array(options.get("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise InputError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
         return mask

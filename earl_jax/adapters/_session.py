@@ -3,6 +3,7 @@
 The life is that of `earl_jax.protocol`: `init`, `advance`, `intervene` and `set_goal`.
 """
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from earl_jax.envs import Env, for_lanes, make, start_of
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.without_help import without_help
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import (
@@ -94,8 +95,7 @@ class Session:
         Raises:
             ValueError: an unknown name or option, or options beside an `Env`; the message lists the choices.
         """
-        setting = setting_of(setting) if isinstance(setting, str) else setting
-        env, setting = split_setting(_make_task(task, options), setting)
+        env, setting = split_setting(_make_task(task, options), setting_of(setting))
         setting, env = with_explicit_horizon(setting, env, options), setting.wrap(for_lanes(env, lanes))
         return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps, starts)
 
@@ -208,9 +208,11 @@ def checked_array(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Return `values` as a float32 array.
 
     Raises:
-        ValueError: they have another shape than `shape`, or are not finite.
+        ValueError: they are no real numbers, have another shape than `shape`, or are not finite.
     """
-    array = np.asarray(values, np.float32)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite and of shape {shape}, not {array.tolist()}")
+    array = None
+    with contextlib.suppress(TypeError, ValueError), np.errstate(over="ignore"):
+        array = np.asarray(values).astype(np.float32, casting="same_kind", copy=False)
+    if array is None or array.shape != shape or not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite and of shape {shape}, not {brief(values)}")
     return array

@@ -15,7 +15,7 @@ from earl_jax.adapters._gymnasium_session import GymnasiumSession, draw_seed
 from earl_jax.adapters._gymnasium_vector import ResetFreeVectorEnv  # noqa: F401
 from earl_jax.adapters._session import Outputs, Session, checked_array
 from earl_jax.envs import Env, list_envs
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 
 
 def env_id(name: str) -> str:
@@ -75,7 +75,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
         """Return the first observation [s + g] and info of a lifetime or an episode, or those after an intervention."""
         super().reset(seed=seed)
         if options:
-            raise InputError(f"reset takes no options, not {', '.join(options)}; set_goal chooses a goal")
+            raise InputError(f"reset takes no options, not {brief(options)}; set_goal chooses a goal")
         if seed is None and self._state is not None:
             self._state, outputs = self._call("reset", self._state)
         else:

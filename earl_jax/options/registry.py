@@ -59,7 +59,7 @@ class Registry:
         Raises:
             ValueError: the name is unknown (the message lists the choices) or claimed by several packages.
         """
-        known = name in self._table
+        known = isinstance(name, str) and name in self._table
         candidates = self._conflicting_entry_points if known else self._entry_points()
         points = [point for point in candidates if point.name == name]
         owners = ["earl_jax"] * known + [_owner(point) for point in points]

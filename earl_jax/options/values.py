@@ -21,16 +21,20 @@ LONGEST_EXPONENT = 18
 
 
 class Interval(NamedTuple):
-    """The valid values of an option, in the usual notation: `(0, 1]` excludes 0 and includes 1."""
+    """The valid values of an option, in the usual notation: `(0, 1]` excludes 0 and includes 1.
+
+    An interval that is `whole` has one whole number.
+    """
 
     text: str
+    whole: bool = False
 
     def contains(self, value: Any) -> bool:
         """Return whether every number in `value` lies in the interval; values that a trace hides are taken to."""
         import numpy as np  # without it, the commands that only read start faster
 
-        if hasattr(value, "dtype") and not isinstance(value, np.ndarray | np.generic):
-            return True  # a jax array
+        if _is_of_jax(value):
+            return True
         low, high = (float(end) for end in self.text[1:-1].split(","))
         try:
             values = np.asarray(value, np.float64)
@@ -41,12 +45,12 @@ class Interval(NamedTuple):
         return bool((above & below).all())
 
 
-COUNT = Interval(f"[1, {LARGEST_INT}]")
+COUNT = Interval(f"[1, {LARGEST_INT}]", whole=True)
 """The valid numbers of steps or transitions."""
-COUNT_OR_NEVER = Interval(f"[0, {LARGEST_INT}]")
+COUNT_OR_NEVER = Interval(f"[0, {LARGEST_INT}]", whole=True)
 """The valid numbers of steps between two events; 0 for never."""
-SEED = Interval(f"[0, {2**32 - 1}]")
-EPISODES = Interval("[1, 100000]")
+SEED = Interval(f"[0, {2**32 - 1}]", whole=True)
+EPISODES = Interval("[1, 100000]", whole=True)
 """The valid numbers of episodes of an evaluation."""
 
 
@@ -57,6 +61,8 @@ def within(interval: str | Interval) -> dict[str, Interval]:
 
 def require(name: str, value: Any, interval: Interval) -> None:
     """Raise an InputError with the option `name` and its `interval` if `value` is outside it."""
+    if interval.whole and not _is_whole(value) and not _is_of_jax(value):
+        raise InputError(f"{name} must be a whole number, not {brief(value)}")
     if not interval.contains(value):
         raise InputError(f"{name} must lie in {interval.text}, not {brief(value)}")
 
@@ -115,12 +121,21 @@ def _fits(kind: Any, value: Any) -> bool:
     if kind is str or (kind is bool and isinstance(value, bool)):
         return isinstance(value, kind)
     if kind is int:
-        return isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 0
+        return _is_whole(value) and int(value) >= 0
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
-    if hasattr(value, "dtype") and not isinstance(value, np.generic):
-        return True  # a jax array, whose values may be unknown under a trace
+    if _is_of_jax(value):
+        return True
     return kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool) and _is_finite(value)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def _is_of_jax(value: Any) -> bool:
+    """Return whether `value` is a jax array, whose numbers may be unknown under a trace."""
+    return hasattr(value, "dtype") and type(value).__module__ != "numpy"
 
 
 def _is_finite(value: Any) -> bool:
@@ -156,7 +171,7 @@ def _is_positive(value: Any) -> bool:
 
 
 class TimeLimit(NamedTuple):
-    """A limit of wall-clock `minutes` that `ends_at` a time in seconds since 1970, so that other processes can share it."""
+    """A limit of `minutes` that `ends_at` a time of the monotonic clock, which all processes of this machine share."""
 
     minutes: float
     ends_at: float
@@ -172,12 +187,12 @@ class TimeLimit(NamedTuple):
             return minutes
         if not _is_positive(minutes):
             raise InputError(f"minutes must lie in (0, inf), not {brief(minutes)}")
-        return cls(float(minutes), time.time() + 60 * float(minutes))
+        return cls(float(minutes), time.monotonic() + 60 * float(minutes))
 
     @property
     def passed(self) -> bool:
         """Whether the minutes have run out."""
-        return time.time() >= self.ends_at
+        return time.monotonic() >= self.ends_at
 
     def __str__(self) -> str:
         return f"{self.minutes:g} minute{'' if self.minutes == 1 else 's'}"

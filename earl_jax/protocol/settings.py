@@ -115,12 +115,14 @@ class Continuing(Setting):
 SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Deployment, Continuing)}
 
 
-def setting_of(name: str = Deployment.name, **options: Any) -> Setting:
-    """Return the setting `name` with its `options`.
+def setting_of(name: str | Setting = Deployment.name, **options: Any) -> Setting:
+    """Return the setting `name` with its `options`, or a setting as it is.
 
     Raises:
         ValueError: the name or an option is unknown, or an option has a wrong type; the message lists the choices.
     """
+    if isinstance(name, Setting):
+        return name
     if not isinstance(name, str) or name not in SETTINGS:
         raise InputError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
     check(f"setting {name!r}", SETTINGS[name], options)

@@ -200,14 +200,20 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         ({"mode": "test"}, "mode 'test' is not one of train, eval"),
         ({"setting": "lifelong"}, "unknown setting 'lifelong'"),
         ({"attempt_steps": 0}, "attempt_steps must lie in"),
+        *[({"attempt_steps": value}, "attempt_steps must be a whole number, not") for value in (None, 1.5, "x", True, [1])],
+        *[({"width": value}, "width must") for value in (None, 1.5, -5, 0, 100_000)],
+        ({"height": "x"}, "height must be a whole number, not 'x'"),
+        ({"setting": None}, "unknown setting None"),
+        ({"task": [1]}, r"unknown env \[1\]"),
         ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
         ({"render_mode": "human"}, "render_mode 'human'"),
         ({"starts": "wide"}, "starts='wide' is for episodes"),
         ({"starts": "far", **EPISODE}, "unknown starts 'far'; choose from initial, uniform, wide"),
-        ({"num_envs": 0}, "num_envs must be at least 1"),
+        ({"num_envs": 0}, "num_envs must lie in"),
+        *[({"num_envs": value}, "num_envs must be a whole number, not") for value in (None, 1.5, "2")],
         ({"num_envs": 2, "autoreset_mode": "NextStep"}, "NextStep.*Disabled.*train"),
     ],
-)
+)  # fmt: skip
 def test_invalid_options_are_refused(options, message):
     make_env = ResetFreeVectorEnv if "num_envs" in options else ResetFreeEnv
     with pytest.raises(ValueError, match=message):
@@ -221,13 +227,33 @@ def test_invalid_calls_are_refused():
     env.reset(seed=0)
     lanes.reset(seed=0)
     for call, message in [
-        (lambda: env.reset(options={"goal": 1}), "reset takes no options"),
+        *[
+            (lambda given=given: env.reset(options=given), "reset takes no options")
+            for given in ({"goal": 1}, "x", 1, {1: 2})
+        ],
         (lambda: env.step(np.zeros(4)), r"action must be finite and of shape \(3,\)"),
-        (lambda: env.step(np.array([0.0, np.nan, 0.0])), "action must be finite"),
+        *[
+            (lambda action=action: env.step(action), "action must be finite")
+            for action in (
+                [0, np.nan, 0],
+                [1e300, 0, 0],
+                None,
+                "x",
+                ["a", "b", "c"],
+                [0, [1], 2],
+                {},
+                [1j, 0, 0],
+                [None] * 3,
+            )
+        ],
         (lambda: env.set_goal(np.zeros(2)), r"goal must be finite and of shape \(6,\)"),
         (lambda: lanes.step(STAY), r"actions must be finite and of shape \(3, 3\)"),
         (lambda: lanes.reset(options={"reset_mask": np.array([1, 0, 1])}), r"bool \[3\]"),
-        (lambda: lanes.reset(options={"goal": 1}), "no option goal"),
+        *[
+            (lambda given=given: lanes.reset(options=given), "reset_mask only")
+            for given in ({"goal": 1}, "x", 1, {1: 2})
+        ],
+        *[(lambda seed=seed: lanes.reset(seed=seed), "one for each of 3 lanes") for seed in ([], [1, 2], "x")],
     ]:
         with pytest.raises(ValueError, match=message):
             call()

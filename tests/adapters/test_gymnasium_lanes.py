@@ -27,6 +27,9 @@ def test_lanes_equal_single_environments(autoreset, options):
     for _ in range(4 if autoreset == "Disabled" else 17):
         actions = lanes.action_space.sample()
         assert data_equivalence(lanes.step(actions), singles.step(actions), exact=True)
+    seeds = [7, None, 2]
+    assert data_equivalence(lanes.reset(seed=seeds), singles.reset(seed=seeds), exact=True)
+    assert data_equivalence(lanes.step(actions), singles.step(actions), exact=True)
     some = {"reset_mask": np.array([True, False, True])}
     assert data_equivalence(lanes.reset(options=dict(some)), singles.reset(options=dict(some)), exact=True)
     assert data_equivalence(lanes.step(actions), singles.step(actions), exact=True)

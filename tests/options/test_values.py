@@ -114,7 +114,7 @@ def test_a_number_that_is_not_whole_or_too_large_is_refused(text):
 
 def test_a_limit_counts_from_its_construction(monkeypatch):
     now = 1000.0
-    monkeypatch.setattr(time, "time", lambda: now)
+    monkeypatch.setattr(time, "monotonic", lambda: now)
     limit = TimeLimit.of(0.5)
     assert limit.ends_at == 1030
     assert TimeLimit.of(limit) is limit
