@@ -13,6 +13,7 @@ from earl_jax.metrics.continuing import init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
 from earl_jax.training.demos import DemoRows, demo_rows, demo_steps
+from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
 
@@ -92,6 +93,7 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
     replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
     if demos is None:
         return replay
+    replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
     reached = env.success(obs) & env.sparse
     unset = jnp.zeros_like(reached)

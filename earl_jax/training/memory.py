@@ -4,6 +4,8 @@ import dataclasses
 import functools
 import math
 import os
+import re
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,7 +23,10 @@ from earl_jax.training.state import Problem, TrainState
 ACTIVATIONS = 1.5
 """Numbers in memory during a gradient step for each row of the batch and each output of a layer in the agent, with its
 targets and Adam's moments; measured: 1.0 to 1.3 with SAC (temporary_mb of benchmarks/results/speed)."""
+RUNTIME = 450_000_000
+"""Bytes that a process on a CPU takes to compile and run a small program, beside the estimate; measured."""
 GIGABYTE = 1e9
+PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,15 +107,36 @@ def free_bytes(device: Any) -> int | None:
     """Return the bytes that are free on `device` for this process, or None if that is unknown.
 
     Of a GPU's memory, jax gives each process the fraction in `FRACTION`. Programs that share a CPU get equal shares of
-    the machine's memory.
+    the machine's memory, or of the least limit of their control groups, which also holds the process itself.
     """
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
         return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
-    if device.platform == "cpu" and "SC_AVPHYS_PAGES" in os.sysconf_names:
-        share = os.sysconf("SC_PHYS_PAGES") // programs_per_device()
-        return min(os.sysconf("SC_AVPHYS_PAGES"), share) * os.sysconf("SC_PAGE_SIZE")
-    return None
+    if device.platform != "cpu" or not (PROC / "meminfo").is_file():
+        return None
+    whole, programs = _counted("meminfo", "MemTotal"), programs_per_device()
+    own = _counted("self/status", "RssAnon") + RUNTIME
+    group = max(0, min(_group_limits(), default=whole) // programs - own)
+    return min(_counted("meminfo", "MemAvailable") or whole, whole // programs, group)
+
+
+def _group_limits() -> list[int]:
+    """Return the limits of memory of the control groups, of version 1 or 2, that this process is in."""
+    limits, groups = [], PROC / "self/cgroup"
+    for line in groups.read_text().splitlines() if groups.is_file() else []:
+        _, kinds, name = line.split(":", 2)
+        if kinds in ("", "memory"):
+            group = GROUPS / kinds / name.lstrip("/")
+            files = [folder / f"memory.{'limit_in_bytes' if kinds else 'max'}" for folder in (group, *group.parents)]
+            texts = [file.read_text().strip() for file in files if file.is_file()]
+            limits += [int(text) for text in texts if text != "max"]
+    return limits
+
+
+def _counted(file: str, name: str) -> int:
+    """Return the bytes of the line `name` in a `file` of the system, which counts kB; 0 without the line."""
+    found = re.search(rf"^{name}:\s+([0-9]+) kB", (PROC / file).read_text(), re.MULTILINE)
+    return 1024 * int(found[1]) if found else 0
 
 
 def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
@@ -141,4 +167,7 @@ def _remedy() -> str:
             f"This is the share of one of {programs} programs; use --per-device {programs // 2} or another smaller "
             "number, a smaller --max-lanes, or fewer seeds or steps"
         )
-    return f"Use fewer seeds or steps, more devices, or on a GPU a larger {FRACTION}, such as 0.95"
+    return (
+        f"Use fewer seeds or steps, more devices, a larger limit of this job's or container's memory, "
+        f"or on a GPU a larger {FRACTION}, such as 0.95"
+    )

@@ -1,5 +1,7 @@
 """The first train state: demonstrations in the replay, and a start state after them."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +11,9 @@ from earl_jax import assets
 from earl_jax.algos.learner import replay
 from earl_jax.envs import make
 from earl_jax.training.init import demo_rows, replay_capacity
-from earl_jax.training.state import Problem
-from tests.conftest import make_train_state, take_lane, tiny_method
+from earl_jax.training.runner import _init
+from earl_jax.training.state import Problem, seed_keys
+from tests.conftest import RUN_STEPS, make_train_state, take_lane, tiny_method
 
 
 @pytest.mark.parametrize(("algo", "reward_type"), [("fbrl", "sparse"), ("vaprl", "sparse"), ("vaprl", "dense")])
@@ -55,3 +58,11 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     steps_left = problem.goals.ends[demos.rows] - demos.rows
     np.testing.assert_array_equal(demos.copies, np.maximum(1, np.rint(steps_left / 5)))
     assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
+
+
+def test_the_program_of_the_first_state_does_not_contain_the_replay(problem):
+    method, rules = tiny_method("fbrl"), jax.tree.map(lambda rule: jnp.full(2, rule), problem.protocol.rules)
+    capacity = replay_capacity(problem, method, RUN_STEPS)
+    program = _init.lower(problem, method, seed_keys([0, 1]), rules, capacity, None).compile().as_text()
+    assert f"f32[{capacity + 1},2," in program
+    assert not re.search(rf"f32\[{capacity + 1},2,\S* constant\(", program)

@@ -10,7 +10,7 @@ import earl_jax
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
 from earl_jax.training import memory
-from tests.conftest import make_problem, make_train_state, tiny_method
+from tests.conftest import make_problem, make_train_state, tiny_method, write_files
 
 CARD_BYTES = 141e9
 
@@ -55,6 +55,31 @@ def test_a_program_among_neighbours_is_refused_by_its_share_with_fewer_neighbour
     with pytest.raises(ValueError, match=r"4 lanes would fit\. .* one of 4 programs; use --per-device 2 or"):
         memory.require(need)
     memory.require(dataclasses.replace(need, lanes=4))
+
+
+GROUPS = {
+    "no limit": ("0::/job\n", {"memory.max": "max", "job/memory.max": "max"}, 8e9),
+    "the job's": ("0::/job\n", {"memory.max": "max", "job/memory.max": f"{2 * 10**9}\n"}, 1.5e9),
+    "its parent's": ("0::/job/step\n", {"job/memory.max": "2000000000", "job/step/memory.max": "max"}, 1.5e9),
+    "version 1": ("4:memory:/job\n2:cpu:/\n0::/\n", {"memory/job/memory.limit_in_bytes": "2000000000"}, 1.5e9),
+    "a container's": ("4:memory:/docker/1\n", {"memory/memory.limit_in_bytes": "2000000000"}, 1.5e9),
+    "less than a process has": ("0::/\n", {"memory.max": "1000"}, 0),
+    "more than the machine has": ("0::/\n", {"memory.max": str(10**12)}, 8e9),
+    "no groups": (None, {}, 8e9),
+}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_run_on_a_cpu_has_what_the_machine_and_its_control_groups_leave(name, monkeypatch, tmp_path):
+    groups, files, free = GROUPS[name]
+    files = {f"sys/{file}": text for file, text in files.items()} | ({"proc/self/cgroup": groups} if groups else {})
+    files["proc/meminfo"] = f"MemTotal: {16 * 10**6} kB\nMemAvailable: {8 * 10**9 // 1024} kB\n"
+    files["proc/self/status"] = f"RssAnon:\t {10**8 // 1024} kB\n"
+    write_files(files, tmp_path)
+    monkeypatch.setattr(memory, "PROC", tmp_path / "proc")
+    monkeypatch.setattr(memory, "GROUPS", tmp_path / "sys")
+    monkeypatch.setattr(memory, "RUNTIME", 4 * 10**8)
+    assert memory.free_bytes(jax.devices("cpu")[0]) == pytest.approx(free, abs=2000)
 
 
 @pytest.mark.skipif("SC_PHYS_PAGES" not in os.sysconf_names, reason="this system does not count its memory")
