@@ -23,6 +23,7 @@ from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
+from earl_jax.training.forks import require_jax
 from earl_jax.training.plan import Plan
 from earl_jax.training.policy import Policy
 from earl_jax.training.runner import Run, plan_runs, run_program
@@ -121,6 +122,7 @@ def train(
     Raises:
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
+    require_jax()
     limit = TimeLimit.of(minutes)
     task = with_engine(make(env) if isinstance(env, str) else env, engine)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
@@ -140,8 +142,7 @@ def _new_run(
     schedule: Schedule,
 ) -> Run:
     """Return the run of `algo` on `env`, with help if the setting has a budget. Errors as `train`."""
-    setting = setting_of(setting) if isinstance(setting, str) else setting
-    env, setting = split_setting(env, setting)
+    env, setting = split_setting(env, setting_of(setting))
     env = setting.wrap(env)
     if isinstance(algo, str):
         method = method_for(env, algo, **options)
@@ -183,6 +184,7 @@ def resume(
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
             objects must be registered or passed.
     """
+    require_jax()
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
     opened.require_resumable()  # rather than after the training

@@ -16,6 +16,7 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.protocol.life import EVALUATION_KEY
 from earl_jax.runs.folder import RunFolder
+from earl_jax.training.forks import require_jax
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState
@@ -75,6 +76,7 @@ def evaluate(
     Raises:
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
+    require_jax()
     require("episodes", episodes, EPISODES)
     require("seed", seed, SEED)
     env, policies = load_policies(RunFolder.open(Path(folder)))

@@ -1,0 +1,31 @@
+"""Processes that were forked after jax had started: jax waits in them for ever, for threads that only the parent has."""
+
+import importlib
+import os
+
+from earl_jax.errors import InputError
+
+_after_jax = False
+
+
+def _note_fork() -> None:
+    """Note whether jax has started; of a release without this function nothing is known."""
+    global _after_jax
+    bridge = importlib.import_module("jax._src.xla_bridge")
+    _after_jax = getattr(bridge, "backends_are_initialized", bool)()
+
+
+os.register_at_fork(after_in_child=_note_fork)
+
+
+def require_jax() -> None:
+    """Check that jax can compute in this process.
+
+    Raises:
+        ValueError: it was forked after jax had started.
+    """
+    if _after_jax:
+        raise InputError(
+            "this process was forked after jax had started, and jax cannot compute in it; start it by "
+            "multiprocessing.get_context('spawn') instead, or before the parent's first use of jax"
+        )
