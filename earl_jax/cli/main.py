@@ -1,9 +1,12 @@
 """Reset-free reinforcement learning: train agents, inspect runs, reproduce the results of the EARL paper."""
 
+import contextlib
 import gc
 import os
+import shutil
 import sys
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import tyro
@@ -20,11 +23,12 @@ from earl_jax.cli.report import report
 from earl_jax.cli.search import search
 from earl_jax.cli.sweep import sweep
 from earl_jax.cli.train import resume, train
-from earl_jax.cli.xla_flags import set_flags
+from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error
 from earl_jax.options.environment import FRACTION
 from earl_jax.options.jax_start import start_failure
 from earl_jax.runs.files import RunWarning
+from earl_jax.runs.streams import LastingStream, lasting_streams
 
 FUNCTIONS = (
     list_, train, resume, sweep, search, reproduce, evaluate, plot, table, best, compare, render, report, demos,
@@ -32,6 +36,8 @@ FUNCTIONS = (
 )  # fmt: skip
 COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}
 TRACEBACK = "--traceback"
+NARROWEST = 40
+"""Columns for which the help is laid out at least; with five or fewer, the parser would not end."""
 LONGEST = 1800
 """Characters of an error line at most; a path in it can have thousands."""
 DESCRIPTION = f"""{__doc__}
@@ -48,25 +54,35 @@ def main(arguments: list[str] | None = None) -> None:
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     given = [argument for argument in arguments if argument != TRACEBACK]
-    if given == ["--version"]:
-        print(f"earl-jax {__version__}")
-        return
+    with lasting_streams() as stdout:
+        try:
+            with _complete(stdout, trains(given)):
+                _run(given)
+        except KeyboardInterrupt as interrupt:
+            code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
+            print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+            raise SystemExit(code) from None
+        except BrokenPipeError:  # the reader of the output has gone, as in `earl-jax list | head`
+            raise SystemExit(1) from None
+        except Exception as error:
+            cause = str(error) if is_input_error(error) else start_failure(error)
+            if cause is None or TRACEBACK in arguments:
+                raise
+            print(f"earl-jax: {cause[:LONGEST]}", file=sys.stderr)
+            raise SystemExit(2) from None
+
+
+@contextlib.contextmanager
+def _complete(stdout: LastingStream, training: bool) -> Iterator[None]:
+    """A context after which the failure of `stdout` is raised; after `training`, whose files are complete, it is a line."""
     try:
-        _run(given)
-        sys.stdout.flush()
-    except KeyboardInterrupt as interrupt:
-        code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
-        print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)
-        raise SystemExit(code) from None
-    except BrokenPipeError:  # the reader of the output has gone, as in `earl-jax list | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(1) from None
-    except Exception as error:
-        cause = str(error) if is_input_error(error) else start_failure(error)
-        if cause is None or TRACEBACK in arguments:
-            raise
-        print(f"earl-jax: {cause[:LONGEST]}", file=sys.stderr)
-        raise SystemExit(2) from None
+        yield
+    finally:
+        stdout.flush()
+        if stdout.failure and not training:
+            raise stdout.failure
+        if stdout.failure:
+            print(f"earl-jax: stdout can't be written: {stdout.failure}", file=sys.stderr)
 
 
 def _run(arguments: list[str]) -> None:
@@ -74,6 +90,11 @@ def _run(arguments: list[str]) -> None:
 
     On a GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
     """
+    if arguments == ["--version"]:
+        print(f"earl-jax {__version__}")
+        return
+    if HELP & set(arguments) and shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
     warnings.formatwarning = _format_warning
     os.environ.setdefault(FRACTION, "0.95")

@@ -21,6 +21,7 @@ kernels of a CUDA graph run at the same time; the second makes one graph of a wh
 simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
 TRIAL = "import jaxlib.xla_client as xla; xla.make_cpu_client()"
 COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
+HELP = {"-h", "--help"}
 
 
 def set_flags(arguments: Sequence[str]) -> None:
@@ -32,7 +33,7 @@ def set_flags(arguments: Sequence[str]) -> None:
     Raises:
         ValueError: XLA refuses the value of XLA_FLAGS.
     """
-    if not arguments or arguments[0] not in COMMANDS or {"-h", "--help"} & set(arguments):
+    if not trains(arguments):
         return
     if os.environ.get(VARIABLE):
         _try_flags()
@@ -40,6 +41,11 @@ def set_flags(arguments: Sequence[str]) -> None:
     if added:
         os.environ[VARIABLE] = " ".join([*os.environ.get(VARIABLE, "").split(), *added])
         print(f"earl-jax: XLA_FLAGS has {' '.join(added)}; a value of your own in XLA_FLAGS is kept", file=sys.stderr)
+
+
+def trains(arguments: Sequence[str]) -> bool:
+    """Return whether the command `arguments` trains."""
+    return bool(arguments) and arguments[0] in COMMANDS and not HELP & set(arguments)
 
 
 def _try_flags() -> None:

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -12,6 +13,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from earl_jax.metrics.continuing import DIVERGED
+from earl_jax.runs.streams import LastingStream
 
 SMOOTHING = 0.8
 SILENCE = 60.0
@@ -36,7 +38,8 @@ class Progress:
         compile_time: str = "about 10 s",
     ):
         self._steps, self._metric, self._speed, self._done = steps, metric, 0.0, 0
-        self._console, self._show = Console(stderr=True), show
+        self._stream: Any = LastingStream(sys.stderr)
+        self._console, self._show = Console(file=self._stream), show
         self._bar = Bar(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
             TextColumn(f"{metric} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
@@ -138,7 +141,7 @@ class Progress:
 
     def _print(self, line: str) -> None:
         self._last_line = time.monotonic()
-        print(line, file=sys.stderr, flush=True)
+        print(line, file=self._stream, flush=True)
 
 
 def duration(seconds: float) -> str:

@@ -11,6 +11,7 @@ import threading
 from pathlib import Path
 
 from earl_jax.options.jax_start import start_failure
+from earl_jax.runs.streams import lasting_streams
 
 
 def main() -> int:
@@ -23,18 +24,19 @@ def main() -> int:
         end_with_pipe(sys.stdin.fileno())
     if task.get("cores") and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, task["cores"])  # before jax and the physics count the cores
-    try:
-        from earl_jax.sweeps import worker  # it imports jax, which takes seconds
+    with lasting_streams():
+        try:
+            from earl_jax.sweeps import worker  # it imports jax, which takes seconds
 
-        return int(worker.serve(task) > 0)
-    except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or a signal before training
-        print(str(interrupt) or "interrupted", file=sys.stderr)
-        return getattr(interrupt, "exit_code", 130)
-    except Exception as error:
-        if not (cause := start_failure(error)):
-            raise
-        print(json.dumps({"state": "refused", "detail": cause}))
-        return 2
+            return int(worker.serve(task) > 0)
+        except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or a signal before training
+            print(str(interrupt) or "interrupted", file=sys.stderr)
+            return getattr(interrupt, "exit_code", 130)
+        except Exception as error:
+            if not (cause := start_failure(error)):
+                raise
+            print(json.dumps({"state": "refused", "detail": cause}))
+            return 2
 
 
 def end_with_pipe(descriptor: int) -> None:

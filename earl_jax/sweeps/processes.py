@@ -60,9 +60,10 @@ def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
 
 
 class Workers:
-    """The workers of a sweep. As a context it passes SIGINT and SIGTERM on to all of them, which save and end.
+    """The workers of a sweep. As a context it passes SIGINT, SIGTERM and SIGHUP on to all of them, which save and end.
 
-    A second signal ends the launcher. Workers that still run when the context ends are ended too.
+    A signal that is ignored, as by `nohup`, stays so. A second signal ends the launcher. Workers that still run when the
+    context ends are ended too.
     """
 
     def __init__(self):
@@ -73,7 +74,9 @@ class Workers:
 
     def __enter__(self) -> "Workers":
         if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    self._handlers[number] = signal.signal(number, self._stop)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:

@@ -147,7 +147,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
     With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a checkpoint.
 
     Raises:
-        Stopped: SIGINT or SIGTERM arrived; the runs with a folder have a checkpoint of the last complete chunk.
+        Stopped: SIGINT, SIGTERM or SIGHUP arrived; the runs with a folder have a checkpoint of the last complete chunk.
     """
     keep_programs()
     method = placed(join_lanes([run.method for run in runs]), plan.mesh)

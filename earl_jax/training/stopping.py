@@ -37,10 +37,10 @@ class Stopped(KeyboardInterrupt):
 
 
 class StopRequest:
-    """A context that records SIGINT and SIGTERM instead of their default actions; a second signal acts at once.
+    """A context that records SIGINT, SIGTERM and SIGHUP instead of their default actions; a second signal acts at once.
 
-    Handlers that others have installed stay. Several hosts have to stop at the same step, so signals do not stop them,
-    and the clock of the first host counts for all.
+    Handlers that others have installed stay, and a signal that is ignored, as by `nohup`, stays so. Several hosts have to
+    stop at the same step, so signals do not stop them, and the clock of the first host counts for all.
     """
 
     def __init__(self, limit: TimeLimit | None = None):
@@ -60,9 +60,8 @@ class StopRequest:
 
     def __enter__(self) -> "StopRequest":
         if threading.current_thread() is threading.main_thread() and jax.process_count() == 1:
-            defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
-            for number, default in defaults.items():
-                if signal.getsignal(number) == default:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
                     self._earlier[number] = signal.signal(number, self._record)
         return self
 

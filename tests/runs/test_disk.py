@@ -94,7 +94,7 @@ def test_a_read_only_run_can_be_evaluated_and_is_not_changed(whole, tmp_path):
 
 
 def test_clocks_that_jump_or_stand_still_change_nothing(whole, tmp_path):
-    command = [sys.executable, "-c", MAIN_WITH_A_JUMPING_CLOCK, *map(str, train(tmp_path / "run", "fbrl"))]
+    command = [sys.executable, "-c", MAIN_WITH_A_JUMPING_CLOCK, *map(str, train(tmp_path / "run")), "--minutes", "60"]
     result = subprocess.run(command, capture_output=True, text=True, env={**ENVIRONMENT, "PYTHONPATH": os.getcwd()})
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()

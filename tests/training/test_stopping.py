@@ -14,7 +14,7 @@ from earl_jax.training import runner
 from earl_jax.training.stopping import Stopped, StopRequest
 from tests.conftest import tiny_train
 
-HANDLERS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+HANDLERS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
 PLACES = {"after_random_steps": 1, "within_an_interval": 3, "before_an_evaluation": 4}
 """Chunks of 20 steps, with evaluations every 40 steps, after which the signal arrives."""
 
@@ -59,8 +59,8 @@ def let_an_hour_pass_after(monkeypatch, chunks):
 
 
 def put_clock_forward(monkeypatch):
-    later = time.time() + 3600
-    monkeypatch.setattr(time, "time", lambda: later)
+    later = time.monotonic() + 3600
+    monkeypatch.setattr(time, "monotonic", lambda: later)
 
 
 @pytest.mark.parametrize("number", HANDLERS)
@@ -71,7 +71,7 @@ def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, n
     with pytest.raises(Stopped, match=f"resume with: earl-jax resume {folder}") as stopped:
         tiny_train("vaprl", out=folder, checkpoint_every=40)
     assert stopped.value.step == 20 * PLACES[place]
-    assert stopped.value.exit_code == {signal.SIGINT: 130, signal.SIGTERM: 143}[number]
+    assert stopped.value.exit_code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}[number]
     assert (folder / f"checkpoints/{stopped.value.step:09d}").is_dir()
     assert {number: signal.getsignal(number) for number in HANDLERS} == HANDLERS
     resume(folder)
@@ -93,11 +93,13 @@ def test_a_second_signal_acts_at_once():
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_handlers_of_others_stay():
+def test_handlers_of_others_stay_and_an_ignored_signal_is_ignored():
     received = []
     signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with StopRequest() as stop:
         os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGHUP)
     assert (received, stop.number) == ([signal.SIGTERM], None)
 
 
