@@ -31,3 +31,13 @@ def test_help_lists_the_commands():
     code, page, _ = run("--help")
     assert code == 0
     assert [command for command in COMMANDS if command not in page] == []
+
+
+@pytest.mark.parametrize("columns", [1, 5, 10, 20])
+def test_the_help_of_a_narrow_terminal_is_that_of_forty_columns(columns, monkeypatch):
+    pages = []
+    for width in (columns, 40):
+        monkeypatch.setenv("COLUMNS", str(width))
+        pages.append(run("list", "--help"))
+    assert pages[0] == pages[1]
+    assert pages[0][0] == 0
