@@ -87,7 +87,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     clock = itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
     lines = []
     with monkeypatch.context() as patch:
-        patch.setattr("earl_jax.options.values.time", SimpleNamespace(time=lambda: next(clock)))
+        patch.setattr("earl_jax.options.values.time", SimpleNamespace(monotonic=lambda: next(clock)))
         assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("a", "b"))
     assert lines[1:] == [
         "started    a  True",
