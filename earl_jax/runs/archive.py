@@ -6,10 +6,12 @@ others; an npz has a checksum of every array.
 
 import contextlib
 import dataclasses
+import io
 import logging
+import math
 import os
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ Arrays = dict[str, Any]
 """NumPy arrays by their names."""
 FILE, STEP = "arrays.npz", "step"
 KEPT = 2
+LONGEST_READ = 1 << 20
 
 
 class DamagedError(InputError):
@@ -34,8 +37,18 @@ class DamagedError(InputError):
 
 
 def first_line(error: Exception) -> str:
-    """Return what `error` says, as one line."""
-    return (str(error).strip() or repr(error)).splitlines()[0]
+    """Return what `error` says, as one line without the file's name."""
+    return (getattr(error, "strerror", None) or str(error).strip() or repr(error)).splitlines()[0]
+
+
+class _Sparing(io.FileIO):
+    """A file that gives no more than `LONGEST_READ` bytes at once: zipfile reads its list of members in one piece."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return the next `size` bytes; raise a ValueError if that are too many."""
+        if size is not None and size > LONGEST_READ:
+            raise ValueError("its list of arrays is too long")
+        return super().read(size)
 
 
 class NpzHandler(ocp.CheckpointHandler):
@@ -49,18 +62,23 @@ class NpzHandler(ocp.CheckpointHandler):
             os.fsync(handle.fileno())
 
     def restore(self, directory: os.PathLike, args: "ReadArrays") -> Arrays:
-        """Return the arrays of the file in `directory`, which can take no more memory than the file has bytes.
+        """Return the arrays of the file in `directory`, which have at most `args.most` bytes.
 
         Raises:
-            ValueError: the file is missing, or an array does not match its checksum.
+            ValueError: the file is missing, its arrays are larger, or one does not match its checksum.
         """
-        del args
         path = Path(directory, FILE)
         try:
-            with opened(path) as handle, zipfile.ZipFile(handle) as archive:
+            with (
+                opened(path) as handle,
+                _Sparing(handle.fileno(), closefd=False) as reader,
+                zipfile.ZipFile(reader) as archive,
+            ):
                 members = archive.infolist()
-                if sum(info.file_size for info in members) > os.fstat(handle.fileno()).st_size:
-                    raise ValueError("its arrays are larger than the file")
+                if any(info.compress_type != zipfile.ZIP_STORED for info in members):
+                    raise ValueError("its arrays are compressed")
+                if sum(info.file_size for info in members) > args.most:
+                    raise ValueError("it does not belong to this run: its arrays are larger")
                 return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
         except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
             raise ValueError(f"{path.parent.name}/{FILE} can't be read: {error or repr(error)}") from error
@@ -77,16 +95,20 @@ class SaveArrays(ocp.args.CheckpointArgs):
 @ocp.args.register_with_handler(NpzHandler, for_restore=True)
 @dataclasses.dataclass
 class ReadArrays(ocp.args.CheckpointArgs):
-    """The request for all arrays of a part of a checkpoint."""
+    """The request for all arrays of a part of a checkpoint, of at most so many bytes."""
+
+    most: float
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """Return an array; zipfile checks its checksum at the end of its bytes."""
     with archive.open(info) as member:
-        array = np.lib.format.read_array(member, allow_pickle=False)
-        if member.read(1):
-            raise ValueError(f"{info.filename} is longer than its array")
-    return array
+        np.lib.format.read_magic(member)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+        if member.tell() + math.prod(shape) * dtype.itemsize != info.file_size:
+            raise ValueError(f"{info.filename} has another size than its array")
+    with archive.open(info) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
 
 
 @contextlib.contextmanager
@@ -120,30 +142,36 @@ def _manager(folder: Path, clean_up: bool = False) -> Iterator[ocp.CheckpointMan
 def write(folder: Path, step: int, parts: dict[str, Arrays]) -> None:
     """Write the checkpoint of `step`, in place of an older one of that step, and keep the newest of the others.
 
+    The first one in `folder` is read back.
+
     Raises:
         Exception: it could not be written; those of other steps are unchanged.
     """
     args = ocp.args.Composite(**{name: SaveArrays({**part, STEP: np.asarray(step)}) for name, part in parts.items()})
     with _manager(folder, clean_up=True) as manager:
-        if step in manager.all_steps():
+        older = manager.all_steps()
+        if step in older:
             manager.delete(step)
         try:
             manager.save(step, args=args, force=True)
         except OSError:
             if step not in manager.all_steps():
                 raise  # else an older one could not be removed: on NFS, files that another host reads stay
+    if not older:
+        read(folder, step, dict.fromkeys(parts, math.inf))
 
 
-def read(folder: Path, step: int, names: Sequence[str]) -> dict[str, Arrays]:
-    """Return the parts `names` of the checkpoint of `step`.
+def read(folder: Path, step: int, most: Mapping[str, float]) -> dict[str, Arrays]:
+    """Return the parts of the checkpoint of `step` that `most` names, with the bytes that each can have at most.
 
     Raises:
-        DamagedError: it cannot be read, does not match its checksums, or was written at another step.
+        DamagedError: it cannot be read, is larger, does not match its checksums, or was written at another step.
     """
+    args = ocp.args.Composite(**{name: ReadArrays(size) for name, size in most.items()})
     try:
         with _manager(folder) as manager:
-            restored = manager.restore(step, args=ocp.args.Composite(**{name: ReadArrays() for name in names}))
-        parts = {name: restored[name] for name in names}
+            restored = manager.restore(step, args=args)
+        parts = {name: restored[name] for name in most}
         written = {int(part.pop(STEP)) for part in parts.values()}
         if written != {step}:
             raise InputError(f"it is of step {min(written)}")

@@ -9,6 +9,7 @@ A train state is any `flax.struct` tree with the fields `lanes`, `replay` and `s
 import re
 import shutil
 import stat
+import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,6 +56,23 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
         cause = archive.first_line(error)
         raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
     return done
+
+
+def try_out(folder: Path) -> None:
+    """Write a checkpoint without arrays below `folder`, read it and remove it.
+
+    Raises:
+        OSError: `folder` can hold no checkpoints, for its name, its file system or its permissions.
+    """
+    from earl_jax.runs import archive
+
+    try:
+        make_folder(folder)
+        with tempfile.TemporaryDirectory(prefix=f"trial{UNFINISHED}", dir=folder, ignore_cleanup_errors=True) as trial:
+            archive.write(Path(trial), 0, {"lanes": {}, "replay": {}})
+    except Exception as error:
+        cause = archive.first_line(error)
+        raise OSError(f"{folder} can't hold checkpoints: {cause}; choose another folder") from error
 
 
 def newest(folder: Path) -> int:
@@ -111,7 +129,8 @@ def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: 
     from earl_jax.runs import archive
 
     names = ("lanes", "replay") if with_replay else ("lanes",)
-    parts = [archive.read(folder, step, names) for folder in folders]
+    most = {name: _most_bytes(getattr(like, name)) for name in names}
+    parts = [archive.read(folder, step, most) for folder in folders]
     lanes = [
         _lanes(folder, part["lanes"], size, like.lanes)
         for folder, part, size in zip(folders, parts, sizes, strict=True)
@@ -123,6 +142,11 @@ def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: 
         except (KeyError, ValueError, TypeError, IndexError) as error:
             raise archive.DamagedError(folders[0], step, f"its replay has other arrays ({error})") from error
     return like.replace(lanes=_joined(*lanes), replay=replay, step=jnp.asarray(step, jnp.int32))
+
+
+def _most_bytes(tree: Any) -> int:
+    """Return the bytes of a file of the leaves of `tree` at most; both lists of a replay can be as long as its index."""
+    return (1 << 20) + 2 * sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
 @jax.jit

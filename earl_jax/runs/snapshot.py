@@ -78,10 +78,14 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
     """Return the saved rows `parts`, with their `sizes` lanes joined, in a buffer of the capacity of `like`.
 
     The capacity can be larger than before. The buffer stays on the host; the caller moves it to devices.
+
+    Raises:
+        ValueError: an array has another shape or type, too many rows, or numbers of rows that are not there.
     """
     buffers: dict[str, Any] = {name: np.zeros(leaf.shape, leaf.dtype) for name, leaf in vars(like).items()}
     start = 0
     for saved, size in zip(parts, sizes, strict=True):
+        _check(saved, size, like)
         span = slice(start, start := start + size)
         for name in ("counts", "oldest"):
             buffers[name][span] = saved[name]
@@ -92,3 +96,21 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
     for name in ("demos", "row", "first_row"):
         buffers[name][...] = parts[0][name]
     return Replay(**buffers)
+
+
+def _check(saved: dict[str, np.ndarray], lanes: int, like: Replay) -> None:
+    """Raise a ValueError unless the arrays `saved` are rows of so many `lanes` in a buffer like `like`."""
+    rows, places = len(saved["action"]), len(like.index)
+    most = {"mine": rows - 1, "other": rows - 1, "row": rows, "first_row": rows, "demos": places, "counts": places}
+    for name, leaf in {**vars(like), "mine": like.index, "other": like.index}.items():
+        if name == "index":
+            continue
+        array, shape = saved[name], list(leaf.shape)
+        if name in (*ROWS, "mine", "other"):
+            shape[:2] = len(array), lanes
+        elif name in ("counts", "oldest"):
+            shape[0] = lanes
+        if (array.dtype, list(array.shape)) != (leaf.dtype, shape):
+            raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of {leaf.dtype}{shape}")
+        if array.dtype.kind == "i" and (array.min(initial=0) < 0 or array.max(initial=-1) > most.get(name, np.inf)):
+            raise ValueError(f"{name} has numbers that are out of range")

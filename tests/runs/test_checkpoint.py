@@ -4,6 +4,8 @@ import contextlib
 import errno
 import os
 import shutil
+import struct
+import tracemalloc
 import zipfile
 
 import jax
@@ -91,13 +93,14 @@ def test_lanes_are_restored_together_from_a_step_that_is_whole_in_every_folder(t
         assert int(checkpoint.restore_together(two_folders, [1, 1], state).step) == 40
 
 
-UNFINISHED = "000000160.orbax-checkpoint-tmp"
+UNFINISHED = ("000000160.orbax-checkpoint-tmp", "trial.orbax-checkpoint-tmp_x")
 
 
 def test_the_two_newest_checkpoints_are_kept_and_an_unfinished_one_is_ignored_and_removed(tmp_path, state):
     for step in (40, 80, 120):
         checkpoint.save(tmp_path, at_step(state, step))
-    shutil.copytree(tmp_path / "000000120", tmp_path / UNFINISHED)
+    for name in UNFINISHED:
+        shutil.copytree(tmp_path / "000000120", tmp_path / name)
     assert checkpoint.saved_steps(tmp_path) == [80, 120]
     assert int(checkpoint.restore(tmp_path, state).step) == 120
     checkpoint.save(tmp_path, at_step(state, 10**9))
@@ -132,6 +135,17 @@ def test_a_failed_write_leaves_the_older_checkpoints(tmp_path, state, monkeypatc
         checkpoint.save(tmp_path, at_step(state, 80))
     assert [path.name for path in tmp_path.iterdir()] == ["000000040"]
     assert int(checkpoint.restore(tmp_path, state).step) == 40
+
+
+def test_the_first_checkpoint_is_read_back(tmp_path, state, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda number: os.ftruncate(number, 99))
+    with pytest.raises(OSError, match=r"000000040 can't be written: .*000000040 is damaged: .*File is not a zip file"):
+        checkpoint.save(tmp_path, state)
+    with pytest.raises(OSError, match=f"{tmp_path} can't hold checkpoints: .*; choose another folder"):
+        checkpoint.try_out(tmp_path)
+    monkeypatch.undo()
+    checkpoint.try_out(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["000000040"]
 
 
 def test_a_checkpoint_that_cannot_be_removed_yet_does_not_stop_the_next_one(tmp_path, state, monkeypatch):
@@ -173,7 +187,7 @@ def arrays(part, write=np.savez, **changed):
     return damage
 
 
-def stated(rows):
+def stated(rows, method=zipfile.ZIP_STORED):
     """Return a damage to the replay whose states claim another number of rows, with checksums that fit."""
 
     def damage(path):
@@ -181,12 +195,19 @@ def stated(rows):
         with np.load(file) as stored:
             state = stored["state"]
         arrays("replay", state=None)(path)
-        header = {"descr": "<f4", "fortran_order": False, "shape": (rows, *state.shape[1:])}
-        with zipfile.ZipFile(file, "a") as archive, archive.open("state.npy", "w") as member:
+        header = {"descr": "<f4", "fortran_order": False, "shape": (rows or len(state), *state.shape[1:])}
+        with zipfile.ZipFile(file, "a", method) as archive, archive.open("state.npy", "w") as member:
             np.lib.format.write_array_header_1_0(member, header)
             member.write(state.tobytes())
 
     return damage
+
+
+def long_list(path):
+    """Write a zip whose list of members takes 1 GiB, a hole that takes no place on the disk."""
+    with path.open("wb") as handle:
+        handle.seek(1 << 30)
+        handle.write(b"PK\5\6" + struct.pack("<4H2LH", 0, 0, 1, 1, 1 << 30, 0, 0))
 
 
 DAMAGE = {
@@ -202,15 +223,29 @@ DAMAGE = {
     "renamed": (lambda path: path.rename(path.with_name("000000120")), "it is of step 80"),
     "no step": (arrays("lanes", step=None), "'step'"),
     "a step of text": (arrays("lanes", step=np.array("80x")), "80x"),
-    "a pickle": (arrays("lanes", step=np.array([object()])), "allow_pickle=False"),
-    "compressed": (arrays("replay", write=np.savez_compressed), "its arrays are larger than the file"),
+    "a pickle": (arrays("lanes", step=np.array([object()])), "step.npy has another size"),
+    "compressed": (arrays("replay", write=np.savez_compressed), "its arrays are compressed"),
+    "bzip2": (stated(None, zipfile.ZIP_BZIP2), "its arrays are compressed"),
     "no rows": (arrays("replay", state=None), "its replay has other arrays"),
     "too many rows": (arrays("replay", state=np.zeros((5000, 2, 12), np.float32)), "its replay has other arrays"),
+    "rows of one lane": (
+        arrays("replay", state=np.zeros((1, 1, 6), np.float32)),
+        r"state is float32\[1, 1, 6\] instead",
+    ),
+    "rows of other numbers": (arrays("replay", state=np.zeros((1, 2, 6))), r"state is float64\[1, 2, 6\] instead"),
+    "20 MB of rows": (arrays("replay", state=np.zeros((200_000, 2, 12), np.float32)), "its arrays are larger"),
+    "20 MB of lanes": (arrays("lanes", x=np.zeros(20_000_000, np.int8)), "its arrays are larger"),
     "rows of text": (arrays("replay", state=np.array([["x"] * 2] * 3)), "its replay has other arrays"),
     "counts of another shape": (arrays("replay", counts=np.zeros(7, np.int32)), "its replay has other arrays"),
-    "more bytes than its shape": (stated(40), "state.npy is longer than its array"),
-    "fewer bytes than its shape": (stated(5000), "EOF"),
-    "160 GB": (stated(16 * 10**8), "replay/arrays.npz can't be read"),
+    "a row that is not there": (
+        arrays("replay", mine=np.full((3, 2), 10**6, np.int32)),
+        "mine has numbers that are out",
+    ),
+    "a negative count": (arrays("replay", counts=np.full((2, 2), -1, np.int32)), "counts has numbers that are out"),
+    "more bytes than its shape": (stated(40), "state.npy has another size than its array"),
+    "fewer bytes than its shape": (stated(5000), "state.npy has another size than its array"),
+    "160 GB": (stated(16 * 10**8), "state.npy has another size than its array"),
+    "a list of 1 GiB": (file("lanes", long_list), "its list of arrays is too long"),
 }
 """Damage to a checkpoint, and what the warning says."""
 
@@ -221,8 +256,11 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(tmp_path, s
     for step in (40, 80):
         checkpoint.save(tmp_path, at_step(state, step))
     damage(tmp_path / "000000080")
+    tracemalloc.start()
     with pytest.warns(DamagedWarning, match=f"is damaged: .*{message}.*; continuing from 000000040$"):
         restored = checkpoint.restore(tmp_path, state)
+    assert tracemalloc.get_traced_memory()[1] < 15 << 20
+    tracemalloc.stop()
     assert_equal_trees(restored.lanes, state.lanes)
     assert int(restored.step) == 40
     assert capfd.readouterr().err == ""
