@@ -68,7 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
             cause = str(error) if is_input_error(error) else start_failure(error)
             if cause is None or TRACEBACK in arguments:
                 raise
-            print(f"earl-jax: {cause[:LONGEST]}", file=sys.stderr)
+            if len(cause) > LONGEST:
+                cause = f"{cause[: LONGEST // 2]} ... {cause[-LONGEST // 2 :]}"
+            print(f"earl-jax: {cause}", file=sys.stderr)
             raise SystemExit(2) from None
 
 

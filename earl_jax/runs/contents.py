@@ -53,13 +53,15 @@ def _below(path: Path) -> Iterator[Path]:
 
 
 def check_entries(path: Path) -> None:
-    """Raise an InputError that names a link or a special file, if there is one where a run at `path` writes."""
+    """Raise an InputError that names a link, a special file or a table of another user, where a run at `path` writes."""
     for name in OWN_FILES:
         check_kind(path / name)
     for name in FOLDERS:
         check_kind(path / name, stat.S_IFDIR)
     for entry in filter(Path.is_symlink, _below(path)):
         raise InputError(f"{entry} is a link, and a run writes through none; remove it")
+    if (path / METRICS).exists() and not os.access(path / METRICS, os.W_OK):
+        raise InputError(f"{path / METRICS} can't be written to: Permission denied; give this user the right to")
 
 
 def clear(folder: Path) -> list[str]:

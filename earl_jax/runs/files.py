@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 import stat
 import warnings
 from collections.abc import Iterator
@@ -39,6 +40,12 @@ def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
     with contextlib.suppress(FileNotFoundError):
         if stat.S_IFMT(path.lstat().st_mode) != kind:
             raise _wrong_kind(path, "folder" if kind == stat.S_IFDIR else "regular file")
+
+
+def check_local(path: Path) -> None:
+    """Raise an InputError if `path` is an address, such as gs://bucket/run, of which pathlib would make a folder here."""
+    if re.match("[a-z][a-z0-9]+:/", path.as_posix()):
+        raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
 
 
 @contextlib.contextmanager
@@ -131,7 +138,7 @@ def locked(path: Path) -> Iterator[None]:
         try:
             handle = stack.enter_context(opened(path / LOCK, "ab"))
         except OSError as error:
-            raise OSError(f"{path} can't be written to: {error.strerror or error}") from error
+            raise OSError(f"{path / LOCK} can't be written to: {error.strerror or error}") from error
         _lock(handle.fileno(), path)
         yield
 

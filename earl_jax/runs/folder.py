@@ -16,10 +16,10 @@ import numpy as np
 from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import recorded_settings, require_settings
 from earl_jax.runs import contents
-from earl_jax.runs.checkpoint import newest, saved_steps
+from earl_jax.runs.checkpoint import newest, saved_steps, try_out
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
-from earl_jax.runs.files import append, locked, read_bytes, write_atomically
+from earl_jax.runs.files import append, check_local, locked, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text, whole_lines
@@ -84,9 +84,8 @@ class RunFolder:
         text = _config_text(config, engine, logs)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, config, tuple(logs))
-        with locked(path):
+        with folder._locked():
             _require_free(path, overwrite)
-            contents.check_entries(path)
             has_results = contents.has_results(path)
             removed = contents.clear(path)
             if has_results:
@@ -103,7 +102,7 @@ class RunFolder:
         """
         file = path / CONFIG
         if not os.path.lexists(file):
-            raise InputError(f"{path} is not a run folder: it has no {CONFIG}")
+            raise InputError(f"{path} is not a run folder: it has no {CONFIG} that can be read")
         return cls(path, *read_config(file))
 
     @contextlib.contextmanager
@@ -118,14 +117,21 @@ class RunFolder:
         if not first_host():
             yield
             return
-        with locked(self.path):
-            contents.check_entries(self.path)
+        with self._locked():
             if RunFolder.open(self.path).config.values != self.config.values:
                 raise InputError(f"another process has just started another run in {self.path}; choose another folder")
             yield
 
-    def extended(self, steps: int) -> "RunFolder":
-        """Return the same folder with a run of `steps` steps, and write the new length to config.json.
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Lock this folder, after a check that it can hold checkpoints and that a run there writes through no link."""
+        with locked(self.path):
+            contents.check_entries(self.path)
+            try_out(self.checkpoints)
+            yield
+
+    def extended(self, steps: int) -> RunConfig:
+        """Return the config of this run with `steps` steps.
 
         Raises:
             ValueError: the run has more steps already.
@@ -133,22 +139,16 @@ class RunFolder:
         reached = max(Table.read(self.metrics, self.config).step, newest(self.checkpoints))
         if steps < reached:
             raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
-        if first_host():
-            with self.claimed():
-                self._set(steps=steps)
-        return dataclasses.replace(self, config=dataclasses.replace(self.config, steps=steps))
+        return dataclasses.replace(self.config, steps=steps)
 
-    def record_engine(self, engine: str) -> None:
-        """Write the physics `engine` of the program that trains this run to config.json, unless it is there."""
-        if self._config_values().get("engine") != engine:
-            self._set(engine=engine)
+    def record(self, **values: Any) -> None:
+        """Write entries of config.json, such as the physics engine that trains this run, unless they are there."""
+        present = self._config_values()
+        if not values.items() <= present.items():
+            write_atomically(self.config_file, json.dumps({**present, **values}, indent=2) + "\n")
 
     def _config_values(self) -> dict[str, Any]:
         return json.loads(read_bytes(self.config_file, LARGEST_CONFIG))
-
-    def _set(self, **values: Any) -> None:
-        """Replace entries of config.json."""
-        write_atomically(self.config_file, json.dumps({**self._config_values(), **values}, indent=2) + "\n")
 
     def append(self, step: int, metrics: Mapping[str, np.ndarray]) -> None:
         """Append the rows of `metrics [N]` to metrics.csv, in the columns that it has, and flush them to the disk."""
@@ -223,6 +223,7 @@ class RunFolder:
 
 def _require_free(path: Path, overwrite: bool) -> None:
     """Raise an InputError if the folder at `path` holds results, unless `overwrite`, or files that are not a run's."""
+    check_local(path)
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} exists and is not a folder; choose another folder")
     in_the_way = contents.has_results(path) and not overwrite

@@ -89,6 +89,6 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         arrays = load_npz(read_bytes(path, MAX_BYTES), ["step", *names])
         if "step" not in arrays or arrays["step"].shape or arrays["step"].dtype.kind not in "iu":
             raise InputError("it has no step")
-    except (OSError, InputError) as error:
+    except InputError as error:
         raise InputError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
     return arrays

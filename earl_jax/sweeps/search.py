@@ -143,7 +143,9 @@ class Search:
             if (path / CONFIG).is_file():
                 folder = RunFolder.open(path)
                 steps = max(spec.schedule.steps, folder.config.steps)  # an equal trial may be longer
-                spec = _spec_to(folder.extended(steps).config.steps, spec)
+                with folder.claimed():
+                    folder.record(steps=folder.extended(steps).steps)
+                spec = _spec_to(steps, spec)
             configs[spec.name] = planned_run(spec, self.out).run.config
 
         def report(name: str, state: str, detail: str) -> None:

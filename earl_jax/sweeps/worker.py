@@ -19,7 +19,7 @@ from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
-from earl_jax.runs.files import inside
+from earl_jax.runs.files import check_local, inside
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
@@ -119,6 +119,7 @@ def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
         run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
         path = out / spec.name
+        check_local(path)
         step = _reached(open_folder(path, config)) if has_results(path) else 0
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error

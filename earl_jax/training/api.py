@@ -189,13 +189,12 @@ def resume(
     opened = RunFolder.open(Path(folder))
     opened.require_resumable()  # rather than after the training
     check_logs(opened.logs)
-    config = opened.config if steps is None else dataclasses.replace(opened.config, steps=steps)
+    config = opened.config if steps is None else opened.extended(steps)
     setting = config.build_setting()
     wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
     run = Run.resolve(config, wrapped, algo)
-    plan = plan_runs([run], devices)  # before config.json is changed, so that a failure leaves it as it was
-    run.folder = opened if steps is None else opened.extended(steps)
-    return _execute(plan, run, progress, limit)
+    run.folder = opened
+    return _execute(plan_runs([run], devices), run, progress, limit)
 
 
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:

@@ -152,9 +152,6 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: 
     keep_programs()
     method = placed(join_lanes([run.method for run in runs]), plan.mesh)
     with failing_at_once(), StopRequest(limit) as stop, contextlib.ExitStack() as stack:
-        for run in runs:
-            if run.folder and first_host():
-                run.folder.record_engine(plan.engine)
         init = _initial_state(plan, method, runs)
         state = _restored(plan, runs, init)
         bar = stack.enter_context(_progress(plan, runs, progress))
@@ -181,9 +178,12 @@ def _train_to_end(
     plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress, stop: StopRequest
 ) -> TrainState:
     """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
+    start = step
     while step < plan.steps:
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))
+        if step > previous == start:
+            _record_length(plan, runs)
         if step > previous and step % plan.problem.protocol.eval_every == 0:
             with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
                 state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
@@ -200,6 +200,13 @@ def _train_to_end(
         if stopping:
             break
     return state
+
+
+def _record_length(plan: Plan, runs: Sequence[Run]) -> None:
+    """Write length and engine of the runs to their configs, which stay as they are if a run fails before its first steps."""
+    for run in runs:
+        if run.folder and first_host():
+            run.folder.record(engine=plan.engine, steps=run.config.steps)
 
 
 def _train_to_evaluation(

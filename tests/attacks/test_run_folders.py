@@ -212,3 +212,17 @@ def test_a_folder_of_any_name_holds_the_run_or_is_refused(name, whole, tmp_path,
         code, out, err = run("table", name)
         assert (code, err) == (0, "")
         assert "fbrl" in out
+
+
+UNUSABLE = {
+    "gs://bucket/run": "is an address, and runs are written to local folders",
+    "\udcff/run": "can't hold checkpoints: 'utf-8' codec can't encode",
+    "/".join([LONG] * 20): "can't hold checkpoints: File name too long; choose another folder",
+}
+
+
+@pytest.mark.parametrize("name", UNUSABLE, ids=["an address", "no text", "too long"])
+def test_a_folder_that_cannot_hold_checkpoints_is_refused_before_training(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(*training(name[: 4040 - len(str(tmp_path))]))
+    one_line(code, err, UNUSABLE[name])

@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -91,6 +93,54 @@ def test_a_read_only_run_can_be_evaluated_and_is_not_changed(whole, tmp_path):
         assert code == 0, err
         assert len(json.loads(out)["deployed/success"]) == 2
         assert snapshot(disk) == before
+
+
+@pytest.fixture
+def others_run(whole):
+    """A copy of the run that everybody can read, in a folder that everybody can enter."""
+    with tempfile.TemporaryDirectory() as path:
+        os.chmod(path, 0o755)
+        run = shutil.copytree(whole, Path(path) / "run")
+        subprocess.run(["chmod", "-R", "a+rX", str(run)], check=True)
+        yield run
+
+
+def run_as_nobody(*command):
+    """Return exit code and stderr of a command that runs as another user."""
+    python = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", sys.executable]
+    env = {**ENVIRONMENT, "HOME": "/nonexistent"}
+    if (
+        shutil.which("setpriv") is None
+        or subprocess.run([*python, "-c", "import earl_jax"], capture_output=True, env=env).returncode
+    ):
+        pytest.skip("running as another user needs root, and a Python that this user can read")
+    result = subprocess.run(
+        [*python, "-m", "earl_jax.cli", *map(str, command)], capture_output=True, text=True, env=env
+    )
+    return result.returncode, result.stderr
+
+
+def test_another_user_can_read_a_run_and_cannot_write_to_it(others_run, tmp_path):
+    before = snapshot(others_run)
+    for command in (["table"], ["best"], ["evaluate", "--episodes", "1"]):
+        code, err = run_as_nobody(command[0], others_run, *command[1:])
+        assert code == 0, err
+    assert "run/.lock can't be written to: Permission denied" in error_line(*run_as_nobody("resume", others_run))
+    assert snapshot(others_run) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"), [("checkpoints", "can't hold checkpoints"), ("metrics.csv", "can't be written to")]
+)
+def test_a_part_of_a_run_that_belongs_to_another_user_is_named_before_training(name, cause, others_run):
+    for path in (others_run, *others_run.rglob("*")):
+        os.chown(path, 65534, 65534)
+    os.chown(others_run / name, 0, 0)
+    before = snapshot(others_run)
+    code, err = run_as_nobody("resume", others_run, "--steps", "800")
+    assert f"run/{name} {cause}: Permission denied" in error_line(code, err)
+    assert err.count("\n") == 1
+    assert snapshot(others_run) == before
 
 
 def test_clocks_that_jump_or_stand_still_change_nothing(whole, tmp_path):

@@ -138,7 +138,7 @@ def test_a_full_disk_is_one_clear_error(folder, monkeypatch):
 
 def test_the_id_stays_when_the_run_is_extended_or_moved(folder, tmp_path):
     before = folder.id
-    folder.extended(240)
+    folder.record(steps=240)
     moved = RunFolder.open(folder.path.rename(tmp_path / "moved"))
     assert moved.id == before
     assert moved.config.steps == 240
@@ -249,8 +249,8 @@ def test_a_folder_that_another_process_took_over_is_not_used(folder):
 
 
 def test_the_engine_that_trains_is_recorded(folder):
-    folder.record_engine("mjx")
+    folder.record(engine="mjx")
     assert json.loads(folder.config_file.read_text())["engine"] == "mjx"
     written = folder.config_file.stat().st_mtime_ns
-    folder.record_engine("mjx")
+    folder.record(engine="mjx")
     assert folder.config_file.stat().st_mtime_ns == written

@@ -12,7 +12,7 @@ from earl_jax import HelpBudget, algos, envs
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import api
+from earl_jax.training import api, runner
 from tests.cli.process import snapshot
 from tests.conftest import TINY, TINY_RUN, assert_equal_trees, tiny_train
 
@@ -63,6 +63,10 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
     assert_equal_results(again, first)
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
+
+
+def fail(*_):
+    raise RuntimeError("out of memory")
 
 
 @pytest.fixture(scope="module")
@@ -130,12 +134,18 @@ def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_pa
     assert RunFolder.open(tmp_path / "run").config.setting == {"name": "deployment", "budget": 5.0}
 
 
-def test_a_crashed_start_does_not_block_its_folder(tmp_path, monkeypatch):
-    def crash(*_):
-        raise RuntimeError("out of memory")
+@pytest.mark.parametrize("part_that_fails", ["_restored", "_advance"])
+def test_a_longer_run_that_fails_before_its_first_steps_leaves_its_config(folder, part_that_fails, monkeypatch):
+    before = (folder / "config.json").read_bytes()
+    monkeypatch.setattr(runner, part_that_fails, fail)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120)
+    assert (folder / "config.json").read_bytes() == before
 
+
+def test_a_crashed_start_does_not_block_its_folder(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(api, "run_program", crash)
+        patch.setattr(api, "run_program", fail)
         with pytest.raises(RuntimeError, match="out of memory"):
             tiny_train("naive", out=tmp_path / "run", seeds=3)
     tiny_train("naive", out=tmp_path / "run")
