@@ -72,7 +72,7 @@ def try_out(folder: Path) -> None:
             archive.write(Path(trial), 0, {"lanes": {}, "replay": {}})
     except Exception as error:
         cause = archive.first_line(error)
-        raise OSError(f"{folder} can't hold checkpoints: {cause}; choose another folder") from error
+        raise OSError(f"{folder} can't hold checkpoints: {cause}; mend this, or choose another folder") from error
 
 
 def newest(folder: Path) -> int:

@@ -102,7 +102,7 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
     Raises:
         ValueError: as `sweep`.
     """
-    task = {"grid": str(grid), "out": str(out.resolve()), "max_lanes": max_lanes}
+    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes}
     with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
         reply: Event = next(events(planner), {"detail": "the planner ended without a plan; its error is above"})
     if "plan" not in reply:

@@ -96,6 +96,8 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     Raises:
         ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
+    check_local(out)
+    out = out.resolve()
     planned = [planned_run(spec, out) for spec in grid.read(path)]
     groups = [
         {
@@ -119,7 +121,6 @@ def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
         run = Run.resolve(config, env, method)
         demo_rows(Problem(env, run.protocol), run.method)
         path = out / spec.name
-        check_local(path)
         step = _reached(open_folder(path, config)) if has_results(path) else 0
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error

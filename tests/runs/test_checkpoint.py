@@ -141,7 +141,7 @@ def test_the_first_checkpoint_is_read_back(tmp_path, state, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda number: os.ftruncate(number, 99))
     with pytest.raises(OSError, match=r"000000040 can't be written: .*000000040 is damaged: .*File is not a zip file"):
         checkpoint.save(tmp_path, state)
-    with pytest.raises(OSError, match=f"{tmp_path} can't hold checkpoints: .*; choose another folder"):
+    with pytest.raises(OSError, match=f"{tmp_path} can't hold checkpoints: .*; mend this, or choose another folder"):
         checkpoint.try_out(tmp_path)
     monkeypatch.undo()
     checkpoint.try_out(tmp_path)

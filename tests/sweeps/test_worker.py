@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,6 +115,11 @@ def assert_equal_runs(out, separate_folders):
         assert (out / name / "metrics.csv").read_bytes() == (folder / "metrics.csv").read_bytes()
         actual, expected = (load_lanes(RunFolder.open(path))[2] for path in (out / name, folder))
         assert_equal_trees(actual, expected)
+
+
+def test_a_sweep_into_an_address_is_refused(grid):
+    with pytest.raises(ValueError, match="gs:/bucket/out is an address"):
+        worker.plan(grid, Path("gs://bucket/out"))
 
 
 def test_two_runs_in_one_program_equal_separate_runs(tmp_path, grid, separate_folders):
