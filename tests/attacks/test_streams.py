@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from earl_jax import cli
@@ -44,7 +45,7 @@ def test_progress_goes_on_without_its_reader(stream, monkeypatch):
         with bar.working("training"):
             bar.message("a line")
         bar.advance(400, 1.0)
-        bar.report(400, [{"deployed/success": 0.5, "continuing/reward": 0.25}])
+        bar.report(400, {"deployed/success": np.array([0.5]), "continuing/reward": np.array([0.25])})
 
 
 def test_progress_of_a_process_without_stderr_stays_off_stdout(monkeypatch, capsys):
