@@ -50,7 +50,10 @@ def trains(arguments: Sequence[str]) -> bool:
 
 def _try_flags() -> None:
     """Raise an InputError with XLA's reason if it ends another process for the flags of this one."""
-    trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, check=False)
+    try:
+        trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, check=False)
+    except OSError:
+        return  # this process may start no other one
     if trial.returncode:
         reason = trial.stderr.partition("\n")[0].rpartition("] ")[2]
         raise InputError(f"XLA refuses {VARIABLE}={os.environ[VARIABLE]}: {reason}")
