@@ -15,7 +15,8 @@ def _note_fork() -> None:
     _after_jax = getattr(bridge, "backends_are_initialized", bool)()
 
 
-os.register_at_fork(after_in_child=_note_fork)
+if hasattr(os, "register_at_fork"):  # Windows has no forks
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def require_jax() -> None:
