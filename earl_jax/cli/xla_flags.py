@@ -35,7 +35,7 @@ def set_flags(arguments: Sequence[str]) -> None:
     """
     if not trains(arguments):
         return
-    if os.environ.get(VARIABLE):
+    if os.environ.get(VARIABLE) and "jax" not in sys.modules:  # else XLA has accepted them
         _try_flags()
     added = helpful_flags(os.environ)
     if added:
