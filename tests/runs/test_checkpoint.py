@@ -250,25 +250,32 @@ DAMAGE = {
 """Damage to a checkpoint, and what the warning says."""
 
 
-@pytest.mark.parametrize("kind", DAMAGE)
-def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(tmp_path, state, kind, capfd):
-    damage, message = DAMAGE[kind]
+@pytest.fixture(scope="module")
+def two_steps(tmp_path_factory, state):
+    folder = tmp_path_factory.mktemp("two_steps")
     for step in (40, 80):
-        checkpoint.save(tmp_path, at_step(state, step))
-    damage(tmp_path / "000000080")
+        checkpoint.save(folder, at_step(state, step))
+    return folder
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(two_steps, tmp_path, state, kind, capfd):
+    damage, message = DAMAGE[kind]
+    folder = shutil.copytree(two_steps, tmp_path / "run")
+    damage(folder / "000000080")
     tracemalloc.start()
     with pytest.warns(DamagedWarning, match=f"is damaged: .*{message}.*; continuing from 000000040$"):
-        restored = checkpoint.restore(tmp_path, state)
+        restored = checkpoint.restore(folder, state)
     assert tracemalloc.get_traced_memory()[1] < 15 << 20
     tracemalloc.stop()
     assert_equal_trees(restored.lanes, state.lanes)
     assert int(restored.step) == 40
     assert capfd.readouterr().err == ""
-    shutil.rmtree(tmp_path / "000000040")
+    shutil.rmtree(folder / "000000040")
     with pytest.raises(ValueError, match="no older checkpoint is intact"):
-        checkpoint.restore(tmp_path, state)
-    checkpoint.save(tmp_path, at_step(state, checkpoint.newest(tmp_path)))
-    assert_equal_trees(checkpoint.restore(tmp_path, state).lanes, state.lanes)
+        checkpoint.restore(folder, state)
+    checkpoint.save(folder, at_step(state, checkpoint.newest(folder)))
+    assert_equal_trees(checkpoint.restore(folder, state).lanes, state.lanes)
 
 
 @pytest.fixture(scope="module")
