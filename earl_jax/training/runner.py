@@ -179,6 +179,8 @@ def _train_to_end(
 ) -> TrainState:
     """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
     start = step
+    if step == plan.steps:
+        _record_length(plan, runs)
     while step < plan.steps:
         state = _train_to_evaluation(plan, method, state, step, bar, stop)
         previous, step = step, int(gathered(state.step))

@@ -65,6 +65,13 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
         earl_jax.resume(tmp_path / "run", steps=80)
 
 
+def test_a_run_can_end_where_it_stopped(tmp_path):
+    tiny_train("naive", out=tmp_path / "run")
+    RunFolder.open(tmp_path / "run").record(steps=200)
+    earl_jax.resume(tmp_path / "run", steps=120)
+    assert RunFolder.open(tmp_path / "run").config.steps == 120
+
+
 def fail(*_):
     raise RuntimeError("out of memory")
 
