@@ -226,3 +226,4 @@ def test_a_folder_that_cannot_hold_checkpoints_is_refused_before_training(name, 
     monkeypatch.chdir(tmp_path)
     code, _, err = run(*training(name[: 4040 - len(str(tmp_path))]))
     one_line(code, err, UNUSABLE[name])
+    assert not list(tmp_path.rglob("config.json"))

@@ -46,6 +46,7 @@ def test_progress_goes_on_without_its_reader(stream, monkeypatch):
             bar.message("a line")
         bar.advance(400, 1.0)
         bar.report(400, {"deployed/success": np.array([0.5]), "continuing/reward": np.array([0.25])})
+    assert isinstance(bar._stream.failure, OSError)
 
 
 def test_progress_of_a_process_without_stderr_stays_off_stdout(monkeypatch, capsys):
