@@ -18,6 +18,7 @@ from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions
+from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "paper"
@@ -99,13 +100,8 @@ def _line(row: Row) -> list[str]:
     tests = [*"---", row["verdict"], "-"]
     if _tested(row):
         difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
-        tests = [
-            f"{row['other_mean']:.3f}",
-            difference,
-            f"{row['p_holm']:.2g}",
-            row["verdict"],
-            f"{row['detectable']:.2g}",
-        ]
+        p_holm, detectable = f"{row['p_holm']:.2g}", f"{row['detectable']:.2g}"
+        tests = [f"{row['other_mean']:.3f}", difference, p_holm, row["verdict"], detectable]
     return [
         *names, str(row["seeds"]), millions(row["steps"]), of, interval_text(row["mean"], row["low"], row["high"]), *tests,
         printed, f"{row['largest_critic_loss']:.2g}", row["commit"],
@@ -116,14 +112,13 @@ def files() -> dict[Path, str]:
     """Return the tables as files: whole ones, with the columns that docs/results.md has room for, and README.md's."""
     rows, results, readme = cells(), DOCS / "results.md", ROOT / "README.md"
     runs = [RUNS / row["env"] / row["run"] for row in rows if row["seeds"]]
-    short = [_line(row)[:-4] for row in rows if _tested(row) and row["steps"] >= WHOLE * row["of"]]
+    lines = [_line(row)[:-4] for row in rows]
+    whole = [line for row, line in zip(rows, lines, strict=True) if _tested(row) and row["steps"] >= WHOLE * row["of"]]
     return {
         RUNS / "cells.csv": csv_text(rows),
         RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(read_methods(runs)))}\n",
-        results: with_tables(
-            results.read_text(), {"cells": markdown_table(HEADER[:-4], [_line(row)[:-4] for row in rows])}
-        ),
-        readme: with_tables(readme.read_text(), {"cells": markdown_table(HEADER[:-4], short)}),
+        results: with_tables(results.read_text(), {"cells": markdown_table(HEADER[:-4], lines)}),
+        readme: with_tables(readme.read_text(), {"cells": markdown_table(HEADER[:-4], whole)}),
     }
 
 
@@ -132,7 +127,7 @@ def draw() -> None:
     rows = [row for row in cells() if row["seeds"]]
     for env in dict.fromkeys(row["env"] for row in rows):
         folders = [RUNS / env / row["run"] for row in rows if row["env"] == env]
-        pictures = {"curves": read_methods(folders)[0].curves.deployed_metric}
+        pictures = {"curves": RunFolder.open(folders[0]).config.deployed_metric}
         if env in LIVES:
             pictures["lives"] = "continuing/reward"
         for name, metric in pictures.items():

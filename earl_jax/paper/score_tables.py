@@ -85,17 +85,8 @@ def _tests(tested: Sequence[Row]) -> str:
     for row in tested:
         numbers = [f"{row['p']:.2g}", "-" if row["p_holm"] is None else f"{row['p_holm']:.2g}"]
         text = estimate_text(estimate_of(row, "difference", "difference_"), DIGITS.get(row["metric"], 4))
-        lines.append(
-            [
-                row["env"],
-                row["label"],
-                millions(row["tested_steps"]),
-                text,
-                *numbers,
-                row["verdict"],
-                f"{row['detectable']:.2g}",
-            ]
-        )
+        names = [row["env"], row["label"], millions(row["tested_steps"])]
+        lines.append([*names, text, *numbers, row["verdict"], f"{row['detectable']:.2g}"])
     return markdown_table(header, lines)
 
 

@@ -117,8 +117,7 @@ def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, a
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
     step = int(age * common_steps(first.curves, second.curves)[1])
     scores, others = (recent_scores(runs.curves, step, metric) for runs in (first, second))
-    row = _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others))
-    return {**row, "age": age}
+    return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others), age)
 
 
 def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
@@ -155,15 +154,17 @@ def _printed_rows(group: MethodRuns) -> list[Row]:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
     elif step < length:
         row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
-    return [{**row, "age": 1.0}]
+    return [row]
 
 
-def _row(first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sample, result: Comparison) -> Row:
+def _row(
+    first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sample, result: Comparison, age: float = 1.0
+) -> Row:
     own = mean_interval(scores)
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(scores, other, result),
+        **comparison_columns(scores, other, result), "age": age,
     }  # fmt: skip
 
 

@@ -85,18 +85,19 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
 
 def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[str, Any]:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
-    released = released_beside(group.curves)
-    metric = CONTINUING if number == 2 else group.curves.deployed_metric
-    first, step = common_steps(group.curves, released or group.curves)
-    if released is not None and metric in released.metrics and first <= step:
-        scores, others = (_scores(number, curves, step) for curves in (group.curves, released))
-        result, other = permutation(scores, others), Sample.of(others)
-    elif released is None and score and score.sample and step >= (published_steps(group.env) or (0, 0))[0]:
-        other = score.sample
-        scores = _scores(number, group.curves, step)
+    curves, released = group.curves, released_beside(group.curves)
+    if released is None:
+        step, other = int(curves.steps[-1]), score and score.sample
+        if not other or step < (published_steps(group.env) or (0, 0))[0]:
+            return {}
+        scores = _scores(number, curves, step)
         result = welch(Sample.of(scores), other)
     else:
-        return {}
+        first, step = common_steps(curves, released)
+        if first > step or (number == 2 and CONTINUING not in released.metrics):
+            return {}
+        scores, others = (_scores(number, each, step) for each in (curves, released))
+        result, other = permutation(scores, others), Sample.of(others)
     return {"tested_steps": step, **comparison_columns(scores, other, result, "difference_")}
 
 

@@ -58,13 +58,13 @@ def _sbatch(folder: Path, tasks: list[Task], options: dict[str, str]) -> str:
     with tempfile.NamedTemporaryFile("w", dir=folder, prefix="tasks-", suffix=".jsonl", delete=False) as file:
         file.writelines(f"{json.dumps(task)}\n" for task in tasks)
     log = str(folder).replace("%", "%%") + "/%A_%a.log"
-    at_once = options.get("array-parallelism")
-    array = f"0-{len(tasks) - 1}" + (f"%{at_once}" if at_once else "")
-    given = [f"--{name}={text}" for name, text in options.items() if name != "array-parallelism"]
-    own = ["--parsable", "--requeue", "--open-mode=append", f"--output={log}", f"--array={array}"]
+    given = dict(options)
+    at_once = given.pop("array-parallelism", "")
+    given |= {"output": log, "open-mode": "append", "array": f"0-{len(tasks) - 1}" + (f"%{at_once}" if at_once else "")}
+    arguments = ["--parsable", "--requeue", *(f"--{name}={text}" for name, text in given.items())]
     try:
         submitted = subprocess.run(
-            ["sbatch", *given, *own], input=_script(file.name), capture_output=True, text=True, check=True
+            ["sbatch", *arguments], input=_script(file.name), capture_output=True, text=True, check=True
         )
     except (OSError, subprocess.CalledProcessError) as error:
         Path(file.name).unlink()

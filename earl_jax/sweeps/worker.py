@@ -214,9 +214,9 @@ def _cause(error: Exception) -> str:
     """Return `error` as one line, after printing its traceback if it is more than invalid input or settings of jax."""
     if isinstance(error, InputError):
         return str(error)
-    if cause := start_failure(error):
-        return cause
     if not is_input_error(error):
+        if cause := start_failure(error):
+            return cause
         traceback.print_exception(error)
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
