@@ -35,8 +35,6 @@ MOST_BYTES = 300_000
 """Size of the policies of one run."""
 MOST_BYTES_IN_ALL = 10_000_000
 EPISODES = 100
-LAST = 10
-"""Evaluations at the end of a run that score its training."""
 CHOOSE, MEASURE = 0, 1
 """Seeds of the episodes that choose the seeds to ship, and of those that are reported."""
 METRICS = ("deployed/success", "deployed/return")
@@ -102,10 +100,9 @@ def _packed(arrays: dict[str, np.ndarray], lanes: list[int]) -> tuple[bytes, lis
 
 
 def _training_scores(folder: Path) -> dict[str, Any]:
-    """Return the mean of every seed's last evaluations, which tells how typical the shipped seeds are."""
-    curves = read(folder)
-    metric = curves.deployed_metric
-    return {"evaluations": LAST, metric: curves.metrics[metric][:, -LAST:].mean(axis=1).round(6).tolist()}
+    """Return the score of every seed, which tells how typical the shipped seeds are."""
+    score = read(folder).score()
+    return {"evaluations": score.evaluations, score.metric: np.round(score.seeds, 6).tolist()}
 
 
 def _write(path: Path, data: bytes, description: dict[str, Any]) -> None:

@@ -12,12 +12,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.output import RESULTS, ROOT, with_tables, write_files
-from earl_jax.metrics.comparison import holm, mean_interval, permutation
+from earl_jax.metrics.comparison import band, holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import Curves, read
-from earl_jax.report.scores import recent_scores
+from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
@@ -91,7 +91,7 @@ def _goal_line(goal: Goal, name: str) -> list[str]:
         text, met = f"at {step_interval(at)}", at.value < goal.before
         asked = f"{goal.level} before {millions(goal.before)}"
     else:
-        mean = mean_interval(window_scores(curves, goal.metric, goal.window))
+        mean = interval_of(curves, window_scores(curves, goal.metric, goal.window), goal.metric)
         text, met = interval_text(*mean), mean.value >= goal.level
         so_far = goal.window > curves.steps[-1]
         asked = (
@@ -135,7 +135,7 @@ def _option_scores(folder: Path) -> list[np.ndarray]:
 
 
 def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
-    return [env, name, *(interval_text(*mean_interval(score)) for score in scores)]
+    return [env, name, *(interval_text(*mean_interval(score, rate=True)) for score in scores)]
 
 
 def learning_text() -> str:
@@ -164,7 +164,9 @@ def _trials_table(
     for name, own in scores.items():
         pairs = [(own[metric], scores[reference][metric]) for metric in tested]
         tests = ["-" if name == reference else f"{permutation(*pair).p:.2g}" for pair in pairs]
-        rows.append([name, *(interval_text(*mean_interval(score)) for score in own.values()), *tests])
+        rows.append(
+            [name, *(interval_text(*interval_of(runs[name], score, metric)) for metric, score in own.items()), *tests]
+        )
     header = (
         "run",
         *(TITLES.get(metric, metric) for metric in metrics),
@@ -174,14 +176,14 @@ def _trials_table(
 
 
 def dense_text() -> str:
-    """Return the table of the dense tasks: returns of CFBRL and naive RL over the 100,000 steps before the last of both."""
+    """Return the table of the dense tasks: the scores of CFBRL and naive RL up to the last step of both."""
     lines = []
     for env in DENSE:
         runs = read(LONG / env / "cfbrl"), read(PAPER / env / "naive")
         end = min(int(run.steps[-1]) for run in runs)
-        own, other = (recent_scores(run, end) for run in runs)
+        own, other = (seed_scores(run, step=end) for run in runs)
         test = permutation(own, other)
-        intervals = mean_interval(own), mean_interval(other), (test.difference, test.low, test.high)
+        intervals = interval_of(runs[0], own), interval_of(runs[1], other), (test.difference, test.low, test.high)
         texts = [f"{value:.0f} [{low:.0f}, {high:.0f}]" for value, low, high in intervals]
         lines.append([env, millions(end), *texts, f"{test.p:.2g}"])
     return markdown_table(("task", "steps", "CFBRL", "naive RL", "difference [95 %]", "p"), lines)
@@ -210,7 +212,7 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
 
 
 def draw() -> None:
-    """Draw the curves of the long runs: a column a task, means with Student's 95 % bands over 100,000 steps."""
+    """Draw the curves of the long runs: a column a task, means with 95 % bands over 100,000 steps."""
     figure, grid = plt.subplots(2, len(RUNS), figsize=(11, 5.5), sharex="col", sharey=True, layout="constrained")
     for column, (env, names) in zip(grid.T, RUNS.items(), strict=True):
         for axes, metrics in zip(column, ((DEPLOYED, WIDE), (FORWARD, BACK)), strict=True):
@@ -228,9 +230,9 @@ def draw() -> None:
 def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style: str) -> None:
     for color, metric in zip(("C0", "C1"), metrics, strict=True):
         scores = trailing_mean(curves.steps, np.nan_to_num(curves.metrics[metric]))
-        mean, low, high = mean_interval(scores)
+        mean, low, high = band(scores, rate=True)
         axes.plot(curves.steps / 1e6, mean, style, color=color, label=MEASURES[metric] if style == "-" else None)
-        axes.fill_between(curves.steps / 1e6, np.clip(low, 0, 1), np.clip(high, 0, 1), color=color, alpha=0.15, lw=0)
+        axes.fill_between(curves.steps / 1e6, low, high, color=color, alpha=0.15, lw=0)
     axes.set_ylim(0, 1.03)
 
 

@@ -129,11 +129,12 @@ def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
 
 
 def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
-    own, other = mean_interval(scores), Sample.of(others)
+    own, other = mean_interval(scores, rate=bool((scores >= 0).all())), Sample.of(others)
     return {
         "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
         "seeds": len(scores), "other_seeds": other.seeds, "mean": own.value, "mean_low": own.low, "mean_high": own.high,
         "other_mean": other.mean, **comparison_columns(scores, other, permutation(scores, others)),
+        "mean_over": "episodes from such starts",
     }  # fmt: skip
 
 

@@ -18,8 +18,9 @@ from scipy import stats
 from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax import assets
-from earl_jax.envs import PAPER_TASKS
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import rate_interval
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
@@ -113,16 +114,16 @@ def _paper_row(env: str, algo: str) -> Row:
 def _newer_row(row: dict[str, str]) -> Row:
     """Return a row of newer.csv, whose standard errors divide the population's deviation by sqrt(n)."""
     mean, seeds = float(row["mean"]), int(row["seeds"])
-    half = math.nan
-    if row["stderr"]:
-        half = float(stats.t.ppf(0.975, seeds - 1)) * float(row["stderr"]) * math.sqrt(seeds / (seeds - 1))
+    error = float(row["stderr"] or "nan") * math.sqrt(seeds / (seeds - 1))
+    half = float(stats.t.ppf(0.975, seeds - 1)) * error
+    low, high = rate_interval(mean, error, seeds) if make(row["env"]).sparse else (mean - half, mean + half)
     return Row(
         env=row["env"],
         method=row["method"],
         source=f"{row['source']}, {row['year']}",
         seeds=seeds,
         steps=int(row["steps"]),
-        deployed=score_text(row["env"], mean, mean - half, mean + half),
+        deployed=score_text(row["env"], mean, float(low), float(high)),
         wide="-",
         continuing="-",
         alive="-",

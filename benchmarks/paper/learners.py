@@ -1,28 +1,28 @@
 """TD3 beside SAC as the learner of oracle RL on tabletop: `python -m benchmarks.paper.learners`.
 
-Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/algorithms.md. A row is success
-over the last 50,000 steps, with Student's interval over seeds and the permutation test.
+Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/algorithms.md. A row is the
+score of a run, with its interval over seeds and the permutation test.
 """
 
 from pathlib import Path
 
 from benchmarks.output import DOCS, RESULTS, with_tables, write_files
 from benchmarks.paper.cells import commit_of
-from earl_jax.metrics.comparison import mean_interval, permutation
+from earl_jax.metrics.comparison import permutation
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
+from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "learners"
 NAMES = ("sac", "td3")
-WINDOW = 50_000
 
 
 def table() -> str:
     """Return the table of both learners."""
     curves = [read(RUNS / name) for name in NAMES]
-    scores = [run.metrics["deployed/success"][:, run.steps > run.steps[-1] - WINDOW].mean(axis=1) for run in curves]
+    scores = [seed_scores(run) for run in curves]
     lines = []
     for name, run, own in zip(NAMES, curves, scores, strict=True):
         result = permutation(own, scores[0])
@@ -32,7 +32,7 @@ def table() -> str:
             else ["-", "-"]
         )
         commit = short_commit(commit_of(RUNS / name))
-        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*mean_interval(own)), *others, commit])
+        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*interval_of(run, own)), *others, commit])
     return markdown_table(
         ("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p", "commit"), lines
     )

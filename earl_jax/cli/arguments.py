@@ -82,6 +82,21 @@ Metric = Annotated[
 ]
 
 
+Last = Annotated[
+    int | None,
+    tyro.conf.arg(
+        help="Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. "
+        "1 is the paper's last policy."
+    ),
+]
+WindowSteps = Annotated[
+    int | None,
+    tyro.conf.arg(
+        metavar="STEPS", help="Steps at the end of a run whose evaluations its score averages, instead of --last."
+    ),
+]
+
+
 @REGISTRY.primitive_rule
 def whole_number(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     """Return how an int is read: also as 1e6, 2.5e6 or 2_500_000."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from earl_jax.cli.arguments import JSON, Engine, Labels, Metric, Positional, emit, replacing
+from earl_jax.cli.arguments import JSON, Engine, Labels, Last, Metric, Positional, WindowSteps, emit, replacing
 
 
 def evaluate(
@@ -12,9 +12,11 @@ def evaluate(
     seed: int = 0,
     starts: Literal["initial", "uniform", "wide"] = "initial",
     engine: Engine = None,
+    last: Last = None,
+    window: WindowSteps = None,
     json: JSON = False,
 ) -> None:
-    """Evaluate the newest policies of a run on fresh greedy episodes.
+    """Evaluate the newest policies of a run on fresh greedy episodes, beside the score of the run.
 
     Args:
         folder: Run folder with policies.npz or a checkpoint.
@@ -23,12 +25,16 @@ def evaluate(
         starts: Initial states of the episodes: those of the task, uniform over the workspace, or wide.
     """
     from earl_jax import training
+    from earl_jax.metrics.scores import Window
+    from earl_jax.report.runs import read
 
+    chosen = Window.of(last, window)
     metrics = training.evaluate(folder, episodes, seed, engine, starts)
-    lines = [
-        f"{name}: mean {values.mean():.3f}  per seed {values.round(3).tolist()}" for name, values in metrics.items()
-    ]
-    emit({name: values.tolist() for name, values in metrics.items()}, json, "\n".join(lines))
+    score = read(folder).score(chosen)
+    lines = [f"the newest policies over {episodes} new episodes each:"]
+    lines += [f"{name} {values.mean():.3f}, per seed {values.round(3).tolist()}" for name, values in metrics.items()]
+    values = {name: values.tolist() for name, values in metrics.items()}
+    emit({**values, "score": score._asdict()}, json, "\n".join([*lines, f"the run: {score}"]))
 
 
 def plot(
@@ -58,7 +64,8 @@ def plot(
 
 def table(
     folders: Positional[tuple[Path, ...]],
-    last: int = 1,
+    last: Last = None,
+    window: WindowSteps = None,
     labels: Labels = (),
     metric: Metric = None,
     out: Path | None = None,
@@ -68,12 +75,12 @@ def table(
 
     Args:
         folders: Run folders, or folders of them, such as those of a sweep.
-        last: Number of final evaluations to average. The paper's tables use 1.
         out: File that also receives the table: .md, .tex or .csv. By default none.
     """
+    from earl_jax.metrics.scores import Window
     from earl_jax.report.tables import run_table, tabulate, terminal_width, write
 
-    rows = tabulate(folders, last, metric, labels)
+    rows = tabulate(folders, Window.of(last, window), metric, labels)
     if out:
         with replacing(out):
             write(rows, out)
@@ -84,6 +91,8 @@ def best(
     folders: Positional[tuple[Path, ...]],
     test: Literal["permutation", "welch"] = "permutation",
     top: int = 20,
+    last: Last = None,
+    window: WindowSteps = None,
     json: JSON = False,
 ) -> None:
     """Rank the runs of a sweep, and say which of them cannot be told from the best of their task.
@@ -93,11 +102,12 @@ def best(
         test: Test of the difference from the best run, adjusted by Holm. The permutation test needs more seeds.
         top: Number of runs of each task to print.
     """
+    from earl_jax.metrics.scores import Window
     from earl_jax.report.best import best as best_runs
     from earl_jax.report.best import best_text
     from earl_jax.report.tables import terminal_width
 
-    rows = best_runs(folders, test)
+    rows = best_runs(folders, test, Window.of(last, window))
     emit({"rows": rows}, json, best_text(rows, test, top, terminal_width()))
 
 
@@ -105,6 +115,8 @@ def compare(
     folders: Positional[tuple[Path, ...]],
     against: Literal["runs", "published"] = "runs",
     metric: Metric = None,
+    last: Last = None,
+    window: WindowSteps = None,
     out: tuple[Path, ...] = (),
     json: JSON = False,
 ) -> None:
@@ -115,11 +127,12 @@ def compare(
         against: Compare each pair of runs on a task, or each run with the paper's five seeds at equal steps.
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
+    from earl_jax.metrics.scores import Window
     from earl_jax.report.comparison import compare as compare_runs
     from earl_jax.report.comparison import table_text, write_comparison
     from earl_jax.report.tables import terminal_width
 
-    rows = compare_runs(folders, against, metric)
+    rows = compare_runs(folders, against, metric, Window.of(last, window))
     for path in out:
         with replacing(path):
             write_comparison(rows, path)

@@ -10,14 +10,11 @@ PRESET = preset("quick", ENV)
 """Hyper-parameters that learn within minutes on a laptop. Task, rewards, phases, evaluation and the lack of resets are the
 paper's."""
 
-LAST = 8
-"""Evaluations at the end that the result averages. Successive ones differ as much as those of different seeds, so that
-many, close together, make the result steadier."""
 RANGE = ("0.50", "0.80")
 """From the worst to the best pair of five seeds, at any end from 160,000 steps on (0.54 to 0.77), rounded outwards;
 docs/results.md has the numbers."""
 EXPECTED = """\
-Expect {low} to {high} at the end, the mean of the last {last} evaluations, after one and a half to three minutes on two free CPU
+Expect a score of {low} to {high} after one and a half to three minutes on two free CPU
 cores. The result depends on the machine, because its rounding decides which of many courses two seeds take.
 """
 
@@ -37,7 +34,8 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
         steps: Training steps of each seed. By default 170,000.
     """
     from earl_jax.report.plots import plot_runs
-    from earl_jax.report.tables import markdown, tabulate, write
+    from earl_jax.report.scores import SMOOTH
+    from earl_jax.report.tables import run_table, tabulate, write
     from earl_jax.training import train
 
     began = time.perf_counter()
@@ -45,18 +43,14 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
     every = PRESET["eval_every"] if steps % PRESET["eval_every"] == 0 else steps
     print(CHANGES.format(steps=steps, seeds=PRESET["seeds"], episodes=PRESET["eval_episodes"], every=every))
     if steps == PRESET["steps"]:
-        print(EXPECTED.format(low=RANGE[0], high=RANGE[1], last=LAST))
+        print(EXPECTED.format(low=RANGE[0], high=RANGE[1]))
     run = out / ALGO
     values = preset("quick", ENV, steps=steps, eval_every=every, checkpoint_every=steps)
     result = train(ENV, ALGO, out=run, progress=True, **values)
-    figure = plot_runs([run], out / "curves.png", smooth=LAST)
+    figure = plot_runs([run], out / "curves.png", smooth=SMOOTH)
     table = out / "table.md"
-    rows = tabulate([run], last=LAST)
+    rows = tabulate([run])
     write(rows, table)
-    success = result.metrics["deployed/success"].mean(axis=0)
-    print(f"\n{markdown(rows)}\n")
-    print(
-        f"deployed success: mean of the last {LAST} evaluations {success[-LAST:].mean():.2f}, best {success.max():.2f}"
-    )
-    print(f"figure: {figure}   (a point is the mean of {LAST} evaluations)")
+    print(f"\n{run_table(rows).text()}\n\n{result.score()}")
+    print(f"figure: {figure}   (a point is the mean of {SMOOTH} evaluations)")
     print(f"table:  {table}\nrun:    {run}   ({time.perf_counter() - began:.0f} s)")

@@ -173,7 +173,7 @@ def resume(
 
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
-    """Print the deployed score of `result` over its seeds, and how to continue it after a time limit.
+    """Print the score of `result`, and how to continue it after a time limit.
 
     Before the first evaluation there is no score.
     """
@@ -190,18 +190,15 @@ def _emit_result(result: Any, out: Path, as_json: bool) -> None:
 
 
 def _score(result: Any) -> tuple[dict[str, Any], str]:
-    """Return the newest deployed score of `result` over its seeds, as JSON values and as text."""
+    """Return the score of `result` as JSON values and as text."""
     from earl_jax.metrics.continuing import DIVERGED, count_diverged, diverged_text
     from earl_jax.metrics.deployed import WIDE
-    from earl_jax.metrics.statistics import summarise
-    from earl_jax.runs.config import deployed_metric
 
-    metric = deployed_metric(result.env)
-    score = summarise(result.metrics[metric][:, -1])
+    score = result.score()
     diverged = count_diverged(result.metrics)
-    values = {"steps": int(result.steps[-1]), metric: score._asdict(), DIVERGED: diverged}
-    text = f"{metric} {score.mean:.3f} (stderr {score.stderr:.3f}) over {score.seeds} seeds"
+    values = {"steps": score.last, score.metric: score._asdict(), DIVERGED: diverged}
+    text = str(score)
     if WIDE in result.metrics:
-        wide = summarise(result.metrics[WIDE][:, -1])
-        values[WIDE], text = wide._asdict(), f"{text}, {wide.mean:.3f} from wide starts"
-    return values, text + diverged_text(diverged, score.seeds)
+        wide = result.score(metric=WIDE)
+        values[WIDE], text = wide._asdict(), f"{text}; {wide.mean:.3f} from wide starts"
+    return values, text + diverged_text(diverged, len(score.seeds))

@@ -8,7 +8,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -17,6 +17,10 @@ from earl_jax.metrics.statistics import Estimate
 
 LEVEL = 0.05
 POWER = 0.8
+SAME = 1e-12
+"""Variance up to which the scores of seeds count as equal."""
+FEWEST_SEEDS = 3
+"""Fewer seeds have no interval: Student's of two is wider than any score."""
 SPLITS = 20_000
 """Largest number of splits of the seeds that the permutation test enumerates; it draws as many if there are more."""
 
@@ -57,14 +61,48 @@ def verdict(difference: float, p: float, level: float = LEVEL) -> str:
     return "above" if difference > 0 else "below"
 
 
-def mean_interval(scores: np.ndarray) -> Estimate:
-    """Return the mean of `scores [seeds, ...]` with Student's 95 % interval, whose ends are nan for a single seed."""
+def mean_interval(scores: np.ndarray, rate: bool = False) -> Estimate:
+    """Return the mean of `scores [seeds, ...]` with a 95 % interval, whose ends are nan for fewer than three seeds.
+
+    It is Student's interval, or for a `rate` from 0 to 1 that of `rate_interval`.
+    """
     scores = np.asarray(scores, float)
     mean, seeds = scores.mean(axis=0), len(scores)
-    half = np.full_like(mean, math.nan)
-    if seeds > 1:
-        half = stats.t.ppf(1 - LEVEL / 2, seeds - 1) * scores.std(axis=0, ddof=1) / math.sqrt(seeds)
-    return Estimate(*(end if mean.ndim else float(end) for end in (mean, mean - half, mean + half)))
+    if seeds < FEWEST_SEEDS:
+        low = high = np.full_like(mean, math.nan)
+    else:
+        error = scores.std(axis=0, ddof=1) / math.sqrt(seeds)
+        half = _quantile(seeds) * error
+        low, high = rate_interval(mean, error, seeds) if rate else (mean - half, mean + half)
+    return Estimate(*(end if mean.ndim else float(end) for end in (mean, low, high)))
+
+
+def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:
+    """Return Wilson's 95 % interval, within [0, 1], of a rate with the `mean [...]` and the standard error `error` over seeds.
+
+    The number of trials is the effective one, mean (1 - mean) / error^2, at least one for each seed, and the quantile is
+    Student's. Where no seed differs, each seed is one trial: five that all succeed give [0.57, 1].
+    tests/metrics/test_comparison.py checks the coverage by simulation.
+
+    Source: Kott and Carr 1997, "Developing an estimation strategy for a pesticide data program", after Wilson 1927.
+    """
+    mean, variance = np.asarray(mean, float), np.square(error)
+    differ = ~(variance <= SAME)  # an unknown error gives nan
+    trials = np.where(differ, mean * (1 - mean) / np.where(differ, variance, 1.0), seeds).clip(seeds)
+    ratio = np.where(differ, _quantile(seeds), stats.norm.ppf(1 - LEVEL / 2)) ** 2 / trials
+    half = np.sqrt(ratio * mean * (1 - mean) + ratio**2 / 4)
+    return (mean + ratio / 2 - half) / (1 + ratio), (mean + ratio / 2 + half) / (1 + ratio)
+
+
+def band(curves: np.ndarray, rate: bool = False) -> Estimate:
+    """Return the mean of `curves [seeds, E]` with its 95 % interval at each evaluation, without width where no seed differs."""
+    mean, low, high = mean_interval(curves, rate)
+    same = (np.var(curves, axis=0) <= SAME) & (len(curves) >= FEWEST_SEEDS)
+    return Estimate(mean, np.where(same, mean, low), np.where(same, mean, high))
+
+
+def _quantile(seeds: int) -> float:
+    return float(stats.t.ppf(1 - LEVEL / 2, seeds - 1))
 
 
 def welch(sample: Sample, other: Sample) -> Comparison:

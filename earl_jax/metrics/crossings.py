@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.comparison import band
 from earl_jax.metrics.statistics import Estimate
 
 CROSSING_WINDOW = 100_000
@@ -23,18 +23,13 @@ def trailing_mean(steps: np.ndarray, scores: np.ndarray, window: int = CROSSING_
     return np.where(np.asarray(steps) >= window, means, np.nan)
 
 
-def recent_scores(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Return the mean [...] of `scores [..., E]` over the evaluations of the last 100,000 of `steps [E]`, or all if fewer."""
-    return trailing_mean(steps, scores, min(CROSSING_WINDOW, int(steps[-1])))[..., -1]
-
-
 def crossing(steps: np.ndarray, scores: np.ndarray, level: float, window: int = CROSSING_WINDOW) -> Estimate:
     """Return the first of `steps [E]` at which the mean over seeds of the trailing mean of `scores [N, E]` reaches `level`.
 
-    The interval runs from the first step at which the upper end of Student's 95 % interval of the mean reaches the level
+    The interval runs from the first step at which the upper end of the 95 % interval of the mean reaches the level
     to the first at which the lower end does. Each number is nan if the curve does not reach the level.
     """
-    mean, low, high = mean_interval(trailing_mean(steps, scores, window))
+    mean, low, high = band(trailing_mean(steps, scores, window), rate=True)
     return Estimate(*(_first(steps, curve, level) for curve in (mean, high, low)))
 
 

@@ -1,13 +1,113 @@
-"""The paper's three scores of a whole lifetime.
+"""The score of a run, which every command prints, and the paper's three scores of a whole lifetime.
 
-Source: Sharma et al. 2022, section 3.1: deployed and continuing policy evaluation.
+Source of the latter: Sharma et al. 2022, section 3.1: deployed and continuing policy evaluation.
 
 Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are of the same kind.
 """
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.deployed import WIDE
+from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.metrics.statistics import namespace_of
+
+SHARE, FEWEST = 0.1, 5
+"""The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
+SUCCESS = "deployed/success"
+RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE})
+"""Metrics that are rates, from 0 to 1."""
+
+
+class Window(NamedTuple):
+    """The evaluations at the end of a run over which a seed is scored: its last tenth, and at least five of them.
+
+    `last` evaluations, or those of the last `steps` steps, take the place of the tenth.
+    """
+
+    last: int | None = None
+    steps: int | None = None
+
+    @classmethod
+    def of(cls, last: int | None = None, window: int | None = None) -> "Window":
+        """Return the window of the arguments `--last` and `--window` of a command.
+
+        Raises:
+            ValueError: both are given, or one is below 1.
+        """
+        if last is not None and window is not None:
+            raise InputError("last counts evaluations and window counts steps: give one of them")
+        for name, value in (("last", last), ("window", window)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} must be at least 1, not {value}")
+        return cls(last, window)
+
+    def count(self, steps: np.ndarray) -> int:
+        """Return the number of evaluations that count of those at `steps [E]`, at most E."""
+        if self.last is not None:
+            return min(self.last, len(steps))
+        if self.steps is not None:
+            return int((steps > steps[-1] - self.steps).sum())
+        return min(len(steps), max(FEWEST, int((steps > (1 - SHARE) * steps[-1]).sum())))
+
+    @property
+    def text(self) -> str:
+        """What the score is a mean over, for a note below a table."""
+        if self.last is not None:
+            return "the last evaluation" if self.last == 1 else f"the last {self.last} evaluations"
+        if self.steps is not None:
+            return f"the evaluations of the last {self.steps:,} steps"
+        return f"the evaluations of the last tenth of the run, at least {FEWEST}"
+
+
+DEFAULT = Window()
+
+
+def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> Any:
+    """Return the score [...] of each seed: the mean of `values [..., E]` over the evaluations of `window` at the end."""
+    return values[..., -window.count(steps) :].mean(axis=-1)
+
+
+class Score(NamedTuple):
+    """The score of a run: the mean over seeds of `final_scores [N]` of a `metric`, with its 95 % interval `low` to `high`.
+
+    `evaluations` is how many evaluations of each seed are averaged, from step `first` to step `last`. With fewer than three
+    seeds the ends of the interval are nan.
+    """
+
+    metric: str
+    mean: float
+    low: float
+    high: float
+    seeds: tuple[float, ...]
+    evaluations: int
+    first: int
+    last: int
+
+    @classmethod
+    def of(cls, steps: np.ndarray, metrics: dict[str, np.ndarray], metric: str, window: Window = DEFAULT) -> "Score":
+        """Return the score by `metric` of a run with the evaluations `steps [E]` and `metrics [N, E]`.
+
+        Raises:
+            ValueError: there is no evaluation.
+        """
+        if not len(steps):
+            raise InputError("there is no evaluation yet, so there is no score")
+        scores, count = final_scores(steps, metrics[metric], window), window.count(steps)
+        interval = mean_interval(scores, rate=metric in RATES)
+        return cls(metric, *interval, tuple(scores.tolist()), count, int(steps[-count]), int(steps[-1]))
+
+    def __str__(self) -> str:
+        """Return the score in one line, with what it is a mean of."""
+        interval = "" if np.isnan(self.low) else f" [{self.low:.3f}, {self.high:.3f}]"
+        seeds = "1 seed" if len(self.seeds) == 1 else f"{len(self.seeds)} seeds"
+        which = f"the evaluation at step {self.last:,}"
+        if self.evaluations > 1:
+            which = f"{self.evaluations} evaluations, steps {self.first:,} to {self.last:,}"
+        return f"{self.metric} {self.mean:.3f}{interval}, mean of {seeds} over {which}"
 
 
 class Scores(NamedTuple):

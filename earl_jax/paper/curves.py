@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.scores import deployed_area
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
 from earl_jax.report.published import LEVELS, crossings_beside, published_beside
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
-from earl_jax.report.scores import level_crossings, trailing
+from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
     LINE_STYLES,
     colours,
@@ -46,9 +46,10 @@ def _points(groups: Sequence[MethodRuns]) -> Iterator[Row]:
             deployed: metrics[deployed], deployed + SMOOTH: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]
         }  # fmt: skip
         for metric, values in series.items():
-            for step, scores in zip(group.curves.steps.tolist(), values.T, strict=True):
+            band = interval_of(group.curves, values, metric.removesuffix(SMOOTH))
+            for step, *ends in zip(group.curves.steps.tolist(), *band, strict=True):
                 key = {"env": group.env, "algo": group.label, "step": step, "metric": metric}
-                yield {**key, **interval_columns(mean_interval(scores), "mean"), "seeds": len(scores)}
+                yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": group.curves.seeds}
 
 
 def _scores_table(groups: Sequence[MethodRuns]) -> str:
@@ -75,7 +76,7 @@ def _line(group: MethodRuns) -> list[str]:
         mean_text(deployed_area(curves.steps, scores), digits),
         mean_text(rewards[:, -1], 4),
         continuing.mean if continuing else "-",
-        mean_text(scores[:, -1], digits),
+        mean_text(seed_scores(curves), digits),
         deployed.mean if deployed else "-",
     ]
 
@@ -98,10 +99,13 @@ def _draw(groups: Sequence[MethodRuns]) -> Any:
 def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) -> None:
     """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
     curves = group.curves
-    drawn = trailing(curves.metrics[curves.deployed_metric]), curves.metrics[CONTINUING]
+    drawn = {
+        curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
+        CONTINUING: curves.metrics[CONTINUING],
+    }
     style = {"linestyle": line_style, "label": group.label, "marker": "o" if len(curves.steps) == 1 else None}
-    for axis, values, table in zip(column, drawn, ("table1", "table2"), strict=True):
-        draw_band(axis, curves.steps, mean_interval(values), colour, **style)
+    for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
+        draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, **style)
         if final := published_beside(table, curves):
             edge = axis.get_yaxis_transform()
             axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)

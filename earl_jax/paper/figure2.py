@@ -15,12 +15,12 @@ from earl_jax.algos import SAC
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.errors import InputError
+from earl_jax.metrics.scores import final_scores
 from earl_jax.metrics.statistics import Estimate, difference, mean_of
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.scores import last_mean
 from earl_jax.report.style import ordered
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.config import RunConfig
@@ -54,8 +54,8 @@ class Point(NamedTuple):
 
     @property
     def scores(self) -> np.ndarray:
-        """The final returns [seeds]: the mean of the last 10 evaluations."""
-        return last_mean(self.returns)
+        """The final returns [seeds], by the default `Window`."""
+        return final_scores(self.run.steps[: self.returns.shape[-1]], self.returns)
 
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""

@@ -36,7 +36,6 @@ def report(number: int, folders: Sequence[Path]) -> Report:
         "heading": HEADINGS[number],
         "description": DESCRIPTIONS[number],
         "cells": _table_by_task(rows, _comparison),
-        "recent": _table_by_task(rows, _recent_comparison) if number == 1 else "",
         "claims": table2_claims(groups) if number == 2 else "",
         "tests": _tests([row for row in rows if row["p"] is not None]),
         "rule": INTERVAL_RULE,
@@ -58,22 +57,12 @@ def _table_by_task(rows: Sequence[Row], text: Callable[[Row], str]) -> str:
 
 
 def _comparison(row: Row) -> str:
-    ours = _ours(row, "mean", "stderr")
+    digits = DIGITS.get(row["metric"], 4)
+    ours = "-" if row["mean"] is None else f"{row['mean']:.{digits}f} ({row['stderr']:.{digits}f})"
     if row["published_mean"] == "-":
         return f"{ours} / - / -"
     verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
-
-
-def _recent_comparison(row: Row) -> str:
-    return f"{_ours(row, 'recent', 'recent_stderr')} / {row['published_last10'] or '-'}"
-
-
-def _ours(row: Row, mean: str, error: str) -> str:
-    if row["mean"] is None:
-        return "-"
-    digits = DIGITS.get(row["metric"], 4)
-    return f"{row[mean]:.{digits}f} ({row[error]:.{digits}f})"
 
 
 def _tests(tested: Sequence[Row]) -> str:
@@ -158,7 +147,7 @@ def _add_legend(figure: Any) -> None:
 
     ours = Line2D([], [], marker="o", color="black", linewidth=1.8)
     published = Patch(color="0.6", alpha=0.45)
-    handles = {"ours: mean, Student's 95 % interval": ours, "published: mean, 95 % interval of five seeds": published}
+    handles = {"ours: mean, 95 % interval": ours, "published: mean, 95 % interval of five seeds": published}
     legend_below(figure, handles, 2, fontsize="small")
 
 

@@ -15,11 +15,10 @@ from scipy import stats
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
-from earl_jax.metrics.scores import deployed_area
+from earl_jax.metrics.scores import deployed_area, final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.runs import Curves, read_all
-from earl_jax.report.scores import last_mean
 from earl_jax.report.style import (
     colours,
     legend_below,
@@ -108,7 +107,7 @@ def _rows(key: Row, run: Curves, last: int) -> list[Row]:
     deployed = metrics[run.deployed_metric]
     scores = {
         "interventions": np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
-        "final": last_mean(deployed),
+        "final": final_scores(run.steps[until], deployed),
         "deployed_area": deployed_area(run.steps[until], deployed),
         "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else np.zeros(len(deployed)),
     }
@@ -184,7 +183,7 @@ def _draw(lines: Lines) -> Any:
 def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, **style: Any) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
     spent = [column(seeds, "interventions").mean() for seeds in line]
-    estimate = Estimate(*zip(*(mean_interval(column(seeds, score)) for seeds in line), strict=True))
+    estimate = Estimate(*zip(*(mean_interval(column(seeds, score), rate=True) for seeds in line), strict=True))
     axis.errorbar(spent, estimate.value, reach(estimate), capsize=3, markersize=5, **style)
     for x, y, seeds in zip(spent, estimate.value, line, strict=True):
         axis.annotate(f"{seeds[0]['value']:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")

@@ -8,12 +8,13 @@ from typing import Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import LEVEL, Sample, mean_interval, permutation, smallest_p, welch
+from earl_jax.metrics.comparison import LEVEL, Sample, permutation, smallest_p, welch
+from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.report.comparison import comparison_columns, with_verdicts
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
-from earl_jax.report.scores import recent_scores
+from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import task_order
-from earl_jax.report.tables import Column, Row, Table, interval_text, number_text, wrapped
+from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
 
 Test = Literal["permutation", "welch"]
 COLUMNS: tuple[Column, ...] = (
@@ -27,9 +28,9 @@ COLUMNS: tuple[Column, ...] = (
     ("verdict", lambda row: row["verdict"]),
 )
 RULE = (
-    "Score: mean over seeds and over the evaluations of the last 100,000 steps, with Student's 95 % interval. Each run is "
-    "compared with the best of its task by {test}, p adjusted by Holm over the comparisons of the task. Runs that are shorter "
-    "than the longest of the task are listed after the others and not compared."
+    "Score: mean over seeds and over {window}. {intervals} Each run is compared with the best of its task by {test}, p adjusted "
+    "by Holm over the comparisons of the task. Runs that are shorter than the longest of the task are listed after the others "
+    "and not compared."
 )
 TESTS = {"permutation": "the permutation test (interval: Welch's)", "welch": "Welch's test"}
 OPTIMISM = (
@@ -38,10 +39,11 @@ OPTIMISM = (
 )
 
 
-def best(folders: Sequence[Path], test: Test = "permutation") -> list[Row]:
+def best(folders: Sequence[Path], test: Test = "permutation", window: Window = DEFAULT) -> list[Row]:
     """Return a row for each method and its options, by task, the best first. Seeds of the same are pooled.
 
-    `verdict` is `best`, `below` if the adjusted p of its difference from the best is under 5 %, `cannot tell`, or `shorter`.
+    `verdict` is `best`, `tied` for runs that share the highest score, `below` if the adjusted p of the difference from the best
+    is under 5 %, `cannot tell`, or `shorter`.
     `least_p` is the smallest adjusted p that the test could give with these numbers of seeds.
 
     Raises:
@@ -50,18 +52,18 @@ def best(folders: Sequence[Path], test: Test = "permutation") -> list[Row]:
     groups = read_methods(folders)
     rows: list[Row] = []
     for env in task_order(group.env for group in groups):
-        rows += _ranked([group for group in groups if group.env == env], test)
+        rows += _ranked([group for group in groups if group.env == env], test, window)
     return rows
 
 
-def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
+def _ranked(groups: Sequence[MethodRuns], test: Test, window: Window) -> list[Row]:
     """Return the rows of one task."""
     if len({group.curves.deployed_metric for group in groups}) > 1:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
     longest = max(group.curves.steps[-1] for group in groups)
-    pairs = [(group, recent_scores(group.curves)) for group in groups]
+    pairs = [(group, seed_scores(group.curves, window)) for group in groups]
     pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, -pair[1].mean()))
-    rows = [_row(rank, group, scores) for rank, (group, scores) in enumerate(pairs, 1)]
+    rows = [_row(rank, group, scores, window) for rank, (group, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
     for row, scores in tested:
@@ -72,7 +74,9 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
         row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
     for row in with_verdicts([row for row, _ in tested]):
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
-    rows[0]["verdict"] = "best"
+    tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
+    for row in tied:
+        row |= {"rank": 1, "verdict": "tied" if len(tied) > 1 else "best"}
     return rows
 
 
@@ -83,13 +87,13 @@ def _least_p(first: int, second: int, test: Test) -> float:
     return smallest_p(first, second) if test == "permutation" else 0.0
 
 
-def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
+def _row(rank: int, group: MethodRuns, scores: np.ndarray, window: Window) -> Row:
     """Return the row of a run that is not compared."""
-    interval, curves = mean_interval(scores), group.curves
+    interval, curves = interval_of(group.curves, scores), group.curves
     return {
         "env": group.env, "rank": rank, "method": group.algo, "label": group.label, "options": options_text(curves.options),
         "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
-        "score": interval.value, "low": interval.low, "high": interval.high,
+        "mean_over": window.text, "score": interval.value, "low": interval.low, "high": interval.high,
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p"), math.nan),
         "verdict": "shorter",
     }  # fmt: skip
@@ -103,7 +107,10 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
-    notes = [RULE.format(test=TESTS[test]), *([OPTIMISM] if len(rows) > 1 else [])]
+    notes = [
+        RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS),
+        *([OPTIMISM] if len(rows) > 1 else []),
+    ]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
 

@@ -14,11 +14,11 @@ from earl_jax.metrics.comparison import (
     Sample,
     detectable_difference,
     holm,
-    mean_interval,
     permutation,
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
+from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import (
     RECONSTRUCTED,
@@ -29,9 +29,10 @@ from earl_jax.report.published import (
     share_text,
 )
 from earl_jax.report.runs import MethodRuns, common_steps, read_methods
-from earl_jax.report.scores import recent_scores
+from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, new_figure, reach, save
 from earl_jax.report.tables import (
+    INTERVALS,
     Column,
     Row,
     Table,
@@ -48,9 +49,9 @@ TABLES = (".md", ".tex", ".csv")
 AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
-    "Scores are means over the evaluations of 100,000 steps, up to the same step. Intervals of 95 %: Student's for a mean, "
-    "Welch's for a difference. p: the permutation test between runs, adjusted by Holm over the comparisons of a task at an age. "
-    f"Detectable: the difference that Welch's test would find with a probability of 80 %. {TEST_RULE}"
+    f"The score of a seed is its mean over {{window}}, up to the same step. {INTERVALS} Those of differences are Welch's. p: the "
+    "permutation test between runs, adjusted by Holm over the comparisons of a task at an age. Detectable: the difference that "
+    f"Welch's test would find with a probability of 80 %. {TEST_RULE}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -68,7 +69,10 @@ COLUMNS: tuple[Column, ...] = (
 
 
 def compare(
-    folders: Sequence[Path], against: Literal["runs", "published"] = "runs", metric: str | None = None
+    folders: Sequence[Path],
+    against: Literal["runs", "published"] = "runs",
+    metric: str | None = None,
+    window: Window = DEFAULT,
 ) -> list[Row]:
     """Return a row for each pair of methods on a task, or for each method beside its published score.
 
@@ -81,9 +85,9 @@ def compare(
     """
     groups = read_methods(folders)
     if against == "published":
-        rows = published_rows(groups, metric)
+        rows = published_rows(groups, metric, window)
     else:
-        rows = [pair_row(a, b, metric) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
+        rows = [pair_row(a, b, metric, window=window) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
@@ -107,7 +111,9 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> li
     return rows
 
 
-def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0) -> Row:
+def pair_row(
+    first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0, window: Window = DEFAULT
+) -> Row:
     """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
 
     Raises:
@@ -116,40 +122,44 @@ def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, a
     if metric is None and first.curves.deployed_metric != second.curves.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
     step = int(age * common_steps(first.curves, second.curves)[1])
-    scores, others = (recent_scores(runs.curves, step, metric) for runs in (first, second))
-    return _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others), age)
+    scores, others = (seed_scores(runs.curves, window, step, metric) for runs in (first, second))
+    row = _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others), metric)
+    return row | {"age": age, "mean_over": window.text}
 
 
-def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
+def published_rows(groups: Sequence[MethodRuns], metric: str | None = None, window: Window = DEFAULT) -> list[Row]:
     """Return the comparisons of each of `groups` with the paper, without an adjusted p; none where the paper has nothing.
 
     They are with the released runs at each of `AGES`, by the deployed score or another `metric`, or with the printed score of
     a task without such runs.
     """
     return [
-        row for group in groups for row in _released_rows(group, metric) or ([] if metric else _printed_rows(group))
+        row
+        for group in groups
+        for row in _released_rows(group, metric, window) or ([] if metric else _printed_rows(group, window))
     ]
 
 
-def _released_rows(group: MethodRuns, metric: str | None) -> list[Row]:
+def _released_rows(group: MethodRuns, metric: str | None, window: Window) -> list[Row]:
     """Return the comparisons with the released runs at each age that both sides have reached."""
     released = released_beside(group.curves)
     if released is None or (metric or group.curves.deployed_metric) not in released.metrics:
         return []
     published = MethodRuns(group.env, group.algo, "published", released)
     first, common = common_steps(group.curves, released)
-    return [pair_row(group, published, metric, age) for age in AGES if first <= age * common]
+    return [pair_row(group, published, metric, age, window) for age in AGES if first <= age * common]
 
 
-def _printed_rows(group: MethodRuns) -> list[Row]:
+def _printed_rows(group: MethodRuns, window: Window) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
     score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
     sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
     if not score or not sample:
         return []
     step = int(group.curves.steps[-1])
-    scores = recent_scores(group.curves, step)
+    scores = seed_scores(group.curves, window)
     row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
+    row |= {"age": 1.0, "mean_over": window.text}
     if group.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
     elif step < length:
@@ -158,13 +168,19 @@ def _printed_rows(group: MethodRuns) -> list[Row]:
 
 
 def _row(
-    first: MethodRuns, step: int, scores: np.ndarray, name: str, other: Sample, result: Comparison, age: float = 1.0
+    first: MethodRuns,
+    step: int,
+    scores: np.ndarray,
+    name: str,
+    other: Sample,
+    result: Comparison,
+    metric: str | None = None,
 ) -> Row:
-    own = mean_interval(scores)
+    own = interval_of(first.curves, scores, metric)
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(scores, other, result), "age": age,
+        **comparison_columns(scores, other, result),
     }  # fmt: skip
 
 
@@ -185,7 +201,12 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
 
 def table_text(rows: Sequence[Row], width: int | None = None) -> str:
     """Return the rows of `compare` as a table with the rule below it, markdown or for a terminal of `width` columns."""
-    return Table.of(COLUMNS, rows, [RULE]).text(width)
+    return _table(rows).text(width)
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    windows = dict.fromkeys(row["mean_over"] for row in rows)
+    return Table.of(COLUMNS, rows, [RULE.format(window=" or ".join(windows))])
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
@@ -201,7 +222,7 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
     if path.suffix == ".csv":
         write(rows, path)
     else:
-        Table.of(COLUMNS, rows, [RULE]).write(path)
+        _table(rows).write(path)
     return path
 
 

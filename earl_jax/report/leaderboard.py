@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 
 from earl_jax import assets
 from earl_jax.envs import make
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, MethodRuns
-from earl_jax.report.scores import level_crossings, recent_scores
+from earl_jax.report.scores import interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import interval_text, millions, step_interval
 from earl_jax.runs.provenance import short_commit
 
@@ -79,7 +78,7 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
-    """Return the row of a run: scores over the last 100,000 steps, each with Student's 95 % interval over seeds."""
+    """Return the row of a run: scores by the default `Window`, each with its 95 % interval over seeds."""
     curves = group.curves
     deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
     alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
@@ -91,11 +90,11 @@ def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
         steps=int(curves.steps[-1]),
         deployed=deployed,
         wide=wide,
-        continuing=interval_text(*mean_interval(curves.metrics["continuing/reward"][:, -1])),
+        continuing=_continuing(curves),
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(map(step_interval, level_crossings(curves).values())),
         commit=short_commit(commit) or "-",
-        score=float(recent_scores(curves).mean()),
+        score=float(seed_scores(curves).mean()),
     )
 
 
@@ -107,4 +106,9 @@ def score_text(env: str, value: float, low: float, high: float) -> str:
 def _score(curves: Curves, metric: str) -> str:
     if metric not in curves.metrics:
         return "-"
-    return score_text(curves.config.env, *mean_interval(recent_scores(curves, metric=metric)))
+    return score_text(curves.config.env, *interval_of(curves, seed_scores(curves, metric=metric), metric))
+
+
+def _continuing(curves: Curves) -> str:
+    metric = "continuing/reward"
+    return interval_text(*interval_of(curves, curves.metrics[metric][:, -1], metric))

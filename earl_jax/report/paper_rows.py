@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.comparison import Sample, mean_interval, permutation, welch
+from earl_jax.metrics.comparison import Sample, permutation, welch
+from earl_jax.metrics.scores import DEFAULT
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
 from earl_jax.report.published import (
@@ -19,11 +20,10 @@ from earl_jax.report.published import (
     published_score,
     published_steps,
     released_beside,
-    row_beside,
     share_text,
 )
 from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
-from earl_jax.report.scores import recent_scores
+from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import method_order, task_order
 
 HEADINGS = {
@@ -31,7 +31,8 @@ HEADINGS = {
     2: "Table 2: average reward over the lifetime",
 }
 DESCRIPTIONS = {
-    1: "Success rate for sparse rewards, return for dense ones; the last evaluation only, as published.",
+    1: f"Success rate for sparse rewards, return for dense ones: the mean over {DEFAULT.text}. The printed numbers are of the "
+    "last evaluation.",
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
 
@@ -77,9 +78,6 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
     }
     if group:
         row |= _test(number, group, score)
-    if number == 1:
-        published = assets.published_row("crossings", env=env, algo=algo)
-        row["published_last10"] = (row_beside("crossings", group.curves) if group else published).get("last10") or None
     return row
 
 
@@ -102,26 +100,22 @@ def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[
 
 
 def _scores(number: int, curves: Curves, step: int) -> np.ndarray:
-    """Return the scores [N] to test: of the 100,000 steps up to `step` for table 1, over the life up to it for table 2."""
+    """Return the scores [N] of seeds up to `step`: deployed ones for table 1, rewards over the life for table 2."""
     if number == 1:
-        return recent_scores(curves, step)
+        return seed_scores(curves, step=step)
     return curves.metrics[CONTINUING][:, curves.steps <= step][:, -1]
 
 
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     """Return the scores of the seeds of `group`, all of them None without a run."""
-    names = ["metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high"]
-    names += ["recent", "recent_stderr"] if number == 1 else []
+    names = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
     if group is None:
         return dict.fromkeys(names)
     curves = group.curves
-    metric = curves.deployed_metric if number == 1 else CONTINUING
-    scores = curves.metrics[metric][:, -1]
-    mean, low, high = mean_interval(scores)
-    values = [metric, len(scores), curves.diverged, int(curves.steps[-1]), mean, float(stderr(scores)), low, high]
-    if number == 1:
-        recent = recent_scores(curves)
-        values += [float(recent.mean()), float(stderr(recent))]
+    metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
+    scores = _scores(number, curves, step)
+    mean, low, high = interval_of(curves, scores, metric)
+    values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
     return dict(zip(names, values, strict=True))
 
 

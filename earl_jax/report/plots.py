@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.comparison import FEWEST_SEEDS
+from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels, read_all
-from earl_jax.report.scores import SHARES, evenly_spaced, trailing
+from earl_jax.report.scores import evenly_spaced, interval_of, trailing
 from earl_jax.report.style import (
     LINE_STYLES,
     PICTURES,
@@ -33,8 +32,6 @@ COLOUR_COUNT = 10
 """Colours of matplotlib's cycle."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
-FEWEST = 3
-"""Fewest seeds that have a band; of fewer, each is drawn."""
 POINTS = 2000
 """Most evaluations drawn of a line, more than a panel has pixels."""
 
@@ -73,7 +70,7 @@ class Line(NamedTuple):
 
 def caption(smooth: int = 1, published: bool = False) -> str:
     """Return what a picture of `plot_runs` shows, as the caption of a figure."""
-    text = f"Means over seeds with Student's 95 % intervals; of fewer than {FEWEST} seeds, each is drawn thin instead."
+    text = f"Means over seeds with 95 % intervals; of fewer than {FEWEST_SEEDS} seeds, each is drawn thin instead."
     if published:
         text = "Seeds thin and their means, over the five released seeds of the paper in grey with theirs."
     smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
@@ -89,7 +86,7 @@ def plot_runs(
     smooth: int = 1,
     published: bool = False,
 ) -> Path:
-    """Draw curves of `folders`, means with Student's 95 % bands, and return `out`.
+    """Draw curves of `folders`, means with 95 % bands, and return `out`.
 
     Args:
         folders: run folders, or folders of them such as a sweep's; each task has panels of its own.
@@ -145,22 +142,21 @@ def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, publi
         name = line.curves.deployed_metric if panel == "deployed" else metric
         released = released_beside(line.curves) if published else None
         if released is not None and name in released.metrics:
-            _draw(axis, released.steps, trailing(released.metrics[name], smooth), RELEASED, each=True)
-        values = trailing(line.curves.metrics[name], smooth)
-        _draw(axis, line.curves.steps, values, line.style, each=published or len(values) < FEWEST)
+            _draw(axis, released, name, smooth, RELEASED, each=True)
+        _draw(axis, line.curves, name, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
     axis.set(ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
-    if metric in SHARES:
+    if metric in RATES:
         axis.set_ylim(-0.03, 1.03)
     axis.xaxis.set_major_formatter(lambda step, _: steps_text(step))
     axis.locator_params(axis="x", nbins=6)
     axis.grid(alpha=0.3)
 
 
-def _draw(axis: Any, steps: np.ndarray, values: np.ndarray, style: dict[str, Any], each: bool) -> None:
-    """Draw the mean over seeds of `values [N, E]` with Student's band within the axis, or with `each` seed."""
-    shown = evenly_spaced(values.shape[1], POINTS)
-    steps, values = steps[shown], values[:, shown]
-    estimate = mean_interval(values)
+def _draw(axis: Any, curves: Curves, metric: str, smooth: int, style: dict[str, Any], each: bool) -> None:
+    """Draw the mean over seeds of a metric with its 95 % band, or with `each` seed."""
+    shown = evenly_spaced(len(curves.steps), POINTS)
+    steps, values = curves.steps[shown], trailing(curves.metrics[metric], smooth)[:, shown]
+    estimate = interval_of(curves, values, metric)
     band = Estimate(*[estimate.value] * 3) if each else estimate
     draw_band(axis, steps, band, alpha=0.2, **style)
     if each:

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from scipy import stats
 
 from earl_jax import assets
-from earl_jax.metrics.comparison import Sample
+from earl_jax.metrics.comparison import Sample, rate_interval
+from earl_jax.metrics.scores import DEFAULT
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
@@ -28,10 +29,10 @@ TEST_RULE = (
     "digit. The reward scale of 10 and VaPRL's defaults were chosen with a look at the released runs, which favours them."
 )
 INTERVAL_RULE = (
-    f"{TEST_RULE} Table 1 is tested by means over the evaluations of 100,000 steps. p is adjusted by Holm over the methods of a "
+    f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}. p is adjusted by Holm over the methods of a "
     "task. The verdict is above or below if the adjusted p is under 0.05, else `cannot tell`; detectable is the difference "
     "that Welch's test would find with a probability of 80 %. It is `-` if nothing is published or nothing was run. Intervals "
-    "are Student's 95 % intervals of means."
+    "of 95 % are Student's, or Wilson's for rates."
 )
 
 RECONSTRUCTED = ("dhand_lightbulb",)
@@ -60,14 +61,21 @@ class PublishedScore(NamedTuple):
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Student's 95 % interval of the mean, half a unit of its last digit wider; `<x` gives 0 to x, `-` gives None."""
+        """The 95 % interval of the mean, half a unit of its last digit wider; `<x` gives 0 to x, `-` gives None.
+
+        It is Student's, or within [0, 1] Wilson's: all published rates are there, and no return is.
+        """
         if self.mean.startswith("<"):
             return 0.0, float(self.mean[1:])
         sample = self.sample
         if sample is None:
             return None
-        spread = _half_unit(self.mean) + float(stats.t.ppf(0.975, SEEDS - 1)) * sample.stderr
-        return sample.mean - spread, sample.mean + spread
+        rounding, spread = _half_unit(self.mean), float(stats.t.ppf(0.975, SEEDS - 1)) * sample.stderr
+        if not 0 <= sample.mean <= 1:
+            return sample.mean - spread - rounding, sample.mean + spread + rounding
+        error = sample.stderr if float(self.stderr) else 0.0
+        low, high = rate_interval(sample.mean, error, SEEDS)
+        return max(0.0, float(low) - rounding), min(1.0, float(high) + rounding)
 
     @property
     def sample(self) -> Sample | None:

@@ -15,6 +15,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import PHASE_METRICS
+from earl_jax.metrics.scores import DEFAULT, Score, Window
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig
@@ -43,6 +44,10 @@ class Curves(NamedTuple):
     def deployed_metric(self) -> str:
         """The metric that scores a deployed policy on this task."""
         return self.config.deployed_metric
+
+    def score(self, window: Window = DEFAULT) -> Score:
+        """The deployed score, by default of the last tenth of the run."""
+        return Score.of(self.steps, self.metrics, self.deployed_metric, window)
 
     @property
     def diverged(self) -> int:

@@ -1,4 +1,4 @@
-"""The scores of runs: means over windows of evaluations, crossings, and the row of a method that tables show."""
+"""The scores of runs: those of their seeds, crossings, and the row of a method that tables show."""
 
 import math
 from typing import Any
@@ -7,25 +7,26 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
-from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.comparison import band, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
+from earl_jax.metrics.scores import DEFAULT, RATES, SUCCESS, Window, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import LEVELS, published_beside
 from earl_jax.report.runs import Curves, options_text
 
-WINDOW = 10
-"""Evaluations in the trailing mean of drawn curves, and in the final score of a seed."""
+SMOOTH = 10
+"""Evaluations in the trailing mean of drawn curves."""
 CONVERGED = 0.25
 """Share of a run, at its end, over which the converged reward rate is measured."""
-SHARES = frozenset({"deployed/success", WIDE, FORWARD, BACK, ALIVE})
-"""Metrics that are shares, from 0 to 1."""
 MEANS = {"forward_success": FORWARD, "back_success": BACK, "alive": ALIVE, "still_steps": STILL}
 """By the name of a row's value: the metric of which it is the mean over seeds."""
 
 
-def recent_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
-    """Return each seed's mean over the evaluations of the 100,000 steps up to `step`, or of all if there are fewer.
+def seed_scores(
+    curves: Curves, window: Window = DEFAULT, step: int | None = None, metric: str | None = None
+) -> np.ndarray:
+    """Return the score [N] of each seed up to `step`: the mean over the evaluations of `window` at the end.
 
     `step` is by default the last one, `metric` the deployed one.
 
@@ -35,18 +36,25 @@ def recent_scores(curves: Curves, step: int | None = None, metric: str | None = 
     until = curves.steps <= (curves.steps[-1] if step is None else step)
     if not until.any():
         raise InputError(f"{curves.config.algo} on {curves.config.env} has no evaluation in the first {step:,} steps")
-    scores = curves.metrics[metric or curves.deployed_metric][:, until]
-    if metric and not np.isfinite(scores).all():
+    values = curves.metrics[metric or curves.deployed_metric][:, until]
+    if metric and not np.isfinite(values).all():
         raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
-    return crossings.recent_scores(curves.steps[until], scores)
+    return final_scores(curves.steps[until], values, window)
 
 
-def last_mean(scores: np.ndarray, count: int = WINDOW) -> np.ndarray:
-    """Return the mean [...] of the last `count` evaluations of `scores [..., E]`."""
-    return scores[..., -count:].mean(axis=-1)
+def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:
+    """Return the mean of `scores [N]` of the seeds with its 95 % interval, within [0, 1] if the `metric` is a rate.
+
+    Of curves [N, E] it is the `band`. `metric` is by default the deployed one. The reward per step is a rate where the task's
+    rewards are 0 and 1.
+    """
+    metric = metric or curves.deployed_metric
+    rewards = metric.startswith("continuing/re") and curves.deployed_metric == SUCCESS
+    rate = metric in RATES or (rewards and bool(((scores >= 0) & (scores <= 1)).all()))
+    return band(scores, rate) if scores.ndim > 1 else mean_interval(scores, rate)
 
 
-def trailing(curve: np.ndarray, window: int = WINDOW) -> np.ndarray:
+def trailing(curve: np.ndarray, window: int = SMOOTH) -> np.ndarray:
     """Return the mean of the last `window` evaluations, or of all so far if fewer, at each evaluation of `curve [..., E]`."""
     window = min(window, curve.shape[-1])
     starts = [curve[..., :end].mean(axis=-1, keepdims=True) for end in range(1, window)]
@@ -60,16 +68,15 @@ def evenly_spaced(count: int, most: int) -> np.ndarray:
 
 def level_crossings(curves: Curves) -> dict[float, Estimate]:
     """Return the first step at which the mean success reached each of `LEVELS`; nan for what was not reached."""
-    if curves.deployed_metric != "deployed/success":
+    if curves.deployed_metric != SUCCESS:
         return dict.fromkeys(LEVELS, Estimate(math.nan, math.nan, math.nan))
     return {level: crossings.crossing(curves.steps, curves.metrics[curves.deployed_metric], level) for level in LEVELS}
 
 
-def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
+def row_of(curves: Curves, name: str, window: Window = DEFAULT) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
-    scores = curves.metrics[curves.deployed_metric]
-    deployed, continuing = last_mean(scores, last), curves.metrics["continuing/reward"][:, -1]
-    interval, rates = mean_interval(deployed), curves.deployed_metric == "deployed/success"
+    deployed, continuing = seed_scores(curves, window), curves.metrics["continuing/reward"][:, -1]
+    interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
     return {
         "env": curves.config.env,
         "algo": name,
@@ -77,6 +84,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "seeds": len(deployed),
         "diverged": curves.diverged,
         "steps": int(curves.steps[-1]),
+        "mean_over": window.text,
         "deployed": interval.value,
         "deployed_stderr": float(stderr(deployed)),
         "deployed_low": interval.low,
@@ -86,7 +94,7 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),
         "published_continuing": _published("table2", curves),
-        **life_values(curves.metrics, last),
+        **life_values(curves.metrics, window.count(curves.steps)),
         **_crossing_columns(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
@@ -95,9 +103,9 @@ def row_of(curves: Curves, last: int, name: str) -> dict[str, Any]:
 def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | None]:
     """Return the values of a row from `metrics [N, E]`, over the last `last` evaluations; None for a missing metric.
 
-    `wide` is the mean over seeds with Student's 95 % interval; the others are means of what was measured.
+    `wide` is the mean over seeds with its 95 % interval; the others are means of what was measured.
     """
-    wide = mean_interval(last_mean(metrics[WIDE], last)) if WIDE in metrics else (None, None, None)
+    wide = mean_interval(metrics[WIDE][:, -last:].mean(axis=1), rate=True) if WIDE in metrics else (None, None, None)
     values: dict[str, float | None] = dict(zip(("wide", "wide_low", "wide_high"), wide, strict=True))
     for name, metric in MEANS.items():
         measured = metrics[metric][:, -last:] if metric in metrics else np.array([math.nan])

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text, read_all
-from earl_jax.report.scores import last_mean, row_of
+from earl_jax.report.scores import interval_of, row_of, seed_scores
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]
@@ -25,6 +25,10 @@ LATEX = str.maketrans(
     | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "−": "$-$"}
 )
 """What stands in LaTeX for the letters that have a meaning there."""
+INTERVALS = (
+    "Intervals of 95 % over seeds: Student's, or Wilson's with the effective number of trials for rates; fewer than three seeds "
+    "have none."
+)
 GAP = "  "
 EMPTY = {"", "-"}
 
@@ -55,36 +59,40 @@ class Table(NamedTuple):
         path.write_text("\n".join([*notes, latex_table(self.header, self.lines), ""]))
 
 
-def tabulate(folders: Sequence[Path], last: int = 1, metric: str | None = None, names: Sequence[str] = ()) -> list[Row]:
+def tabulate(
+    folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None, names: Sequence[str] = ()
+) -> list[Row]:
     """Return one row per method: deployed and continuing scores over seeds, crossings, and the published scores.
 
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
-        last: evaluations averaged at the end of a run; the paper's table 1 uses 1.
+        window: the evaluations at the end of a run that are averaged; the paper's table 1 has the last one.
         metric: a column of metrics.csv, of which alone a row then has the mean and its interval.
         names: a name for each row; by default its method, with the options that tell it from others.
 
     Raises:
-        ValueError: `last` is below 1, a folder cannot be read, a run has no column `metric`, or `names` are too few or many.
+        ValueError: a folder cannot be read, a run has no column `metric`, or `names` are too few or many.
     """
-    if last < 1:
-        raise InputError(f"last must be at least 1, not {last}")
     runs = read_all(folders)
     named = zip(runs, checked_labels(names, labels(runs)), strict=True)
-    return [_metric_row(curves, metric, last, name) if metric else row_of(curves, last, name) for curves, name in named]
+    return [
+        _metric_row(curves, metric, window, name) if metric else row_of(curves, name, window) for curves, name in named
+    ]
 
 
-def _metric_row(curves: Curves, metric: str, last: int, name: str) -> Row:
-    interval = mean_interval(last_mean(curves.metrics[metric], last))
+def _metric_row(curves: Curves, metric: str, window: Window, name: str) -> Row:
+    interval = interval_of(curves, seed_scores(curves, window, metric=metric), metric)
     return {
         "env": curves.config.env, "algo": name, "options": options_text(curves.options), "seeds": curves.seeds,
-        "steps": int(curves.steps[-1]), "metric": metric, "mean": interval.value, "low": interval.low, "high": interval.high,
+        "steps": int(curves.steps[-1]), "metric": metric, "mean_over": window.text, "mean": interval.value,
+        "low": interval.low, "high": interval.high,
     }  # fmt: skip
 
 
 def run_table(rows: Sequence[Row]) -> Table:
-    """Return the table of rows of `tabulate`, with the options of each in a note."""
-    notes = [f"{row['algo']}: {row['options']}" for row in rows]
+    """Return the table of rows of `tabulate`, with notes of what their scores are means of, and of the options of each."""
+    notes = [f"The score of a seed is its mean over {rows[0]['mean_over']}. {INTERVALS}"]
+    notes += [f"{row['algo']}: {row['options']}" for row in rows]
     if "metric" in rows[0]:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, notes)
@@ -132,11 +140,6 @@ LIFE: tuple[Column, ...] = (
     _number("still", "still_steps", ",.0f"),
 )
 """Columns that are shown if a row has a value for them."""
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """Return rows of `tabulate` as a markdown table: means with intervals, published scores beside them."""
-    return run_table(rows).text()
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
@@ -240,7 +243,7 @@ def steps_text(steps: float | None) -> str:
 
 
 def step_interval(estimate: Estimate) -> str:
-    """Return a crossing with its interval in millions of steps; `-` stands for an end that was not reached."""
-    if all(map(math.isnan, estimate)):
-        return "-"
+    """Return a crossing in millions of steps, with its interval if it has one; `-` stands for what was not reached."""
+    if math.isnan(estimate.low) and math.isnan(estimate.high):
+        return millions(estimate.value)
     return f"{millions(estimate.value)} [{millions(estimate.low)}, {millions(estimate.high)}]"

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.crossings import recent_scores
+from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.config import RunConfig
@@ -257,14 +257,14 @@ def _rung_steps(schedule: Schedule, rungs: int) -> tuple[int, ...]:
 
 
 def _score(path: Path, steps: int) -> float | None:
-    """Return the mean over seeds of the recent deployed scores of the run at `path` at `steps`; None if it is not there."""
+    """Return the mean over seeds of the deployed scores of the run at `path` at `steps`; None if it is not there."""
     if not (path / CONFIG).is_file():
         return None
     folder = RunFolder.open(path)
     table = folder.table().until(steps)
     if table.step < steps:
         return None
-    return float(recent_scores(table.steps, table.metrics[folder.config.deployed_metric]).mean())
+    return float(final_scores(table.steps, table.metrics[folder.config.deployed_metric]).mean())
 
 
 def _open_study(path: Path, identity: str) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
@@ -56,6 +56,16 @@ class Result:
     def finished(self) -> bool:
         """Whether training reached its last step, rather than a time limit."""
         return self.step >= self.config.steps
+
+    def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
+        """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
+
+        `metric` is by default the deployed one.
+
+        Raises:
+            ValueError: training ended before the first evaluation.
+        """
+        return Score.of(self.steps, self.metrics, metric or deployed_metric(self.env), window)
 
     @property
     def scores(self) -> Scores:

@@ -32,7 +32,7 @@ def test_a_run_folder_has_its_config_and_metrics(finished):
     assert config["options"] == {"batch_size": 16, "hidden_sizes": [16], "random_steps": 20}
     assert len((folder / "metrics.csv").read_text().splitlines()) == 1 + 2 * 3
     assert printed["steps"] == 120
-    assert set(printed["deployed/success"]) >= {"mean", "stderr", "iqm", "low", "high"}
+    assert set(printed["deployed/success"]) >= {"mean", "low", "high", "seeds", "evaluations", "first", "last"}
 
 
 def test_killed_run_resumes_bit_identically(finished, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from earl_jax import training
 from earl_jax.cli import quickstart
 from earl_jax.options.presets import PRESETS
+from earl_jax.report.runs import read
 from tests.cli.process import run
 from tests.report.run_files import TABLETOP, write_page_run
 
@@ -21,7 +22,7 @@ def asked(monkeypatch):
         arguments.update(options, env=env, algo=algo)
         scores = np.arange(10, dtype=float)[None] * np.array([[0.1], [0.08]])
         write_page_run(out, algo, scores, env=env)
-        return type("Result", (), {"metrics": {"deployed/success": scores}})
+        return read(out)
 
     monkeypatch.setattr(training, "train", train)
     return arguments
@@ -33,10 +34,12 @@ def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(as
     assert (asked["env"], asked["algo"]) == (TABLETOP, "fbrl")
     quick = PRESETS["quick"]
     assert (asked["seeds"], asked["steps"], asked["eval_every"]) == (2, quick.schedule.steps, quick.schedule.eval_every)
-    last = np.arange(10)[-quickstart.LAST :].mean() * 0.09
-    assert f"mean of the last {quickstart.LAST} evaluations {last:.2f}, best 0.81" in out
+    score = np.arange(10)[-5:].mean() * 0.09
+    assert f"deployed/success {score:.3f}, mean of 2 seeds over 5 evaluations, steps 60 to 100" in out
+    table = (tmp_path / "table.md").read_text()
+    assert f"| {score:.3f} |" in table
     low, high = quickstart.RANGE
-    assert f"Expect {low} to {high} at the end" in out
+    assert f"Expect a score of {low} to {high} after" in out
 
 
 @pytest.mark.parametrize(("steps", "every"), [(15_000, 2500), (16_000, 16_000)])
@@ -52,4 +55,4 @@ def test_the_pages_promise_what_the_command_does():
     root = Path(__file__).parents[2]
     low, high = quickstart.RANGE
     for page in ("README.md", "docs/getting_started.md"):
-        assert f"Expect {low} to {high}" in " ".join((root / page).read_text().split()), page
+        assert f"Expect a score of {low} to {high}" in " ".join((root / page).read_text().split()), page

@@ -8,6 +8,7 @@ from scipy import stats
 
 from earl_jax.metrics.comparison import (
     Sample,
+    band,
     detectable_difference,
     holm,
     mean_interval,
@@ -60,6 +61,50 @@ def test_welch_equals_scipy():
     assert (result.low, result.high) == pytest.approx((interval.low, interval.high))
     mean, expected = mean_interval(scores), stats.ttest_1samp(scores, 0.0).confidence_interval()
     assert (mean.low, mean.high) == pytest.approx((expected.low, expected.high))
+
+
+WORLDS = {
+    "all or nothing, 0.9": (0.9, lambda rng, shape: rng.random(shape) < 0.9),
+    "all or nothing, 0.5": (0.5, lambda rng, shape: rng.random(shape) < 0.5),
+    "evenly spread": (0.5, lambda rng, shape: rng.random(shape)),
+    "near the end": (5 / 6, lambda rng, shape: rng.beta(5, 1, shape)),
+    "at both ends": (0.5, lambda rng, shape: rng.beta(0.5, 0.5, shape)),
+    "equal seeds, 100 episodes": (0.98, lambda rng, shape: rng.binomial(100, 0.98, shape) / 100),
+    "one in ten fails a bit": (0.95, lambda rng, shape: np.where(rng.random(shape) < 0.9, 1.0, rng.random(shape))),
+}
+"""How success rates of seeds may be distributed, with their mean."""
+
+
+@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("seeds", [3, 5, 10])
+def test_the_interval_of_a_rate_holds_its_mean_in_19_of_20_experiments_and_stays_within_0_and_1(name, seeds):
+    """Student's interval has 26 to 98 % here; it leaves [0, 1], or has no width where the few seeds agree."""
+    mean, draw = WORLDS[name]
+    scores = draw(np.random.default_rng(0), (seeds, 20_000)).astype(float)
+    estimate = mean_interval(scores, rate=True)
+    assert 0 <= estimate.low.min() <= estimate.high.max() <= 1
+    assert np.mean((estimate.low <= mean) & (mean <= estimate.high)) > 0.928
+
+
+def test_no_interval_knows_of_failures_that_five_seeds_did_not_show():
+    rng = np.random.default_rng(0)
+    failing = rng.random((5, 20_000)) < 0.15
+    scores = np.where(failing, rng.beta(1, 3, failing.shape), rng.beta(30, 1.5, failing.shape))
+    mean = 0.15 * 0.25 + 0.85 * 30 / 31.5
+    held = [
+        np.mean((low <= mean) & (mean <= high)) for _, low, high in (mean_interval(scores, r) for r in (True, False))
+    ]
+    assert held == [pytest.approx(0.63, abs=0.01), pytest.approx(0.58, abs=0.01)]
+
+
+def test_an_interval_needs_three_seeds_and_a_band_has_no_width_where_seeds_agree():
+    assert mean_interval(np.ones(5), rate=True).low == pytest.approx(5 / (5 + stats.norm.ppf(0.975) ** 2))
+    assert np.isnan(mean_interval(np.array([0.2, 0.4]))[1:]).all()
+    curves = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.2]])
+    flat, risen = np.transpose(band(curves, rate=True))
+    assert flat.tolist() == [0, 0, 0]
+    assert risen.tolist() == pytest.approx(mean_interval(curves[:, 1], rate=True))
+    assert np.isnan(band(curves[:2], rate=True).low).all()
 
 
 def test_the_permutation_test_enumerates_few_seeds_and_draws_among_many():

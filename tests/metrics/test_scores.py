@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.metrics.crossings import crossing, trailing_mean
-from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
+from earl_jax.metrics.scores import Score, Window, deployed_area, final_scores, lifetime_scores, regret
 
 STEPS, SCORES = np.array([10, 30]), np.array([[1.0, 0.5], [0.0, 0.3]])
 MILLION = np.arange(10_000, 1_000_001, 10_000)
@@ -19,6 +19,46 @@ def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_s
     assert scores.final.tolist() == [0.5, 0.3]
     assert scores.deployed == pytest.approx([2 / 3, 0.2])
     assert scores.continuing.tolist() == [0.2, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("end", "every", "window", "count"),
+    [
+        (2_500_000, 10_000, Window(), 25),
+        (170_000, 2_500, Window(), 7),
+        (100_000, 10_000, Window(), 5),
+        (30, 10, Window(), 3),
+        (100_000, 10_000, Window(last=1), 1),
+        (100_000, 10_000, Window(steps=30_000), 3),
+        (100_000, 10_000, Window(last=99), 10),
+    ],
+)
+def test_a_seed_is_scored_over_the_last_tenth_and_over_five_evaluations_at_least(end, every, window, count):
+    steps = np.arange(every, end + 1, every)
+    curves = np.random.default_rng(0).random((2, len(steps)))
+    assert window.count(steps) == count
+    np.testing.assert_allclose(final_scores(steps, curves, window), curves[:, -count:].mean(axis=1))
+
+
+def test_a_score_says_what_it_is_a_mean_of():
+    curves = {"deployed/success": np.tile([[0.2], [0.4], [0.6]], 60)}
+    score = Score.of(MILLION[:60], curves, "deployed/success")
+    assert (
+        str(score)
+        == "deployed/success 0.400 [0.098, 0.803], mean of 3 seeds over 6 evaluations, steps 550,000 to 600,000"
+    )
+    last = Score.of(MILLION[:60], {"x": np.array([[3.0] * 60])}, "x", Window(last=1))
+    assert str(last) == "x 3.000, mean of 1 seed over the evaluation at step 600,000"
+    with pytest.raises(ValueError, match="no evaluation yet"):
+        Score.of(MILLION[:0], {"x": np.empty((1, 0))}, "x")
+
+
+def test_a_window_counts_evaluations_or_steps():
+    assert Window.of(None, 5_000) == Window(steps=5_000)
+    with pytest.raises(ValueError, match="give one of them"):
+        Window.of(1, 1)
+    with pytest.raises(ValueError, match="last must be at least 1, not 0"):
+        Window.of(0)
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from earl_jax.metrics.comparison import holm, permutation
+from earl_jax.metrics.comparison import holm, mean_interval, permutation
+from earl_jax.metrics.scores import Window
 from earl_jax.report.best import best, best_text
 from tests.report.run_files import DOOR, TABLETOP, constant, write_run
 
@@ -33,8 +33,22 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
     assert [row["p_holm"] for row in rows[1:]] == holm(tests).tolist()
     assert rows[2]["least_p"] == pytest.approx(2 * 2 / math.comb(10, 5))
     assert rows[0]["score"] == pytest.approx(0.9)
-    half = stats.t.ppf(0.975, 4) * np.std(GOOD, ddof=1) / np.sqrt(5)
-    assert [rows[0]["low"], rows[0]["high"]] == pytest.approx([0.9 - half, 0.9 + half])
+    assert (rows[0]["low"], rows[0]["high"]) == mean_interval(np.array(GOOD), rate=True)[1:]
+
+
+def test_runs_that_share_the_highest_score_are_tied(tmp_path):
+    rows = best([write_cells(tmp_path, zero=[0.0] * 3, none=[0.0] * 3, less=[-0.1] * 3)])
+    assert [(row["rank"], row["verdict"]) for row in rows[:2]] == [(1, "tied")] * 2
+    assert (rows[2]["rank"], rows[2]["verdict"]) == (3, "cannot tell")
+
+
+def test_a_window_changes_the_ranking(tmp_path):
+    """One run has the better last evaluation, the other the better mean."""
+    for number, scores in enumerate(([0.9, 0.2], [0.0, 0.8]), 1):
+        write_run(tmp_path / str(number), TABLETOP, "naive", [scores] * 3, reward_scale=float(number))
+    leaders = [best([tmp_path], window=window)[0] for window in (Window(), Window(last=1))]
+    assert [row["options"] for row in leaders] == ["reward_scale=1.0", "reward_scale=2.0"]
+    assert "over the last evaluation." in best_text([leaders[1]])
 
 
 def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
@@ -49,7 +63,7 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     text = best_text(few)
     assert "Of 2 others of the same length, 2 cannot be told from the best: rank 2, 3." in text
     assert "the smallest adjusted p of so many permutation tests is 0.67" in text
-    assert "| 1 | naive (reward_scale=1.0) | 2 | 20 | 0.825 [0.507, 1.143] |" in text
+    assert "| 1 | naive (reward_scale=1.0) | 2 | 20 | 0.825 |" in text
     welch = best_text(best([tmp_path], "welch"), "welch")
     assert "None could be" not in welch
     assert "by Welch's test" in welch

@@ -11,14 +11,18 @@ CONVERTED = (5 / 4) ** 0.5
 
 
 @pytest.mark.parametrize(
-    ("mean", "stderr", "error", "text"), [("0.32", "0.17", 0.17, "0.32 (0.17)"), ("1.00", "0.00", 0.005, "1.00 (0.00)")]
+    ("mean", "stderr", "error", "interval"),
+    [
+        ("0.32", "0.17", 0.17, (0.0522, 0.7899)),
+        ("1.00", "0.00", 0.005, (5 / (5 + 3.8415) - 0.005, 1.0)),
+        ("-9.0", "1.0", 1.0, (-9 - T4 * CONVERTED - 0.05, -9 + T4 * CONVERTED + 0.05)),
+    ],
 )
-def test_a_published_score_is_a_sample_with_students_interval_and_half_a_printed_digit(mean, stderr, error, text):
+def test_a_published_score_is_a_sample_with_an_interval_half_a_printed_digit_wider(mean, stderr, error, interval):
     score = PublishedScore(mean, stderr)
-    assert (score.value, score.text) == (float(mean), text)
+    assert (score.value, score.text) == (float(mean), f"{mean} ({stderr})")
     assert score.sample == pytest.approx((float(mean), error * CONVERTED, 5))
-    reach = error * CONVERTED * T4 + 0.005
-    assert score.interval == pytest.approx((float(mean) - reach, float(mean) + reach), abs=1e-4)
+    assert score.interval == pytest.approx(interval, abs=1e-4)
 
 
 def test_a_score_without_an_error_is_no_sample():

@@ -5,6 +5,7 @@ import pytest
 
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import BACK, STILL
+from earl_jax.metrics.scores import Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.cli.process import run
@@ -24,14 +25,14 @@ def write_three_evaluations(path, **options):
 def test_a_row_summarises_the_curves(tmp_path):
     folder = write_three_evaluations(tmp_path)
     [row] = tables.tabulate([folder])
-    expected = {"deployed": 1.05, "continuing": 0.01, "seeds": 2, "steps": 30, "steps_per_reward": 50}
+    expected = {"deployed": 0.55, "continuing": 0.01, "seeds": 2, "steps": 30, "steps_per_reward": 50}
     assert {name: row[name] for name in expected} == pytest.approx(expected)
     assert row["published_deployed"] == "0.32 (0.17)"
     assert row["steps_to_0.5"] is None
-    assert tables.markdown([row]).count("| - | - | 50.0 |") == 1
-    assert tables.tabulate([folder], last=3)[0]["deployed"] == pytest.approx(0.55)
-    with pytest.raises(ValueError, match="last must be at least 1, not 0"):
-        tables.tabulate([folder], last=0)
+    text = tables.run_table([row]).text()
+    assert text.count("| - | - | 50.0 |") == 1
+    assert "The score of a seed is its mean over the evaluations of the last tenth of the run, at least 5." in text
+    assert tables.tabulate([folder], Window(last=1))[0]["deployed"] == pytest.approx(1.05)
 
 
 def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_own(tmp_path):
@@ -41,16 +42,16 @@ def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_o
     names = ["naive", "naive (goal_change=7, setting=continuing)", "naive (reward_scale=1.0)"]
     assert [row["algo"] for row in rows] == names
     assert [row["published_deployed"] for row in rows] == ["0.32 (0.17)", None, "0.32 (0.17)"]
-    text = tables.markdown(rows)
+    text = tables.run_table(rows).text()
     assert [f"| {name} |" in text for name in names] == [True] * 3
     assert text.endswith("naive (reward_scale=1.0): reward_scale=1.0")
 
 
 def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_path):
-    steps, late = list(range(20_000, 500_001, 20_000)), [[0.0] * 10 + [1.0] * 15, [0.0] * 12 + [1.0] * 13]
+    steps, late = list(range(20_000, 500_001, 20_000)), [[0.0] * n + [1.0] * (25 - n) for n in (10, 11, 12)]
     [row] = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", late, steps=steps, metrics=REWARDS)])
     assert [row[f"steps_to_0.5{end}"] for end in ("_low", "", "_high")] == [220_000, 280_000, 340_000]
-    assert "| 0.28M [0.22M, 0.34M] |" in tables.markdown([row])
+    assert "| 0.28M [0.22M, 0.34M] |" in tables.run_table([row]).text()
 
 
 def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
@@ -58,8 +59,8 @@ def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
     for suffix in ("csv", "md", "tex"):
         tables.write(rows, tmp_path / f"t.{suffix}")
     assert read_csv(tmp_path / "t.csv")[0]["published_continuing"] == "0.012 (0.004)"
-    assert "| 1.050 [0.415, 1.685] | 100% |" in (tmp_path / "t.md").read_text()
-    assert r"& 1.050 [0.415, 1.685] & 100\%" in (tmp_path / "t.tex").read_text()
+    assert "| 0.550 | 50% |" in (tmp_path / "t.md").read_text()
+    assert r"& 0.550 & 50\%" in (tmp_path / "t.tex").read_text()
     with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 
@@ -68,8 +69,8 @@ def test_tables_say_how_many_seeds_have_diverged(tmp_path):
     diverged = {"diverged": [[0, 0, 0], [0, 1, 1]]}
     rows = tables.tabulate([write_three_evaluations(tmp_path / "a", metrics=diverged)])
     assert rows[0]["diverged"] == 1
-    assert "| 2, 1 of 2 diverged |" in tables.markdown(rows)
-    assert "diverged" not in tables.markdown(tables.tabulate([write_three_evaluations(tmp_path / "b")]))
+    assert "| 2, 1 of 2 diverged |" in tables.run_table(rows).text()
+    assert "diverged" not in tables.run_table(tables.tabulate([write_three_evaluations(tmp_path / "b")])).text()
 
 
 def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_path):
@@ -77,16 +78,16 @@ def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_p
     life = {WIDE: [[0.0, 0.5, 0.25], [0.0, 0.5, 0.75]], BACK: [[np.nan, 0.5, np.nan], [np.nan, 1.0, 0.5]], STILL: 1234}
     new = write_run(tmp_path / "new", TABLETOP, "fbrl", np.ones((2, 3)), metrics={**REWARDS, **life})
     rows = tables.tabulate([new, old])
-    assert rows[0]["wide"] == pytest.approx(0.5)
-    assert rows[0]["wide_low"] < 0.5 < rows[0]["wide_high"]
-    assert (rows[0]["back_success"], rows[0]["still_steps"], rows[0]["alive"]) == (0.5, 1234, None)
+    assert rows[0]["wide"] == pytest.approx(1 / 3)
+    assert np.isnan(rows[0]["wide_low"])
+    assert (rows[0]["back_success"], rows[0]["still_steps"], rows[0]["alive"]) == (pytest.approx(2 / 3), 1234, None)
     assert {rows[1][name] for name in ("wide", "back_success", "still_steps")} == {None}
-    header, _, first, second = tables.markdown(rows).splitlines()[:4]
+    header, _, first, second = tables.run_table(rows).text().splitlines()[:4]
     assert header.endswith("| wide, mean [95 %] | back | still |")
-    assert first.endswith("| 0.50 | 1,234 |")
+    assert first.endswith("| 0.67 | 1,234 |")
     assert second.endswith("| - | - | - |")
-    assert "wide" not in tables.markdown(tables.tabulate([old]))
-    assert tables.tabulate([new], last=2)[0]["back_success"] == pytest.approx(2 / 3)
+    assert "wide" not in tables.run_table(tables.tabulate([old])).text()
+    assert tables.tabulate([new], Window(last=1))[0]["back_success"] == 0.5
 
 
 def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
@@ -96,8 +97,8 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     code, out, _ = run(*arguments, "--out", tmp_path / "t.tex")
     assert code == 0
     assert "| env | algo | seeds | steps | continuing/recent, mean [95 %] |" in out
-    assert "| tabletop_organization | one | 2 | 30 | 0.015 [0.015, 0.015] |" in out
-    assert r"ten & 2 & 30 & 0.015 [0.015, 0.015] \\" in (tmp_path / "t.tex").read_text()
+    assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out
+    assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()
     assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
     code, _, err = run("table", tmp_path / "runs", "--labels", "one")
     assert (code, "give one for each of: naive; naive (reward_scale=1.0)" in err) == (2, True)

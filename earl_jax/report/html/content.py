@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
@@ -20,7 +21,7 @@ from earl_jax.report.html.page_tables import (
 )
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.runs import options_text
-from earl_jax.report.scores import WINDOW
+from earl_jax.report.scores import SMOOTH
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import steps_text
 from earl_jax.runs.folder import RunFolder
@@ -47,12 +48,12 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "summary": _summary(lines, versions),
         "paper_tables": [paper_table(number, lines) for number in (1, 2)],
         "rule": INTERVAL_RULE,
-        "difference_rule": RULE,
+        "difference_rule": RULE.format(window=DEFAULT.text),
         "leaderboard": leaderboard(lines),
         "cards": [_run_card(line, run) for line in lines for run in line.runs],
         "versions": {name: ", ".join(values) for name, values in versions.items()},
         "differing": [name for name, values in versions.items() if len(values) > 1],
-        "window": WINDOW,
+        "window": SMOOTH,
         "points": POINTS,
     }
 

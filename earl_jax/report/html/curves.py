@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
+from earl_jax.metrics.scores import RATES
 from earl_jax.report.published import crossings_beside, published_beside, published_steps
 from earl_jax.report.runs import Curves, MethodRuns, by_method
-from earl_jax.report.scores import SHARES, WINDOW, evenly_spaced, trailing
+from earl_jax.report.scores import SMOOTH, evenly_spaced, interval_of, trailing
 from earl_jax.report.style import colours, lightened, shaded
 from earl_jax.runs.folder import RunFolder
 
@@ -20,8 +21,6 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 POINTS = 250
 """Most evaluations drawn of a line; more would only make the page larger."""
 DIGITS = 5
-FEWEST = 3
-"""Fewest seeds that have a band."""
 
 
 class Line(NamedTuple):
@@ -105,7 +104,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
         pairs = [(line, metric) for line, metric in pairs if metric in line.curves.metrics]
         if not pairs or not (panel.always or any(line.curves.metrics[metric].any() for line, metric in pairs)):
             continue
-        rates = pairs[0][1] in SHARES
+        rates = pairs[0][1] in RATES
         plots.append(
             {
                 "title": panel.title,
@@ -123,22 +122,22 @@ def _curve(line: Line, metric: str) -> dict[str, Any]:
     values = curves.metrics[metric]
     count = len(curves.steps)
     indices = evenly_spaced(count, POINTS)
-    smooth = metric == curves.deployed_metric and count >= 2 * WINDOW
+    smooth = metric == curves.deployed_metric and count >= 2 * SMOOTH
     return {
         "line": line.key,
         "label": line.group.label,
         "dash": line.dash,
         "x": curves.steps[indices].tolist(),
-        "plain": _banded(values[:, indices]),
-        "smooth": _banded(trailing(values)[:, indices]) if smooth else None,
+        "plain": _banded(curves, values[:, indices], metric),
+        "smooth": _banded(curves, trailing(values)[:, indices], metric) if smooth else None,
         "published": _published(line, metric),
     }
 
 
-def _banded(values: np.ndarray) -> dict[str, Any]:
-    """Return the mean of `values [N, E]`, Student's 95 % band if seeds suffice, and every seed."""
-    mean, low, high = map(_short, mean_interval(values))
-    if len(values) < FEWEST:
+def _banded(curves: Curves, values: np.ndarray, metric: str) -> dict[str, Any]:
+    """Return the mean of `values [N, E]` of a metric, the 95 % band if seeds suffice, and every seed."""
+    mean, low, high = map(_short, interval_of(curves, values, metric))
+    if len(values) < FEWEST_SEEDS:
         low = high = None
     return {"mean": mean, "low": low, "high": high, "each": [_short(seed) for seed in values]}
 

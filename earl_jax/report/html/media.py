@@ -12,7 +12,7 @@ from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.curves import Line
-from earl_jax.report.scores import last_mean
+from earl_jax.report.scores import seed_scores
 from earl_jax.runs.contents import POLICIES
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import policies_step
@@ -147,7 +147,7 @@ def videos(lines: Sequence[Line], policies: PolicyVideos | None = None) -> list[
 
 def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, str]]:
     """Yield the videos of a line, each with the start of the sentence about its problem."""
-    scores, first = last_mean(line.curves.metrics[line.curves.deployed_metric]), 0
+    scores, first = seed_scores(line.curves), 0
     for run in line.runs:
         for file in sorted(run.path.iterdir()):
             if file.suffix.lower() in KINDS:

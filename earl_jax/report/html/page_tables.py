@@ -13,7 +13,7 @@ from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, ship
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import label
-from earl_jax.report.scores import WINDOW, last_mean
+from earl_jax.report.scores import seed_scores
 from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import steps_text
 from earl_jax.runs.folder import RunFolder
@@ -26,13 +26,14 @@ HERE = "this page"
 TableRow = tuple[Line | None, str, Sequence[str]]
 """A row of a table: its line if it is one of the page's, the method with options in brackets, and cells as text."""
 ARROWS = {"above": "▲ ", "below": "▼ "}
-SIZE, MEAN, INTERVAL, RECENT = "seeds × steps", "mean (s.e.)", "95 % of the mean", "last 100k steps (s.e.)"
-PUBLISHED, PUBLISHED_LAST, VERDICT = "published", f"published, last {WINDOW}", "verdict"
-HEADS = {
-    1: (SIZE, MEAN, INTERVAL, RECENT, PUBLISHED, PUBLISHED_LAST, VERDICT),
-    2: (SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT),
-}
-"""The columns of each of the paper's tables."""
+HEAD = SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT = (
+    "seeds × steps",
+    "mean (s.e.)",
+    "95 % of the mean",
+    "published",
+    "verdict",
+)
+"""The columns of the paper's tables."""
 
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
@@ -42,16 +43,16 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
     groups, notes = [], []
     for env in task_order(line.group.env for line in lines):
         of_task = [row for row in rows if row["env"] == env]
-        table_rows = [_paper_row(number, row, known.get((env, row["label"]))) for row in of_task]
+        table_rows = [_paper_row(row, known.get((env, row["label"]))) for row in of_task]
         groups.append({"title": task_title(env), "rows": table_rows})
         if fault := published_fault(f"table{number}", env):
             notes.append(f"{task_title(env)}, a known fault of the published scores: {fault}")
     lead, _, text = HEADINGS[number].partition(": ")
     about = {"lead": lead, "text": text, "description": DESCRIPTIONS[number], "notes": notes}
-    return {**about, "head": HEADS[number], "groups": groups}
+    return {**about, "head": HEAD, "groups": groups}
 
 
-def _paper_row(number: int, row: dict[str, Any], line: Line | None) -> TableRow:
+def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
     score = PublishedScore(row["published_mean"], row["published_stderr"])
     published = "–" if score.mean == "-" else score.text.replace("-", "−")
     cells = {SIZE: "not run", PUBLISHED: published, VERDICT: _verdict(row)}
@@ -63,10 +64,7 @@ def _paper_row(number: int, row: dict[str, Any], line: Line | None) -> TableRow:
             MEAN: f"{texts['mean']} ({texts['stderr']})",
             INTERVAL: f"[{texts['low']}, {texts['high']}]",
         }
-        if number == 1:
-            cells[RECENT] = f"{texts['recent']} ({texts['recent_stderr']})"
-            cells[PUBLISHED_LAST] = row["published_last10"] or "–"
-    return line, row["label"], [cells.get(name, "") for name in HEADS[number]]
+    return line, row["label"], [cells.get(name, "") for name in HEAD]
 
 
 def _verdict(row: dict[str, Any]) -> str:
@@ -133,20 +131,20 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
 def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
     """Return the final values of every seed of one task's `lines`, a row for each.
 
-    After the seed come the last deployed score, the mean of the last ten, and the values of `PANELS`.
+    After the seed come its score and the last values of `PANELS`.
     """
     panels = [panel for panel in PANELS if panel.metric and any(panel.metric in line.curves.metrics for line in lines)]
     rows = []
     for line in lines:
         metrics = line.curves.metrics
-        scores = metrics[line.curves.deployed_metric]
+        scores = seed_scores(line.curves)
         for lane, seed in enumerate(line.seeds):
-            values = [scores[lane, -1], last_mean(scores[lane])]
+            values = [scores[lane]]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
             texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
             rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
-    head = ["seed", name, f"mean of the last {WINDOW}", *(panel.title for panel in panels)]
+    head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
     return {"head": head, "groups": [{"title": "", "rows": rows}]}
 
 

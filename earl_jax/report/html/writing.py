@@ -69,7 +69,7 @@ def write_page(
 def _check(curves: Curves) -> None:
     """Raise an error if the method cannot be built or if a number of the page cannot be computed from `curves`."""
     curves.config.build_method()
-    row_of(curves, 1, "")
+    row_of(curves, "")
     for metric in (curves.deployed_metric, "interventions"):
         if not np.isfinite(curves.metrics[metric]).all():
             raise InputError(f"{metric} is not finite")
