@@ -67,7 +67,7 @@ def pack(folder: Path, out: Path, episodes: int = EPISODES, least: float = LEAST
         ValueError: `folder` has no policies, or they reach too few goals.
     """
     run = RunFolder.open(folder)
-    env, policies = load_policies(run)
+    env, policies = run.config.build_task(), load_policies(run)
     env = env if chosen_engine(env) == "kinematic" else with_engine(env, "c")
     arrays = arrays_of_actor(policies.actor)
     rounded = policies.replace(actor=actor_of_arrays(arrays))

@@ -72,7 +72,7 @@ def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequ
 
 def _run_rows(folder: Path, episodes: int) -> list[Row]:
     run = RunFolder.open(folder)
-    env, policies = load_policies(run)
+    env, policies = run.config.build_task(), load_policies(run)
     columns: dict[str, np.ndarray] = {}
     for kind, limit in KINDS.items():
         start = env.reset if limit is None else within(env, limit)

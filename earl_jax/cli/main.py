@@ -21,6 +21,7 @@ from earl_jax.cli.paper import reproduce
 from earl_jax.cli.quickstart import quickstart
 from earl_jax.cli.report import report
 from earl_jax.cli.search import search
+from earl_jax.cli.show import show
 from earl_jax.cli.sweep import sweep
 from earl_jax.cli.train import resume, train
 from earl_jax.cli.xla_flags import HELP, set_flags, trains
@@ -31,7 +32,7 @@ from earl_jax.runs.files import RunWarning
 from earl_jax.runs.streams import LastingStream, lasting_streams
 
 FUNCTIONS = (
-    list_, train, resume, sweep, search, reproduce, evaluate, plot, table, best, compare, render, report, demos,
+    list_, train, resume, sweep, search, reproduce, show, evaluate, plot, table, best, compare, render, report, demos,
     import_demos, quickstart,
 )  # fmt: skip
 COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}

@@ -1,5 +1,6 @@
 """The return types of an environment: its state and the result of a step."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -8,10 +9,29 @@ import numpy as np
 from flax import struct
 from jax.core import Tracer
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 
 NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
 """The result of a control step: the physics data, the state vector [s], and the changed fields of `info`."""
+
+
+MOST_ARRAYS = 4
+"""Arrays of a field that `struct_text` names one by one."""
+
+
+def struct_text(struct: Any) -> str:
+    """Return a flax struct, of arrays or tracers, as a line for each field with types and shapes; its `__repr__`."""
+    fields = [f"  {field.name}: {_tree_text(getattr(struct, field.name))}\n" for field in dataclasses.fields(struct)]
+    return f"{type(struct).__name__}(\n{''.join(fields)})"
+
+
+def _tree_text(tree: Any) -> str:
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    if not leaves or len(leaves) > MOST_ARRAYS:
+        return f"{type(tree).__name__} of {len(leaves)} arrays" if leaves else brief(tree)
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves]
+    texts = [f"{leaf.dtype}{list(leaf.shape)}" if hasattr(leaf, "dtype") else brief(leaf) for _, leaf in leaves]
+    return ", ".join(f"{name} {text}".lstrip() for name, text in zip(names, texts, strict=True))
 
 
 class State(struct.PyTreeNode):
@@ -26,6 +46,8 @@ class State(struct.PyTreeNode):
     done: jax.Array
     metrics: dict[str, jax.Array]
     info: dict[str, jax.Array]
+
+    __repr__ = struct_text
 
 
 def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:

@@ -88,9 +88,9 @@ def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[
         return pretrained_env(str(source), method), pretrained(str(source), method)
     if method is not None:
         raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
-    env, policies = load_policies(RunFolder.open(Path(source)))
+    run = RunFolder.open(Path(source))
     try:
-        return env, select_seed(policies, seed)
+        return run.config.build_task(), select_seed(load_policies(run), seed)
     except IndexError as error:
         raise InputError(f"{source}: {error}") from error
 

@@ -108,18 +108,22 @@ class RunConfig:
         """Return the setting with its options."""
         return setting_of(**self.setting)
 
-    def build_env(self) -> Env:
-        """Return the task, wrapped in a `HelpBudget` if the setting has a budget.
+    def build_task(self) -> Env:
+        """Return the task, without the help that the setting can add.
 
         Raises:
             ValueError: the run was trained on an object of a class that its name does not build; the message names the
                 class.
         """
         _require_registered("env", self.env, self.env_class, env_class)
-        return self.build_setting().wrap(make(self.env, **self.env_options))
+        return make(self.env, **self.env_options)
+
+    def build_env(self) -> Env:
+        """Return the task, wrapped in a `HelpBudget` if the setting has a budget. Errors as `build_task`."""
+        return self.build_setting().wrap(self.build_task())
 
     def build_method(self) -> Method:
-        """Return the method with its hyper-parameters. Errors as `build_env`."""
+        """Return the method with its hyper-parameters. Errors as `build_task`."""
         _require_registered("algo", self.algo, self.algo_class, algo_class)
         return make_algo(self.algo, **self.options)
 

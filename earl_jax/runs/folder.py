@@ -62,7 +62,7 @@ class RunFolder:
     @property
     def id(self) -> str:
         """The unique identifier of the run, which does not change if the folder is moved."""
-        identifier = self._config_values().get("id")
+        identifier = self.recorded().get("id")
         if not isinstance(identifier, str):
             raise InputError(f"{self.config_file} is damaged: it has no id")
         return identifier
@@ -143,11 +143,12 @@ class RunFolder:
 
     def record(self, **values: Any) -> None:
         """Write entries of config.json, such as the physics engine that trains this run, unless they are there."""
-        present = self._config_values()
+        present = self.recorded()
         if not values.items() <= present.items():
             write_atomically(self.config_file, json.dumps({**present, **values}, indent=2) + "\n")
 
-    def _config_values(self) -> dict[str, Any]:
+    def recorded(self) -> dict[str, Any]:
+        """Return the entries of config.json, with the engine and the provenance."""
         return json.loads(read_bytes(self.config_file, LARGEST_CONFIG))
 
     def append(self, step: int, metrics: Mapping[str, np.ndarray]) -> None:

@@ -45,6 +45,16 @@ def policies_step(path: Path) -> int:
     return int(_read(path, [])["step"]) if path.exists() else 0
 
 
+def policy_sizes(path: Path) -> tuple[int, int]:
+    """Return the sizes of the observation and of the action of the policies at `path`. Errors as `load_policies`."""
+    names = ("obs_size", "action_size")
+    arrays = _read(path, names)
+    for name in names:
+        if name not in arrays or arrays[name].shape or arrays[name].dtype.kind not in "iu" or arrays[name] < 1:
+            raise InputError(f"{path} is damaged: it has no {name}; delete it to use the newest checkpoint")
+    return int(arrays["obs_size"]), int(arrays["action_size"])
+
+
 def load_policies(path: Path, like: Any) -> Any:
     """Return the actors at `path` as a tree of NumPy arrays in the structure of `like`, whose leaves have shapes.
 

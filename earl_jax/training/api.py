@@ -1,86 +1,36 @@
-"""Training by name or by object, and its result."""
+"""Training by name or by object."""
 
 import contextlib
 import dataclasses
+import shlex
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, make, with_engine
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS, seed_list
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
-from earl_jax.runs.config import RESERVED, RunConfig, deployed_metric
+from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.config import RESERVED, RunConfig
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
+from earl_jax.runs.policies import policies_step
+from earl_jax.runs.table import Table
 from earl_jax.training.forks import require_jax
 from earl_jax.training.plan import Plan
-from earl_jax.training.policy import Policy
+from earl_jax.training.result import Result
 from earl_jax.training.runner import Run, plan_runs, run_program
-from earl_jax.training.state import TrainState
-
-
-@dataclasses.dataclass
-class Result:
-    """The result of training: `steps [E]`, `metrics` of arrays [N, E], and the final `train_state` of N `seeds`.
-
-    `engine` names the physics engine that stepped the task, or is `kinematic`. After a time limit they end early
-    (`finished` is False). Before the first evaluation, `metrics` is empty.
-    """
-
-    config: RunConfig
-    env: Env
-    method: Method
-    seeds: tuple[int, ...]
-    steps: np.ndarray
-    metrics: dict[str, np.ndarray]
-    train_state: TrainState
-    engine: str
-
-    @property
-    def step(self) -> int:
-        """The steps that each seed was trained."""
-        return int(gathered(self.train_state.step))
-
-    @property
-    def finished(self) -> bool:
-        """Whether training reached its last step, rather than a time limit."""
-        return self.step >= self.config.steps
-
-    def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
-        """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
-
-        `metric` is by default the deployed one.
-
-        Raises:
-            ValueError: training ended before the first evaluation.
-        """
-        return Score.of(self.steps, self.metrics, metric or deployed_metric(self.env), window)
-
-    @property
-    def scores(self) -> Scores:
-        """The paper's scores of the lifetimes: J_D, D(A), C(A).
-
-        Raises:
-            ValueError: training ended before the first evaluation.
-        """
-        if not len(self.steps):
-            raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
-        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
-
-    def policy(self, lane: int = 0) -> Policy:
-        """Return the greedy task policy of `seeds[lane]`, callable on obs [..., o] of the task without help."""
-        return Policy.of(self.env, select_seed(self.method, lane), select_seed(self.train_state, lane))
 
 
 @package_types()
@@ -192,12 +142,13 @@ def resume(
 
     Raises:
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
-            objects must be registered or passed.
+            objects must be registered or passed, or its checkpoints were removed.
     """
     require_jax()
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
     opened.require_resumable()  # rather than after the training
+    _require_checkpoint(opened)
     check_logs(opened.logs)
     config = opened.config if steps is None else opened.extended(steps)
     setting = config.build_setting()
@@ -207,18 +158,39 @@ def resume(
     return _execute(plan_runs([run], devices), run, progress, limit)
 
 
+def _require_checkpoint(folder: RunFolder) -> None:
+    """Raise an InputError if the checkpoints of a run were removed, so that it would be trained again.
+
+    A run that ended before its first checkpoint is trained again, and a `RunWarning` says so.
+    """
+    if newest(folder.checkpoints):
+        return
+    path, config = folder.path, folder.config
+    step = max(Table.read(folder.metrics, config).step, policies_step(folder.policies))
+    if step == config.steps or step - config.eval_every >= config.checkpoint_every:
+        state = "is finished" if step == config.steps else f"has reached step {step:,}"
+        name = shlex.quote(str(path))
+        raise InputError(
+            f"{path} {state} ({config.steps:,} steps) and its checkpoints are gone; earl_jax.load({str(path)!r}) or "
+            f"earl-jax show {name} reads it; to train it again: earl-jax train --config {name} --out NEW"
+        )
+    if step:
+        message = f"{path} has no checkpoint yet, so its {step:,} steps are trained again"
+        warnings.warn(message, RunWarning, stacklevel=3)
+
+
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
         train_state = run_program(plan, [run], progress, limit)
     return Result(
         config=run.config,
-        env=run.env,
-        method=run.method,
-        seeds=run.config.seeds,
+        engine=plan.engine,
+        step=int(gathered(train_state.step)),
         steps=np.array(run.steps, int),
         metrics=run.metrics,
+        folder=run.folder,
         train_state=train_state,
-        engine=plan.engine,
+        objects=(run.env, run.method),
     )
 
 
@@ -260,22 +232,3 @@ def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict
     if reserved:
         raise InputError(f"there is no option {min(reserved)!r}")
     return setting.wrap(task), setting, rest
-
-
-def select_seed(state: Any, i: int) -> Any:
-    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
-
-    Raises:
-        IndexError: there is no such lane.
-    """
-    lanes = state.lanes if isinstance(state, TrainState) else state
-    count = jax.tree.leaves(lanes)[0].shape[0]
-    if not -count <= i < count:
-        raise IndexError(f"no lane {i}: there are {count}")
-    return _lane(lanes, i)
-
-
-@jax.jit
-def _lane(lanes: Any, i: jax.Array) -> Any:
-    """Return lane `i`, by one program for all leaves."""
-    return jax.tree.map(lambda leaf: leaf[i], lanes)

@@ -79,8 +79,8 @@ def evaluate(
     require_jax()
     require("episodes", episodes, EPISODES)
     require("seed", seed, SEED)
-    env, policies = load_policies(RunFolder.open(Path(folder)))
-    env = with_engine(env, engine)
+    run = RunFolder.open(Path(folder))
+    env, policies = with_engine(run.config.build_task(), engine), load_policies(run)
     start = start_of(env, starts)
 
     def evaluate_policy(policy):

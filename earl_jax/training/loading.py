@@ -5,12 +5,13 @@ import functools
 import jax
 import numpy as np
 
-from earl_jax.algos import Method
-from earl_jax.algos.method import TASK
-from earl_jax.envs import Env, without_budget
+from earl_jax.algos import Learner, Method, learner_of
+from earl_jax.envs import Env
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
@@ -27,15 +28,24 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     shapes = _shapes(folder) if newest(folder.checkpoints) else None  # tracing takes long for a report of many runs
     state = restore(folder.checkpoints, shapes[2], with_replay=False) if shapes else None
     if not shapes or state is None:
-        raise InputError(f"{folder.path} has no checkpoint yet; continue the run with: earl-jax resume {folder.path}")
+        raise InputError(
+            f"{folder.path} has no policies.npz and no checkpoint: they were deleted, or are not written yet"
+        )
     return *shapes[:2], state.lanes
 
 
-def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
-    """Return the env and the newest task policies of a run folder, one policy with leaves [N].
+def policies_at(folder: RunFolder) -> int:
+    """Return the step of the newest task policies of a run folder, 0 without any. Errors as `load_policies`."""
+    return max(policies.policies_step(folder.policies), newest(folder.checkpoints))
 
-    After training with a budget for help, this is the task without help, and policies for it. They are those of
-    policies.npz or of the newest checkpoint, whichever is newer.
+
+@package_types()
+def load_policies(folder: RunFolder) -> Policy:
+    """Return the newest task policies of a run folder, one policy with leaves [N].
+
+    After training with a budget for help, they are policies for the task without help. They are those of policies.npz or
+    of the newest checkpoint, whichever is newer. Those of policies.npz need neither the class of the method nor, without
+    a budget, that of the task.
 
     Raises:
         ValueError: the folder has neither, or the newer one is damaged.
@@ -43,11 +53,37 @@ def load_policies(folder: RunFolder) -> tuple[Env, Policy]:
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
         env, method, lanes = load_lanes(folder)
-        return without_budget(env), jax.vmap(functools.partial(Policy.of, env))(method, lanes)
-    env, method, shape = _shapes(folder)
-    task, actors = method.phases[TASK].controller, method.learner.deployed(shape.lanes.agent)
-    like = jax.eval_shape(functools.partial(jax.tree.map, lambda leaf: leaf[:, task]), actors)
-    return without_budget(env), Policy.of_actor(env, method.learner, policies.load_policies(folder.policies, like))
+        return jax.vmap(functools.partial(Policy.of, env))(method, lanes)
+    obs_size, action_size, budget_at = _sizes(folder)
+    helped = budget_at is not None
+    learner = per_lane(_learner(folder.config), len(folder.config.seeds))
+
+    def actor(learner: Learner) -> object:
+        return learner.deployed(learner.init(jax.random.key(0), obs_size + helped, action_size + helped))
+
+    like = jax.eval_shape(jax.vmap(actor), learner)
+    return Policy(learner, policies.load_policies(folder.policies, like), obs_size, action_size, budget_at)
+
+
+def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
+    """Return the fields `obs_size`, `action_size` and `budget_at` of the policies of a run folder."""
+    config = folder.config
+    helped = config.build_setting().budget is not None
+    try:
+        task = config.build_task()
+    except InputError:
+        if helped:  # where the budget is observed depends on the task
+            raise
+        return *policies.policy_sizes(folder.policies), None
+    return task.observation_size, task.action_size, task.state_size if helped else None
+
+
+def _learner(config: RunConfig) -> Learner:
+    """Return the learner of a run; if the class of its method is not registered here, the one that its options describe."""
+    try:
+        return config.build_method().learner
+    except InputError:
+        return learner_of(config.options)
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:

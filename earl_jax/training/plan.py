@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Hashable, Sequence
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ from earl_jax.training import memory
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.init import replay_capacity
 from earl_jax.training.state import Problem
+
+Options = TypeVar("Options")
 
 LONGEST_CHUNK = 1000
 """Steps of a jitted call at most: half a minute of five lanes with the paper's networks on two CPU cores."""
@@ -78,8 +81,8 @@ def _chunk_steps(common: int) -> int:
     return max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
 
 
-def per_lane(method: Method, lanes: int) -> Method:
-    """Return `method` with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
+def per_lane(options: Options, lanes: int) -> Options:
+    """Return a method, or a learner, with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
 
     Raises:
         ValueError: a leaf is neither a scalar nor of length `lanes`.
@@ -92,7 +95,7 @@ def per_lane(method: Method, lanes: int) -> Method:
         dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 
-    return jax.tree.map(broadcast, method)
+    return jax.tree.map(broadcast, options)
 
 
 def program_structure(method: Method) -> Hashable:

@@ -54,6 +54,12 @@ class Policy(struct.PyTreeNode, eq=False):
         budget_at = None if plain is env else plain.state_size
         return cls(learner, actor, plain.observation_size, plain.action_size, budget_at)
 
+    def __repr__(self) -> str:
+        lanes = list(np.shape(getattr(self.learner, "discount", 0.0)))
+        sizes = f"obs [..., {self.obs_size}] -> action [..., {self.action_size}]"
+        layers = "-".join(map(str, getattr(self.learner, "hidden_sizes", ())))
+        return f"Policy{lanes or ''}({', '.join(filter(None, [sizes, type(self.learner).__name__, layers]))})"
+
     def __call__(self, obs: jax.Array) -> jax.Array:
         """Return the greedy action [..., a] at `obs [..., o]`.
 

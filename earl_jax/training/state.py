@@ -11,6 +11,7 @@ from flax import struct
 from earl_jax.algos.goals import GoalIndices, Goals, goal_table
 from earl_jax.algos.learner.replay import Replay
 from earl_jax.envs import Env, State
+from earl_jax.envs.state import struct_text
 from earl_jax.metrics.continuing import Counters
 from earl_jax.protocol import Protocol, Rules
 
@@ -39,6 +40,8 @@ class LaneState(struct.PyTreeNode):
     rules: Rules
     visits: jax.Array | None
 
+    __repr__ = struct_text
+
 
 class TrainState(struct.PyTreeNode):
     """All lanes (leading axis N), their replay, and the number of steps that each has taken."""
@@ -46,6 +49,8 @@ class TrainState(struct.PyTreeNode):
     lanes: LaneState
     replay: Replay
     step: jax.Array
+
+    __repr__ = struct_text
 
 
 class StepKeys(NamedTuple):
@@ -81,6 +86,10 @@ class Problem:
     env: Env
     protocol: Protocol
     steps: int | None = None
+
+    def __repr__(self) -> str:
+        sizes = f"obs [{self.env.observation_size}], action [{self.env.action_size}], steps {self.steps}"
+        return f"Problem({sizes},\n  {self.env},\n  {self.protocol})"
 
     @property
     def goals(self) -> Goals:

@@ -7,6 +7,7 @@ import sys
 import time
 import warnings
 
+import numpy as np
 import pytest
 
 from earl_jax import InputError, __version__, cli
@@ -33,6 +34,19 @@ def test_a_run_folder_has_its_config_and_metrics(finished):
     assert len((folder / "metrics.csv").read_text().splitlines()) == 1 + 2 * 3
     assert printed["steps"] == 120
     assert set(printed["deployed/success"]) >= {"mean", "low", "high", "seeds", "evaluations", "first", "last"}
+
+
+def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
+    folder = shutil.copytree(finished[0], tmp_path / "run", ignore=shutil.ignore_patterns("checkpoints"))
+    code, out, err = run("show", folder)
+    assert code == 0, err
+    shown = [" ".join(line.split()) for line in out.splitlines()]
+    method = "method: fbrl (batch_size=16, random_steps=20, hidden_sizes=[16])"
+    assert {method, "seeds: 0, 1", "policies: of step 120", f"in Python: earl_jax.load('{folder}')"} <= set(shown)
+    printed = json.loads(run("show", folder, "--json")[1])
+    assert (printed["step"], printed["finished"], printed["policies"]) == (120, True, 120)
+    mean = np.mean(printed["metrics"]["critic_loss"])
+    assert f"critic_loss {mean:.6g}" in shown
 
 
 def test_killed_run_resumes_bit_identically(finished, tmp_path):

@@ -17,6 +17,7 @@ from earl_jax.protocol import Deployment
 from earl_jax.report.runs import read
 from earl_jax.runs import checkpoint
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.table import COLUMNS, Table
@@ -103,6 +104,28 @@ def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
     assert f"{expected} checkpoints/000000120 to resume from step 80" in message_of(lambda: resume(finished))
     shutil.rmtree(finished / "checkpoints/000000120")
     with pytest.raises(AssertionError, match="training started"):
+        resume(finished)
+
+
+def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
+    shutil.rmtree(finished / "checkpoints")
+    before = snapshot(finished)
+    expected = (
+        rf"is finished \(120 steps\) and its checkpoints are gone; earl_jax\.load\('{finished}'\) or earl-jax show"
+    )
+    for options in ({}, {"steps": 240}):
+        with pytest.raises(InputError, match=expected):
+            resume(finished, **options)
+    assert snapshot(finished) == before
+    RunFolder.open(finished).record(steps=240)
+    assert "has reached step 120 (240 steps) and its checkpoints are gone" in message_of(lambda: resume(finished))
+
+
+def test_a_run_that_ended_before_its_first_checkpoint_is_trained_again_with_a_warning(finished):
+    shutil.rmtree(finished / "checkpoints")
+    RunFolder.open(finished).record(steps=240, checkpoint_every=120)
+    warned = pytest.warns(RunWarning, match="has no checkpoint yet, so its 120 steps are trained again")
+    with warned, pytest.raises(AssertionError, match="training started"):
         resume(finished)
 
 

@@ -1,15 +1,19 @@
-"""Policies and maps of visits of a run folder: those of policies.npz or of a checkpoint, whichever is newer."""
+"""What a run folder gives: its result, and policies and maps of visits of policies.npz or of a newer checkpoint."""
 
+import json
 import shutil
+import sys
+import types
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import earl_jax
 from earl_jax.runs import policies
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import evaluate, load_lanes, load_policies, load_visits, select_seed
+from earl_jax.training import evaluate, load_lanes, load_policies, load_visits, loading, select_seed
 from tests.conftest import tiny_train
 
 
@@ -26,7 +30,7 @@ def folder(trained, tmp_path):
 
 
 def actions_of(folder):
-    _, policy = load_policies(folder)
+    policy = load_policies(folder)
     return [np.asarray(select_seed(policy, lane)(jnp.full(policy.obs_size, 0.3))) for lane in range(2)]
 
 
@@ -67,5 +71,88 @@ def test_what_a_folder_lacks_is_named(trained, folder):
         load_visits(folder)
     folder.policies.unlink()
     for load in (load_visits, load_policies):
-        with pytest.raises(ValueError, match="has no checkpoint yet; continue the run with"):
+        with pytest.raises(ValueError, match=r"has no policies\.npz and no checkpoint"):
             load(folder)
+
+
+def change_config(folder, **values):
+    folder.config_file.write_text(json.dumps({**json.loads(folder.config_file.read_text()), **values}))
+
+
+@pytest.fixture
+def bare(folder, monkeypatch):
+    """The folder without its checkpoints, and the state of training without a trace."""
+    shutil.rmtree(folder.checkpoints)
+    monkeypatch.setattr(loading, "_shapes", None)
+    return folder
+
+
+def test_a_folder_without_checkpoints_gives_the_result_of_its_training(trained, bare):
+    result, loaded = trained[1], earl_jax.load(bare.path)
+    assert (loaded.config.values, loaded.env, loaded.engine) == (result.config.values, result.env, result.engine)
+    assert (loaded.seeds, loaded.step, loaded.finished, loaded.train_state) == ((3, 7), 120, True, None)
+    np.testing.assert_array_equal(loaded.steps, result.steps)
+    np.testing.assert_equal(loaded.metrics, result.metrics)
+    np.testing.assert_equal(loaded.scores, result.scores)
+    obs = jnp.full(12, 0.3)
+    for lane, seed in enumerate(result.seeds):
+        for policy in (loaded.policy(lane), loaded.policy(seed=seed), result.policy(seed=seed)):
+            np.testing.assert_array_equal(policy(obs), result.policy(lane)(obs))
+    np.testing.assert_allclose(
+        jax.vmap(lambda policy: policy(obs))(loaded.policies)[1], loaded.policy(1)(obs), atol=1e-6
+    )
+    with pytest.raises(ValueError, match="no seed 1 in this run; choose from 3, 7"):
+        loaded.policy(seed=1)
+
+
+def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare):
+    change_config(bare, env="meadow", algo="patient")
+    loaded = earl_jax.load(bare.path)
+    np.testing.assert_equal(loaded.metrics, trained[1].metrics)
+    np.testing.assert_array_equal(loaded.policy(1)(jnp.full(12, 0.3)), trained[1].policy(1)(jnp.full(12, 0.3)))
+    assert "task: meadow" in repr(loaded)
+    with pytest.raises(ValueError, match="unknown env 'meadow'"):
+        _ = loaded.env
+    change_config(bare, setting={"name": "deployment", "budget": 5.0})
+    with pytest.raises(ValueError, match="unknown env 'meadow'"):
+        _ = earl_jax.load(bare.path).policies
+
+
+def test_a_run_before_its_first_evaluation_has_no_metrics(bare):
+    bare.metrics.unlink()
+    bare.policies.unlink()
+    loaded = earl_jax.load(bare.path)
+    assert (loaded.step, loaded.finished, loaded.metrics) == (0, False, {})
+    assert "deployed/success: none\n" in repr(loaded)
+    with pytest.raises(ValueError, match=r"has no policies\.npz"):
+        loaded.policy()
+
+
+def test_a_damaged_file_is_named(bare):
+    bare.policies.write_bytes(b"x")
+    with pytest.raises(ValueError, match=r"policies\.npz is damaged"):
+        _ = earl_jax.load(bare.path).policies
+    bare.metrics.write_text("".join(bare.metrics.read_text().splitlines(keepends=True)[1:]))
+    with pytest.raises(ValueError, match=r"metrics\.csv is damaged"):
+        earl_jax.load(bare.path)
+
+
+def test_the_frame_has_the_rows_of_the_table(bare, monkeypatch):
+    loaded = earl_jax.load(bare.path)
+    monkeypatch.setitem(sys.modules, "pandas", types.SimpleNamespace(DataFrame=dict))
+    frame = loaded.frame()
+    assert list(frame)[:2] == ["step", "seed"]
+    rows = np.genfromtxt(bare.metrics, delimiter=",", names=True, deletechars="")
+    np.testing.assert_equal(frame, {name: rows[name] for name in rows.dtype.names})
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ValueError, match="a frame needs pandas: pip install pandas"):
+        loaded.frame()
+
+
+def test_a_result_is_shown_in_a_few_lines_and_text_of_others_as_text(trained, bare):
+    assert repr(earl_jax.load(bare.path)) == repr(trained[1]).replace(str(trained[0]), str(bare.path))
+    change_config(bare, options={"<b>": "\x1b[31m"})
+    loaded = earl_jax.load(bare.path)
+    assert len(repr(loaded).splitlines()) < 15
+    assert "fbrl (<b>=\\x1b[31m)" in repr(loaded)
+    assert "fbrl (&lt;b&gt;=\\x1b[31m)" in loaded._repr_html_()

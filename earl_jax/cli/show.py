@@ -1,0 +1,57 @@
+"""The command that prints what a run folder holds: show."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from earl_jax.cli.arguments import JSON, Positional, emit
+
+if TYPE_CHECKING:
+    from earl_jax.training import Result
+
+
+def show(folder: Positional[Path], json: JSON = False) -> None:
+    """Show a run: its task, method and options, the steps it has reached, its newest metrics, and its policies.
+
+    Args:
+        folder: Run folder. It needs no checkpoint.
+    """
+    from earl_jax.runs.folder import RunFolder
+    from earl_jax.training.loading import policies_at
+    from earl_jax.training.result import load
+
+    result, run = load(folder), RunFolder.open(folder)
+    values = {
+        "folder": str(folder),
+        "config": result.config.values,
+        "engine": result.engine,
+        "provenance": run.recorded().get("provenance"),
+        "step": result.step,
+        "finished": result.finished,
+        "policies": policies_at(run),
+        "metrics": {name: numbers[:, -1].tolist() for name, numbers in result.metrics.items()},
+        "load": f"earl_jax.load({str(folder)!r})",
+    }
+    emit(values, json, _text(result, values))
+
+
+def _text(result: "Result", values: dict[str, Any]) -> str:
+    """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
+    from earl_jax.training.result import printable
+
+    origin = values["provenance"] if isinstance(values["provenance"], dict) else {}
+    versions = origin.get("versions") if isinstance(origin.get("versions"), dict) else {}
+    version, commit = versions.get("earl-jax") or "unknown", origin.get("commit") or "unknown"
+    texts = result.summary()
+    del texts["metrics"]
+    texts |= {
+        "version": printable(f"{version}, commit {commit}"),
+        "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
+        "in Python": values["load"],
+        "metrics": f"means over {len(result.seeds)} seeds at step {result.steps[-1]:,}"
+        if len(result.steps)
+        else "none",
+    }
+    lines = [f"{title + ':':<18}{text}" for title, text in texts.items()]
+    means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
+    width = max(map(len, means), default=0)
+    return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])

@@ -1,0 +1,199 @@
+"""The result of a run: its curves and policies, from training or from a run folder."""
+
+import dataclasses
+import functools
+import html
+import importlib
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from earl_jax.algos import Method
+from earl_jax.envs import Env
+from earl_jax.errors import InputError
+from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.loading import load_policies
+from earl_jax.training.plan import per_lane
+from earl_jax.training.policy import Policy
+from earl_jax.training.state import TrainState
+
+MOST_SEEDS = 10
+"""Seeds of which a summary has every number."""
+
+
+@dataclasses.dataclass(repr=False, eq=False)
+class Result:
+    """The result of a run: `steps [E]` of its evaluations, `metrics` of arrays [N, E] of N `seeds`, and its policies.
+
+    Each seed was trained for `step` steps on the physics engine `engine`, or on `kinematic`. After a time limit training
+    ends early (`finished` is False). Before the first evaluation, `metrics` is empty. `folder` is the run folder, or None.
+    `train_state` is the final state; `load` leaves it, and the `objects` that were trained, None.
+    """
+
+    config: RunConfig
+    engine: str
+    step: int
+    steps: np.ndarray
+    metrics: dict[str, np.ndarray]
+    folder: RunFolder | None = None
+    train_state: TrainState | None = None
+    objects: tuple[Env, Method] | None = None
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds, one for each lane."""
+        return self.config.seeds
+
+    @property
+    def finished(self) -> bool:
+        """Whether training reached its last step, rather than a time limit."""
+        return self.step >= self.config.steps
+
+    @functools.cached_property
+    def env(self) -> Env:
+        """The task, with the help that the setting adds.
+
+        Raises:
+            ValueError: the run was loaded, and its task is not registered here.
+        """
+        return self.objects[0] if self.objects else self.config.build_env()
+
+    @functools.cached_property
+    def method(self) -> Method:
+        """The method, leaves [N]. Errors as `env`."""
+        return self.objects[1] if self.objects else per_lane(self.config.build_method(), len(self.seeds))
+
+    @property
+    def scores(self) -> Scores:
+        """The paper's scores of the lifetimes: J_D, D(A), C(A).
+
+        Raises:
+            ValueError: there is no evaluation yet.
+        """
+        if not len(self.steps):
+            raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
+        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
+
+    @functools.cached_property
+    def policies(self) -> Policy:
+        """The greedy task policies of all seeds, one policy with leaves [N], for `jax.vmap`.
+
+        Raises:
+            ValueError: the run was loaded, and its folder has no policies or they are damaged.
+        """
+        if self.train_state is not None:
+            return jax.vmap(functools.partial(Policy.of, self.env))(self.method, self.train_state.lanes)
+        assert self.folder is not None
+        return load_policies(self.folder)
+
+    def policy(self, lane: int = 0, *, seed: int | None = None) -> Policy:
+        """Return the greedy task policy of `seed`, or of `seeds[lane]`, callable on obs [..., o] of the task without help.
+
+        Raises:
+            IndexError: there is no such lane.
+            ValueError: there is no such seed, or as `policies`.
+        """
+        if seed is not None and seed not in self.seeds:
+            raise InputError(f"no seed {seed!r} in this run; choose from {', '.join(map(str, self.seeds))}")
+        return select_seed(self.policies, lane if seed is None else self.seeds.index(seed))
+
+    def frame(self) -> Any:
+        """Return the metrics as a pandas DataFrame with the rows of metrics.csv: `step`, `seed`, and each metric.
+
+        Raises:
+            ValueError: pandas is not installed.
+        """
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise InputError("a frame needs pandas: pip install pandas") from error
+        keys = {"step": np.repeat(self.steps, len(self.seeds)), "seed": np.tile(self.seeds, len(self.steps))}
+        return pandas.DataFrame({**keys, **{name: values.T.ravel() for name, values in self.metrics.items()}})
+
+    def summary(self) -> dict[str, str]:
+        """Return what a run is and what it has reached, as printable texts by their titles."""
+        config, metric = self.config.values, self._metric
+        scores = self.metrics.get(metric)
+        texts = {
+            "task": _with_options(config["env"], config["env_options"]),
+            "method": _with_options(config["algo"], config["options"]),
+            "setting": _with_options(config["setting"].pop("name"), config["setting"]),
+            "seeds": _numbers(np.array(self.seeds)),
+            "steps": f"{self.step:,} of {self.config.steps:,}, engine {self.engine}",
+            metric: "none" if scores is None else f"{_numbers(scores[:, -1])} at step {self.steps[-1]:,}",
+            "metrics": f"{len(self.metrics)} of shape [{len(self.seeds)}, {len(self.steps)}]: {', '.join(self.metrics)}",
+            "folder": str(self.folder.path) if self.folder else "none",
+        }
+        return {title: printable(text) for title, text in texts.items()}
+
+    @property
+    def _metric(self) -> str:
+        """The deployed metric; that of a sparse reward if the task of a loaded run is not registered here."""
+        try:
+            return deployed_metric(self.env)
+        except InputError:
+            return "deployed/success"
+
+    def __repr__(self) -> str:
+        wrapped = functools.partial(textwrap.fill, width=100, initial_indent="  ", subsequent_indent="    ")
+        return "\n".join(["Result", *(wrapped(f"{title}: {text}") for title, text in self.summary().items())])
+
+    def _repr_html_(self) -> str:
+        cells = (f"<tr><th>{title}</th><td>{html.escape(text)}</td></tr>" for title, text in self.summary().items())
+        return f"<table>{''.join(cells)}</table>"
+
+
+def load(folder: str | Path) -> Result:
+    """Return the run in `folder`, which needs no checkpoint: its config, its metrics and, when they are asked for, its policies.
+
+    Nothing is trained or compiled. The class of the method need not be registered here, nor, without a budget for help,
+    that of the task; only `Result.env` and `Result.method` need them.
+
+    Raises:
+        ValueError: `folder` is not a run folder, or its config or its metrics are damaged; the message names the file.
+    """
+    run = RunFolder.open(Path(folder))
+    table = run.table()
+    step = max(table.step, newest(run.checkpoints))
+    return Result(run.config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
+
+
+def select_seed(state: Any, i: int) -> Any:
+    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
+
+    Raises:
+        IndexError: there is no such lane.
+    """
+    lanes = state.lanes if isinstance(state, TrainState) else state
+    count = jax.tree.leaves(lanes)[0].shape[0]
+    if not -count <= i < count:
+        raise IndexError(f"no lane {i}: there are {count}")
+    return _lane(lanes, i)
+
+
+@jax.jit
+def _lane(lanes: Any, i: jax.Array) -> Any:
+    """Return lane `i`, by one program for all leaves."""
+    return jax.tree.map(lambda leaf: leaf[i], lanes)
+
+
+def printable(text: str) -> str:
+    """Return a text of a run folder, which can come from anyone, in printable ASCII."""
+    return text.encode("unicode_escape").decode()
+
+
+def _with_options(name: str, options: dict[str, Any]) -> str:
+    text = ", ".join(f"{option}={value}" for option, value in options.items())
+    return f"{name} ({text})" if text else name
+
+
+def _numbers(values: np.ndarray) -> str:
+    """Return the first and the last of `values [N]`, or all of a few."""
+    kinds = {"float_kind": "{:.3g}".format}
+    return np.array2string(values, threshold=MOST_SEEDS, separator=", ", formatter=kinds)[1:-1]
