@@ -38,9 +38,7 @@ def _text(result: "Result", values: dict[str, Any]) -> str:
     """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
     from earl_jax.training.result import printable
 
-    origin = values["provenance"] if isinstance(values["provenance"], dict) else {}
-    versions = origin.get("versions") if isinstance(origin.get("versions"), dict) else {}
-    version, commit = versions.get("earl-jax") or "unknown", origin.get("commit") or "unknown"
+    version, commit = _entry(values, "provenance", "versions", "earl-jax"), _entry(values, "provenance", "commit")
     texts = result.summary()
     del texts["metrics"]
     texts |= {
@@ -55,3 +53,10 @@ def _text(result: "Result", values: dict[str, Any]) -> str:
     means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
     width = max(map(len, means), default=0)
     return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])
+
+
+def _entry(values: Any, *names: str) -> Any:
+    """Return an entry of nested dictionaries, which can be damaged, or `unknown`."""
+    for name in names:
+        values = values.get(name) if isinstance(values, dict) else None
+    return values or "unknown"

@@ -19,10 +19,10 @@ MOST_ARRAYS = 4
 """Arrays of a field that `struct_text` names one by one."""
 
 
-def struct_text(struct: Any) -> str:
+def struct_text(self: Any) -> str:
     """Return a flax struct, of arrays or tracers, as a line for each field with types and shapes; its `__repr__`."""
-    fields = [f"  {field.name}: {_tree_text(getattr(struct, field.name))}\n" for field in dataclasses.fields(struct)]
-    return f"{type(struct).__name__}(\n{''.join(fields)})"
+    fields = [f"  {field.name}: {_tree_text(getattr(self, field.name))}\n" for field in dataclasses.fields(self)]
+    return f"{type(self).__name__}(\n{''.join(fields)})"
 
 
 def _tree_text(tree: Any) -> str:

@@ -195,5 +195,5 @@ def _with_options(name: str, options: dict[str, Any]) -> str:
 
 def _numbers(values: np.ndarray) -> str:
     """Return the first and the last of `values [N]`, or all of a few."""
-    kinds = {"float_kind": "{:.3g}".format}
-    return np.array2string(values, threshold=MOST_SEEDS, separator=", ", formatter=kinds)[1:-1]
+    texts = [f"{value:.3g}" if isinstance(value, float) else str(value) for value in values.tolist()]
+    return ", ".join(texts if len(texts) <= MOST_SEEDS else [*texts[:3], "...", *texts[-3:]])
