@@ -1,9 +1,11 @@
 """The command that prints what a run folder holds: show."""
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from earl_jax.cli.arguments import JSON, Positional, emit
+from earl_jax.errors import InputError
 
 if TYPE_CHECKING:
     from earl_jax.training import Result
@@ -27,10 +29,13 @@ def show(folder: Positional[Path], json: JSON = False) -> None:
         "provenance": run.recorded().get("provenance"),
         "step": result.step,
         "finished": result.finished,
+        "score": None,
         "policies": policies_at(run),
         "metrics": {name: numbers[:, -1].tolist() for name, numbers in result.metrics.items()},
         "load": f"earl_jax.load({str(folder)!r})",
     }
+    with contextlib.suppress(InputError):  # no evaluation yet
+        values["score"] = result.score()._asdict()
     emit(values, json, _text(result, values))
 
 
@@ -49,7 +54,7 @@ def _text(result: "Result", values: dict[str, Any]) -> str:
         if len(result.steps)
         else "none",
     }
-    lines = [f"{title + ':':<18}{text}" for title, text in texts.items()]
+    lines = [f"{title + ':':<10} {text}" for title, text in texts.items()]
     means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
     width = max(map(len, means), default=0)
     return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])

@@ -1,5 +1,6 @@
 """The result of a run: its curves and policies, from training or from a run folder."""
 
+import contextlib
 import dataclasses
 import functools
 import html
@@ -14,7 +15,7 @@ import numpy as np
 from earl_jax.algos import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import Scores, lifetime_scores
+from earl_jax.metrics.scores import DEFAULT, SUCCESS, Score, Scores, Window, lifetime_scores
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
@@ -69,6 +70,26 @@ class Result:
         """The method, leaves [N]. Errors as `env`."""
         return self.objects[1] if self.objects else per_lane(self.config.build_method(), len(self.seeds))
 
+    def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
+        """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
+
+        `metric` is by default the deployed one; that of a sparse reward if the task of a loaded run is not registered here.
+
+        Raises:
+            ValueError: there is no evaluation yet, or no such metric.
+        """
+        name = metric or self._deployed
+        if self.metrics and name not in self.metrics:
+            raise InputError(f"there is no metric {name!r}; choose from {', '.join(self.metrics)}")
+        return Score.of(self.steps, self.metrics, name, window)
+
+    @property
+    def _deployed(self) -> str:
+        try:
+            return deployed_metric(self.env)
+        except InputError:
+            return SUCCESS
+
     @property
     def scores(self) -> Scores:
         """The paper's scores of the lifetimes: J_D, D(A), C(A).
@@ -118,27 +139,21 @@ class Result:
 
     def summary(self) -> dict[str, str]:
         """Return what a run is and what it has reached, as printable texts by their titles."""
-        config, metric = self.config.values, self._metric
-        scores = self.metrics.get(metric)
+        config, scores = self.config.values, {}
+        with contextlib.suppress(InputError):  # no evaluation, or no such metric
+            score = self.score()
+            scores = {"score": str(score), "per seed": _numbers(np.array(score.seeds))}
         texts = {
             "task": _with_options(config["env"], config["env_options"]),
             "method": _with_options(config["algo"], config["options"]),
             "setting": _with_options(config["setting"].pop("name"), config["setting"]),
             "seeds": _numbers(np.array(self.seeds)),
             "steps": f"{self.step:,} of {self.config.steps:,}, engine {self.engine}",
-            metric: "none" if scores is None else f"{_numbers(scores[:, -1])} at step {self.steps[-1]:,}",
+            **scores,
             "metrics": f"{len(self.metrics)} of shape [{len(self.seeds)}, {len(self.steps)}]: {', '.join(self.metrics)}",
             "folder": str(self.folder.path) if self.folder else "none",
         }
         return {title: printable(text) for title, text in texts.items()}
-
-    @property
-    def _metric(self) -> str:
-        """The deployed metric; that of a sparse reward if the task of a loaded run is not registered here."""
-        try:
-            return deployed_metric(self.env)
-        except InputError:
-            return "deployed/success"
 
     def __repr__(self) -> str:
         wrapped = functools.partial(textwrap.fill, width=100, initial_indent="  ", subsequent_indent="    ")

@@ -45,6 +45,7 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     assert {method, "seeds: 0, 1", "policies: of step 120", f"in Python: earl_jax.load('{folder}')"} <= set(shown)
     printed = json.loads(run("show", folder, "--json")[1])
     assert (printed["step"], printed["finished"], printed["policies"]) == (120, True, 120)
+    assert printed["score"]["metric"] == "deployed/success"
     mean = np.mean(printed["metrics"]["critic_loss"])
     assert f"critic_loss {mean:.6g}" in shown
 
