@@ -4,24 +4,26 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from earl_jax.cli.arguments import JSON, Positional, emit
+from earl_jax.cli.arguments import JSON, Last, Positional, WindowSteps, emit
 from earl_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from earl_jax.metrics.scores import Window
     from earl_jax.training import Result
 
 
-def show(folder: Positional[Path], json: JSON = False) -> None:
+def show(folder: Positional[Path], last: Last = None, window: WindowSteps = None, json: JSON = False) -> None:
     """Show a run: its task, method and options, the steps it has reached, its newest metrics, and its policies.
 
     Args:
         folder: Run folder. It needs no checkpoint.
     """
+    from earl_jax.metrics.scores import Window
     from earl_jax.runs.folder import RunFolder
     from earl_jax.training.loading import policies_at
     from earl_jax.training.result import load
 
-    result, run = load(folder), RunFolder.open(folder)
+    result, run, chosen = load(folder), RunFolder.open(folder), Window.of(last, window)
     values = {
         "folder": str(folder),
         "config": result.config.values,
@@ -35,16 +37,16 @@ def show(folder: Positional[Path], json: JSON = False) -> None:
         "load": f"earl_jax.load({str(folder)!r})",
     }
     with contextlib.suppress(InputError):  # no evaluation yet
-        values["score"] = result.score()._asdict()
-    emit(values, json, _text(result, values))
+        values["score"] = result.score(chosen)._asdict()
+    emit(values, json, _text(result, values, chosen))
 
 
-def _text(result: "Result", values: dict[str, Any]) -> str:
+def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
     from earl_jax.training.result import printable
 
     version, commit = _entry(values, "provenance", "versions", "earl-jax"), _entry(values, "provenance", "commit")
-    texts = result.summary()
+    texts = result.summary(window)
     del texts["metrics"]
     texts |= {
         "version": printable(f"{version}, commit {commit}"),

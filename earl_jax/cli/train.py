@@ -201,4 +201,4 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
     if WIDE in result.metrics:
         wide = result.score(metric=WIDE)
         values[WIDE], text = wide._asdict(), f"{text}; {wide.mean:.3f} from wide starts"
-    return values, text + diverged_text(diverged, len(score.seeds))
+    return values, text + diverged_text(diverged, len(score.scores))

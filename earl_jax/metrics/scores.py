@@ -82,7 +82,7 @@ class Score(NamedTuple):
     mean: float
     low: float
     high: float
-    seeds: tuple[float, ...]
+    scores: tuple[float, ...]
     evaluations: int
     first: int
     last: int
@@ -103,7 +103,7 @@ class Score(NamedTuple):
     def __str__(self) -> str:
         """Return the score in one line, with what it is a mean of."""
         interval = "" if np.isnan(self.low) else f" [{self.low:.3f}, {self.high:.3f}]"
-        seeds = "1 seed" if len(self.seeds) == 1 else f"{len(self.seeds)} seeds"
+        seeds = "1 seed" if len(self.scores) == 1 else f"{len(self.scores)} seeds"
         which = f"the evaluation at step {self.last:,}"
         if self.evaluations > 1:
             which = f"{self.evaluations} evaluations, steps {self.first:,} to {self.last:,}"

@@ -137,12 +137,12 @@ class Result:
         keys = {"step": np.repeat(self.steps, len(self.seeds)), "seed": np.tile(self.seeds, len(self.steps))}
         return pandas.DataFrame({**keys, **{name: values.T.ravel() for name, values in self.metrics.items()}})
 
-    def summary(self) -> dict[str, str]:
+    def summary(self, window: Window = DEFAULT) -> dict[str, str]:
         """Return what a run is and what it has reached, as printable texts by their titles."""
         config, scores = self.config.values, {}
         with contextlib.suppress(InputError):  # no evaluation, or no such metric
-            score = self.score()
-            scores = {"score": str(score), "per seed": _numbers(np.array(score.seeds))}
+            score = self.score(window)
+            scores = {"score": str(score), "per seed": _numbers(np.array(score.scores))}
         texts = {
             "task": _with_options(config["env"], config["env_options"]),
             "method": _with_options(config["algo"], config["options"]),

@@ -33,7 +33,7 @@ def test_a_run_folder_has_its_config_and_metrics(finished):
     assert config["options"] == {"batch_size": 16, "hidden_sizes": [16], "random_steps": 20}
     assert len((folder / "metrics.csv").read_text().splitlines()) == 1 + 2 * 3
     assert printed["steps"] == 120
-    assert set(printed["deployed/success"]) >= {"mean", "low", "high", "seeds", "evaluations", "first", "last"}
+    assert set(printed["deployed/success"]) >= {"mean", "low", "high", "scores", "evaluations", "first", "last"}
 
 
 def test_a_run_is_shown_without_checkpoints(finished, tmp_path):

@@ -182,7 +182,7 @@ def test_commands_print_how_to_continue(tmp_path, capsys):
     cli.main(["resume", str(folder), "--minutes", "1e-9", "--json"])
     printed = json.loads(capsys.readouterr().out)
     assert {name: printed[name] for name in expected} == expected
-    assert printed["deployed/success"]["seeds"] == 2
+    assert len(printed["deployed/success"]["scores"]) == 2
     cli.main(["resume", str(folder), "--minutes", "1e-9"])
     line = f"stopped at step 60 of 120, the minutes have run out; continue with: earl-jax resume '{folder}'"
     assert capsys.readouterr().out.splitlines()[1] == line
