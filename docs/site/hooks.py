@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(!?\[(?:[^\]\[]|\[[^\]]*\]\([^)]*\))*\])\(([^)\s]+)\)")
 FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", re.DOTALL)
+INTERVAL = re.compile(r"\[[^\s\]<]+ [^\s\]<]+\]")
 UNKNOWN_COMMANDS = {r"\arg": r"\operatorname{arg}", r"\big\|": r"\|"}
 """Commands that the converter of formulas does not know, and what it knows in their place."""
 OUTSIDE = {"CHANGELOG.md": "changelog.md", "examples/cfbrl/README.md": "cfbrl.md"}
@@ -100,7 +102,7 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> st
 
 
 def on_page_content(content: str, *, page: Any, config: Any, files: Any) -> str:
-    """Replace formulas by MathML, which needs no script."""
+    """Replace formulas by MathML, which needs no script, and keep the ends of an interval in a table on one line."""
     import latex2mathml.converter
 
     def mathml(match: re.Match[str]) -> str:
@@ -113,4 +115,7 @@ def on_page_content(content: str, *, page: Any, config: Any, files: Any) -> str:
             log.warning("%s: the formula %s is not understood", page.file.src_uri, match[2])
         return f'<div class="formula">{formula}</div>' if match[1] == "div" else formula
 
-    return FORMULA.sub(mathml, content)
+    def unbroken(cell: re.Match[str]) -> str:
+        return INTERVAL.sub(lambda interval: interval[0].replace(" ", "&nbsp;"), cell[0])
+
+    return CELL.sub(unbroken, FORMULA.sub(mathml, content))
