@@ -94,6 +94,8 @@ PANELS = (
     Panel("help/budget", "Remaining budget", "for interventions"),
     Panel("help/over", "Lifetimes over", "share of seeds with a spent budget", always=False),
 )
+SCORES = PANELS[:3]
+"""The plots above the tables; the others are below."""
 
 
 def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
@@ -108,6 +110,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
         plots.append(
             {
                 "title": panel.title,
+                "score": panel in SCORES,
                 "unit": panel.unit.format("success" if rates else "return"),
                 "range": [-0.04, 1.04] if rates else None,
                 "digits": 3 if rates else DIGITS,

@@ -1,4 +1,4 @@
-"""The tables of a page as text: the paper's tables 1 and 2, the leaderboard, tests of differences, final scores of seeds."""
+"""The tables of one task as text: the paper's tables 1 and 2, the leaderboard, tests of differences, final scores of seeds."""
 
 import itertools
 import json
@@ -14,7 +14,6 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.style import task_order, task_title
 from earl_jax.report.tables import steps_text
 from earl_jax.runs.folder import RunFolder
 
@@ -37,19 +36,14 @@ HEAD = SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT = (
 
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
-    """Return table `number` of the paper for the tasks of `lines`, rows by task with methods not run, and known faults."""
-    known = {(line.group.env, line.group.label): line for line in lines}
-    rows = paper_rows(number, [line.group for line in lines])
-    groups, notes = [], []
-    for env in task_order(line.group.env for line in lines):
-        of_task = [row for row in rows if row["env"] == env]
-        table_rows = [_paper_row(row, known.get((env, row["label"]))) for row in of_task]
-        groups.append({"title": task_title(env), "rows": table_rows})
-        if fault := published_fault(f"table{number}", env):
-            notes.append(f"{task_title(env)}, a known fault of the published scores: {fault}")
+    """Return table `number` of the paper for one task's `lines`, with methods not run and known faults of the published."""
+    env, known = lines[0].group.env, {line.group.label: line for line in lines}
+    rows = [row for row in paper_rows(number, [line.group for line in lines]) if row["env"] == env]
     lead, _, text = HEADINGS[number].partition(": ")
-    about = {"lead": lead, "text": text, "description": DESCRIPTIONS[number], "notes": notes}
-    return {**about, "head": HEAD, "groups": groups}
+    fault = published_fault(f"table{number}", env)
+    note = DESCRIPTIONS[number] + (f" A known fault of the published scores: {fault}" if fault else "")
+    table_rows = [_paper_row(row, known.get(row["label"])) for row in rows]
+    return {"lead": lead, "text": text, "note": note, "head": HEAD, "rows": table_rows}
 
 
 def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
@@ -76,24 +70,19 @@ def _verdict(row: dict[str, Any]) -> str:
 
 
 def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the leaderboards of the tasks of `lines`, a row for each method; `left_out` are lines that it does not take.
+    """Return the leaderboard of one task's `lines`, a row for each method; `left_out` are lines that it does not take.
 
     It takes the paper's tasks, with their own options and in the deployment setting. A row of ours that ships and has the
     method, the numbers and the commit of a line of the page is that run, and is shown once.
     """
-    shipped = shipped_rows()
-    known = {row.env for row in shipped}
-    own = {_board_row(line): line for line in lines if line.group.env in known and line.curves.comparable}
+    env = lines[0].group.env
+    shipped = [row for row in shipped_rows() if row.env == env]
+    own = {_board_row(line): line for line in lines if shipped and line.curves.comparable}
     shown = {_identity(row) for row in own}
     rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
-    groups = [
-        {"title": task_title(env), "rows": [(own.get(row), row.method, row.texts[1:]) for row in rows[env]]}
-        for env in task_order(line.group.env for line in lines)
-        if env in known
-    ]
-    left_out = [line.group for line in lines if line.group.env in known and not line.curves.comparable]
-    names = [f"{group.label} on {group.env}" for group in left_out]
-    return {"head": HEADER[1:], "groups": groups, "left_out": names, "marked": True}
+    table_rows = [(own.get(row), row.method, row.texts[1:]) for row in rows.get(env, ())]
+    left_out = [line.group.label for line in lines if not line.curves.comparable]
+    return {"head": HEADER[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
 
 
 def _board_row(line: Line) -> Row:
@@ -125,7 +114,7 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
         (line, line.group.label, [cell(row) for _, cell in columns])
         for (line, _), row in zip(pairs, tested, strict=True)
     ]
-    return {"head": [name for name, _ in columns], "groups": [{"title": "", "rows": rows}]}
+    return {"head": [name for name, _ in columns], "rows": rows}
 
 
 def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
@@ -145,7 +134,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
             rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
-    return {"head": head, "groups": [{"title": "", "rows": rows}]}
+    return {"head": head, "rows": rows}
 
 
 def number_text(value: float, digits: int) -> str:

@@ -12,6 +12,14 @@ FLAGS = [
     "--disable-background-networking", "--disable-component-update",
 ]  # fmt: skip
 
+CUT_TABLES = """() => [...document.querySelectorAll("table")].filter((table) => {
+  const box = table.closest(".scroll"), [first] = table.querySelectorAll("tbody th"), last = table.querySelector("td:last-child");
+  box.scrollLeft = box.scrollWidth;  // scrolls to the end, where the first column stays in view
+  const edges = [box, first, last].map((part) => part.getBoundingClientRect());
+  const seen = edges[0].left >= 0 && edges[0].right <= innerWidth && getComputedStyle(box).overflowX === "auto";
+  return !(seen && Math.abs(edges[1].left - edges[0].left) < 1 && Math.abs(edges[2].right - edges[0].right) < 1);
+}).length"""
+"""The number of tables that leave the window, or do not scroll to their last column beside the first one."""
 HOVER_TEXTS = """async () => {
   const plot = document.querySelector(".plot"), texts = [];
   for (const [number, trace] of plot.data.entries()) {
@@ -52,9 +60,11 @@ def test_a_browser_shows_the_page_without_errors(browser, written):
     assert [tab.locator(f'{deployed}[class*="-{kind}"]').count() for kind in ("mean", "each")] == [2, 2]
     assert not tab.locator(".modebar-btn[data-title*='Share']").count()
     tab.locator("details").evaluate_all("all => all.forEach((details) => { details.open = true; })")
-    for width in (390, 1280):
+    assert tab.evaluate("document.querySelector('figure, table').querySelectorAll('[data-panel]').length") == 1
+    for width in (390, 1280, 1920):
         tab.set_viewport_size({"width": width, "height": 844})
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
+        assert tab.evaluate(CUT_TABLES) == 0
     tab.emulate_media(color_scheme="light")
     tab.evaluate("dispatchEvent(new Event('beforeprint')); dispatchEvent(new Event('afterprint'))")
     assert messages == []

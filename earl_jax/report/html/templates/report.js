@@ -140,8 +140,7 @@
 
   function draw(plot) {
     const section = plot.closest("[data-task]"), task = tasks[section.dataset.task];
-    const isMap = "map" in plot.dataset;
-    const [traces, layout] = isMap
+    const [traces, layout] = "map" in plot.dataset
       ? mapPlot(task.maps[plot.dataset.map])
       : curvePlot(task.panels[plot.dataset.panel], visibility(section));
     return Plotly.react(plot, traces, layout, config);
