@@ -31,11 +31,11 @@ def test_a_page_has_all_its_parts(page, folders):
     assert {"table", "figure", "svg", "button", "details", "img"} <= set(page.tags)
     parts = (
         "Table 1", "Table 2", "Leaderboard", "Differences between these methods", "Final values of every seed", "Videos",
-        "Visited positions", "Events of the lifetime", "Notes", "Runs", "Versions", "Left out", "config.json", "Tabletop organization", "Sawyer door",
+        "Visited positions", "Runs", "Versions", "Left out", "config.json", "Tabletop organization", "Sawyer door",
         "Requested help", "300 of 600 steps trained", "0.94 (0.04)", f"No map of fbrl: checkpoint {folders}/fbrl",
         f"earl-jax train --config {folders}/fbrl --out runs/again", f"earl-jax report {folders} --out",
         "The runs differ in python, backend, device, commit, earl-jax, jax,", f"numpy {np.__version__}, unknown",
-        f"{EVIL} ", "aaaaaaaaa-dirty",
+        f"{EVIL} ", "aaaaaaaaa-dirty", "Events of the lifetime", "Notes",
     )  # fmt: skip
     for part in parts:
         assert part in page.text, part
