@@ -13,8 +13,6 @@ from earl_jax.errors import InputError
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from earl_jax.algos.learner import list_learners, register_learner
     from earl_jax.algos.learner.base import Learner
     from earl_jax.algos.learner.sac import SAC
@@ -49,7 +47,7 @@ _HOME = {
     "SAC": "learner.sac",
     "TD3": "learner.td3",
 }
-_ALGOS = Registry(
+_ALGOS: Registry[Method] = Registry(
     "algo",
     {
         "bc": "earl_jax.algos.bc:BC",
@@ -63,34 +61,10 @@ _ALGOS = Registry(
         "vaprl": "earl_jax.algos.vaprl:VaPRL",
     },
 )
-
-
-def list_algos() -> list[str]:
-    """Return the names that `make_algo` takes, sorted."""
-    return _ALGOS.names()
-
-
-def register_algo(name: str, method: type[Method]) -> None:
-    """Register `method`, a `Method` subclass, as `name` for `make_algo`.
-
-    Raises:
-        ValueError: the name is taken.
-    """
-    _ALGOS.register(name, method)
-
-
-def locate_algo(name: str) -> tuple[EntryPoint | type, str]:
-    """Return where the class of the method `name` is, and the package that brings it, as `Registry.locate`."""
-    return _ALGOS.locate(name)
-
-
-def algo_class(name: str) -> type[Method]:
-    """Return the class of the method `name`.
-
-    Raises:
-        ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
-    """
-    return _ALGOS.get(name)
+list_algos = _ALGOS.names
+register_algo = _ALGOS.register
+locate_algo = _ALGOS.locate
+algo_class = _ALGOS.get
 
 
 def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> Method:
@@ -116,7 +90,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"algo {name!r}", type(base), changed)
     rest = {option: value for option, value in options.items() if option in own}
-    return _ALGOS.build(name, {"learner": base.replace(**changed), **rest})
+    return _ALGOS.make(name, learner=base.replace(**changed), **rest)
 
 
 def learner_of(options: dict[str, Any]) -> Learner:

@@ -12,6 +12,7 @@ from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.cli.catalog import LOCATE, TASK_CELLS, names, stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import PRESETS
+from earl_jax.options.registry import choices
 
 WIDTH = 80
 TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
@@ -44,8 +45,8 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
         return
     kind = next((kind for kind, known in names().items() if name in known), None)
     if kind is None:
-        choices = ", ".join(chain(*names().values()))
-        raise InputError(f"there is no task, method, learner or preset {name!r}; choose from {choices}")
+        known = chain(*names().values())
+        raise InputError(f"there is no task, method, learner or preset {name!r}; {choices(name, known)}")
     described = describe(kind, name)
     if kind == "method":
         described = {**described, "learner": {**stored()["shared"], **describe("learner", DEFAULT)["options"]}}

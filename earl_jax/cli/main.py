@@ -1,13 +1,13 @@
 """Reset-free reinforcement learning: train agents, inspect runs, reproduce the results of the EARL paper."""
 
+import argparse
 import contextlib
 import gc
 import os
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import tyro
 
@@ -26,9 +26,10 @@ from earl_jax.cli.sweep import sweep
 from earl_jax.cli.train import resume, train
 from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error
+from earl_jax.options import imports
 from earl_jax.options.environment import FRACTION
 from earl_jax.options.jax_start import start_failure
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import LastingStream, lasting_streams
 
 FUNCTIONS = (
@@ -36,15 +37,19 @@ FUNCTIONS = (
     import_demos, quickstart,
 )  # fmt: skip
 COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}
-TRACEBACK = "--traceback"
+LAUNCHERS = ("sweep", "reproduce")
+"""Commands that leave the files of `--import` to their workers, because a launcher loads no jax."""
+OPTIONS = argparse.ArgumentParser("earl-jax", add_help=False, allow_abbrev=False)
+OPTIONS.add_argument("--import", metavar="FILE", action="append", default=[], dest="files")
+OPTIONS.add_argument("--traceback", action="store_true")
 NARROWEST = 40
 """Columns for which the help is laid out at least; with five or fewer, the parser would not end."""
 LONGEST = 1800
 """Characters of an error line at most; a path in it can have thousands."""
 DESCRIPTION = f"""{__doc__}
 
-With {TRACEBACK}, invalid input prints a traceback instead of one line. --version prints the version."""
-DEFAULT_FORMAT = warnings.formatwarning
+Every command takes --import FILE, once for each Python file that registers tasks, methods or learners of your own. \
+With --traceback, invalid input prints a traceback instead of one line. --version prints the version."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -54,11 +59,11 @@ def main(arguments: list[str] | None = None) -> None:
     if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    given = [argument for argument in arguments if argument != TRACEBACK]
+    options, given = OPTIONS.parse_known_args(arguments)
     with lasting_streams() as stdout:
         try:
             with _complete(stdout, trains(given)):
-                _run(given)
+                _run(given, options.files)
         except KeyboardInterrupt as interrupt:
             code = getattr(interrupt, "exit_code", 130)  # a Stopped, or Ctrl-C elsewhere
             print(f"earl-jax: {str(interrupt) or 'interrupted'}", file=sys.stderr)
@@ -67,7 +72,7 @@ def main(arguments: list[str] | None = None) -> None:
             raise SystemExit(1) from None
         except Exception as error:
             cause = str(error) if is_input_error(error) else start_failure(error)
-            if cause is None or TRACEBACK in arguments:
+            if cause is None or options.traceback:
                 raise
             if len(cause) > LONGEST:
                 cause = f"{cause[: LONGEST // 2]} ... {cause[-LONGEST // 2 :]}"
@@ -88,8 +93,8 @@ def _complete(stdout: LastingStream, training: bool) -> Iterator[None]:
             print(f"earl-jax: stdout can't be written: {stdout.failure}", file=sys.stderr)
 
 
-def _run(arguments: list[str]) -> None:
-    """Set up the process and run the command in `arguments`.
+def _run(arguments: list[str], files: Sequence[str]) -> None:
+    """Set up the process, import `files` and run the command in `arguments`.
 
     On a GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
     """
@@ -99,9 +104,13 @@ def _run(arguments: list[str]) -> None:
     if HELP & set(arguments) and shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
-    warnings.formatwarning = _format_warning
+    warnings.formatwarning = format_warning
     os.environ.setdefault(FRACTION, "0.95")
     set_flags(arguments)
+    for file in files:
+        imports.note(file)
+    if not (HELP & set(arguments) or set(LAUNCHERS) & set(arguments[:1])):
+        imports.run_noted()
     tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="earl-jax",
@@ -110,10 +119,3 @@ def _run(arguments: list[str]) -> None:
         config=(tyro.conf.DisallowNone,),
         registry=REGISTRY,
     )
-
-
-def _format_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
-    """Return a warning about the files of a run as one line without a source location, any other in Python's format."""
-    if issubclass(category, RunWarning):
-        return f"earl-jax: {message}\n"
-    return DEFAULT_FORMAT(message, category, *details)

@@ -146,6 +146,7 @@ def _of_run(path: Path) -> tuple["Env", "Method", "Setting", tuple[int, ...], Sc
         raise InputError(f"--config takes a run folder or a config.json, and {path} does not exist")
     config = RunFolder.open(path).config if path.is_dir() else read_config(path)[0]
     require_same_settings(path / CONFIG if path.is_dir() else path)
+    config.warn_of_changes(path)
     return config.build_env(), config.build_method(), config.build_setting(), config.seeds, config.schedule
 
 

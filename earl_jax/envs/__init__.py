@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from earl_jax.envs.base import Env, KinematicEnv
     from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
     from earl_jax.envs.engines import chosen_engine, for_lanes, resolved_engine, with_engine
@@ -80,7 +78,7 @@ PAPER_TASKS = (
 )
 """The six tasks of the paper, in its order."""
 
-_ENVS = Registry(
+_ENVS: Registry[Env] = Registry(
     "env",
     {
         "cheetah_run": "earl_jax.envs.dm_control.cheetah_run:CheetahRun",
@@ -93,43 +91,11 @@ _ENVS = Registry(
         "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
     },
 )
-
-
-def list_envs() -> list[str]:
-    """Return the names that `make` takes, sorted."""
-    return _ENVS.names()
-
-
-def register_env(name: str, factory: type[Env]) -> None:
-    """Register `factory`, an `Env` subclass, as `name` for `make`.
-
-    Raises:
-        ValueError: the name is taken.
-    """
-    _ENVS.register(name, factory)
-
-
-def locate_env(name: str) -> tuple[EntryPoint | type, str]:
-    """Return where the class of the task `name` is, and the package that brings it, as `Registry.locate`."""
-    return _ENVS.locate(name)
-
-
-def env_class(name: str) -> type[Env]:
-    """Return the class of the task `name`.
-
-    Raises:
-        ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
-    """
-    return _ENVS.get(name)
-
-
-def make(name: str, **options) -> Env:
-    """Return the task `name` with these options, e.g. `make("tabletop_organization", reward_type="dense")`.
-
-    Raises:
-        ValueError: the name or an option is unknown; the message lists the choices.
-    """
-    return _ENVS.build(name, options)
+list_envs = _ENVS.names
+register_env = _ENVS.register
+locate_env = _ENVS.locate
+env_class = _ENVS.get
+make = _ENVS.make
 
 
 def __getattr__(name: str) -> Any:

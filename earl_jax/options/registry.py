@@ -1,14 +1,20 @@
 """Registries from names to dataclasses: the package's own table, entry points of other packages, registered classes."""
 
 import dataclasses
+import difflib
 import functools
+from collections.abc import Iterable
 from importlib import metadata
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from earl_jax.errors import InputError
 
+T = TypeVar("T")
+REGISTERED: list[type] = []
+"""The classes that were registered in this process, of every kind."""
 
-class Registry:
+
+class Registry(Generic[T]):
     """The names of one kind (`env`, `algo`) and their classes, extended by the entry-point group `earl_jax.<kind>s`.
 
     Listing names imports nothing. A broken package therefore raises an error only when its name is used.
@@ -16,7 +22,7 @@ class Registry:
 
     def __init__(self, kind: str, table: dict[str, str]):
         self.kind = kind
-        self._table: dict[str, Any] = dict(table)
+        self._table: dict[str, str | type[T]] = dict(table)
 
     def _entry_points(self) -> list[metadata.EntryPoint]:
         return list(metadata.entry_points(group=f"earl_jax.{self.kind}s"))
@@ -27,55 +33,56 @@ class Registry:
         return [point for point in self._entry_points() if point.name in self._table]
 
     def names(self) -> list[str]:
-        """Return every name that can be built, sorted."""
+        """Return every name that can be made, sorted."""
         return sorted({*self._table, *(point.name for point in self._entry_points())})
 
-    def register(self, name: str, factory: type) -> None:
-        """Add the dataclass `factory` under `name`.
+    def register(self, name: str, cls: type[T]) -> None:
+        """Register the dataclass `cls` as `name` in this process; its own `name` must be the same.
 
         Raises:
-            ValueError: the name is taken, `factory` is not a dataclass, or its `name` differs.
+            ValueError: the name is taken, `cls` is not a dataclass, or its `name` differs.
         """
         if name in self.names():
             raise InputError(f"{self.kind} {name!r} exists already; choose another name")
-        self._table[name] = self._checked(name, factory, "the registered class")
+        self._table[name] = self._checked(name, cls, "the registered class")
+        REGISTERED.append(cls)
 
-    def get(self, name: str) -> type:
-        """Return the dataclass of `name`.
+    def get(self, name: str) -> type[T]:
+        """Return the class of `name`.
 
         Raises:
-            ValueError: as `locate`, or the entry point of the name cannot be loaded.
+            ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
         """
         target, _ = self.locate(name)
         if isinstance(target, metadata.EntryPoint):
             return target.load() if name in self._table else self._loaded(target)
         return target
 
-    def locate(self, name: str) -> tuple[metadata.EntryPoint | type, str]:
-        """Return where the class of `name` is, or the class if it was registered, and the package that brings it.
+    def locate(self, name: str) -> tuple[metadata.EntryPoint | type[T], str]:
+        """Return where the class of `name` is, or the class if it was registered, and the package or module it is from.
 
         Nothing is imported.
 
         Raises:
             ValueError: the name is unknown (the message lists the choices) or claimed by several packages.
         """
-        known = isinstance(name, str) and name in self._table
-        candidates = self._conflicting_entry_points if known else self._entry_points()
+        target = self._table.get(name) if isinstance(name, str) else None
+        candidates = self._entry_points() if target is None else self._conflicting_entry_points
         points = [point for point in candidates if point.name == name]
-        owners = ["earl_jax"] * known + [_owner(point) for point in points]
+        own = [] if target is None else [target.__module__ if isinstance(target, type) else "earl_jax"]
+        owners = own + [_owner(point) for point in points]
         if len(owners) > 1:
             raise InputError(
                 f"{self.kind} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
             )
         if points:
             return points[0], owners[0]
-        if not known:
-            own = f"your own needs register_{self.kind} in this process or an entry point, see docs/extending.md"
-            raise InputError(f"unknown {self.kind} {name!r}; choose from {', '.join(self.names())} ({own})")
-        target = self._table[name]
+        if target is None:
+            own = "your own: --import FILE, see docs/extending.md"
+            raise InputError(f"unknown {self.kind} {name!r}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
-    def _loaded(self, point: metadata.EntryPoint) -> type:
+    def _loaded(self, point: metadata.EntryPoint) -> type[T]:
         """Return the class of an entry point. Any error in its package becomes a ValueError that names the package."""
         try:
             factory = point.load()
@@ -84,7 +91,7 @@ class Registry:
             raise InputError(f"{self.kind} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
         return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
-    def _checked(self, name: str, factory: Any, source: str) -> type:
+    def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
         """Return `factory`, which comes from `source`, if it is a dataclass with the name `name`."""
         if not isinstance(factory, type) or not dataclasses.is_dataclass(factory):
             raise InputError(f"{self.kind} {name!r}: {source} must be a dataclass, not {factory!r}")
@@ -95,17 +102,24 @@ class Registry:
             )
         return factory
 
-    def build(self, name: str, options: dict[str, Any]) -> Any:
-        """Return an object of the class of `name` with `options`.
+    def make(self, /, name: str, **options: Any) -> T:
+        """Return an object of the class of `name` with these options.
 
         Raises:
-            ValueError: as `get`; or an option is unknown or has the wrong type.
+            ValueError: the name or an option is unknown, or an option has the wrong type; the message lists the choices.
         """
         from earl_jax.options.values import check  # loads numpy, which listing does not need
 
-        factory = self.get(name)
-        check(f"{self.kind} {name!r}", factory, options)
-        return factory(**options)
+        cls = self.get(name)
+        check(f"{self.kind} {name!r}", cls, options)
+        return cls(**options)
+
+
+def choices(name: Any, names: Iterable[str]) -> str:
+    """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
+    text, names = str(name).lower(), list(names)
+    near = [known for known in names if len(text) > 2 and text in known] or difflib.get_close_matches(text, names, 1)
+    return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 
 def _owner(point: metadata.EntryPoint) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.options import imports
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import COUNT, TimeLimit, require
@@ -103,6 +104,7 @@ def reproduce(
     if outcome.unfinished:
         emit(f"{name} is not written; unfinished runs: {', '.join(outcome.unfinished)}")
         return []
+    imports.run_noted()
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:

@@ -1,5 +1,6 @@
 """Curves read from run folders, grouped by task and method."""
 
+import dataclasses
 import functools
 import json
 import os
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.envs import make
+from earl_jax.envs import list_envs, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.metrics.deployed import WIDE
@@ -18,7 +19,7 @@ from earl_jax.metrics.phase_stats import PHASE_METRICS
 from earl_jax.metrics.scores import DEFAULT, Score, Window
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
-from earl_jax.runs.config import RunConfig
+from earl_jax.runs.config import RunConfig, deployed_metric, reward_type
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
@@ -72,9 +73,10 @@ class Curves(NamedTuple):
     def comparable(self) -> bool:
         """Whether the task, its kind of reward (sparse or dense) and the setting are those of the paper's tables."""
         config = self.config
-        same_task = config.env_options.keys() <= SAME_TASK
-        same_reward = config.build_env().sparse == make(config.env).sparse
-        return same_task and same_reward and config.build_setting() == Deployment()
+        if config.env not in list_envs() or config.env_class or not config.env_options.keys() <= SAME_TASK:
+            return False
+        same_reward = config.deployed_metric == deployed_metric(make(config.env))
+        return same_reward and config.build_setting() == Deployment()
 
 
 class Columns(dict[str, np.ndarray]):
@@ -104,14 +106,29 @@ def read(path: Path) -> Curves:
         ValueError: the folder holds no run, or a run without an evaluation, or rows of its metrics are missing.
     """
     folder = RunFolder.open(path)
-    try:
-        folder.config.build_env()
-    except InputError as error:  # it names the choices, but not the run
-        raise InputError(f"{path}: {error}") from error
     table = folder.table()
     if not len(table.steps):
         raise InputError(f"{path} has no evaluation yet")
-    return Curves(folder.config, table.steps, Columns(path, table.metrics), (folder,))
+    metrics = Columns(path, table.metrics)
+    try:
+        folder.config.build_setting()
+        config = dataclasses.replace(folder.config, reward_type=_reward_type(folder.config, metrics))
+    except InputError as error:  # it names the choices, but not the run
+        raise InputError(f"{path}: {error}") from error
+    return Curves(config, table.steps, metrics, (folder,))
+
+
+def _reward_type(config: RunConfig, metrics: Columns) -> str:
+    """Return the reward type of a run; that of an unknown task is found from `metrics` if an early version did not record it.
+
+    A sparse reward is earned only by a success.
+    """
+    if config.reward_type:
+        return config.reward_type
+    if config.env in list_envs() and not config.env_class:
+        return reward_type(config.build_env())
+    same = np.array_equal(metrics["deployed/success"] > 0, metrics["deployed/return"] > 0)
+    return config.env_options.get("reward_type", "sparse" if same else "dense")
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:

@@ -3,21 +3,31 @@
 import dataclasses
 import functools
 import json
+import shlex
+import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from earl_jax.algos import Method, algo_class, make_algo, preset_learner
-from earl_jax.envs import Env, env_class, make
+from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_algo, preset_learner
+from earl_jax.algos.learner import DEFAULT
+from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
+from earl_jax.options.imports import Record, check_records, records, short_hash
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
+from earl_jax.runs.files import RunWarning
 
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
+RECORDS = frozenset({"reward_type", "imports"})
+"""Fields that do not tell runs apart; folders of earlier versions lack them."""
+DEPLOYED = {"sparse": "deployed/success", "dense": "deployed/return"}
+"""The deployed metric of a task by its reward type."""
 DEEPEST = 8
 """Levels of lists and dictionaries in an option."""
 
@@ -44,6 +54,10 @@ class RunConfig:
     """The name of the setting, and its options that differ from the defaults."""
     env_class: str | None = None
     algo_class: str | None = None
+    reward_type: str | None = dataclasses.field(default=None, compare=False)
+    """That of the task, so that its runs can be read without its class."""
+    imports: list[Record] = dataclasses.field(default_factory=list, compare=False)
+    """The files of `--import` with which the run was trained. No command runs what a config names."""
 
     def __post_init__(self):
         kinds = {"env": str, "env_options": dict, "algo": str, "options": dict, "setting": dict}
@@ -58,6 +72,9 @@ class RunConfig:
         for field in ("env_class", "algo_class"):
             if not isinstance(getattr(self, field), str | None):
                 raise InputError(f"{field} must be text or null, not {brief(getattr(self, field))}")
+        if self.reward_type not in (None, *DEPLOYED):
+            raise InputError(f"reward_type must be one of {', '.join(DEPLOYED)}, not {brief(self.reward_type)}")
+        check_records(self.imports)
         reserved = RESERVED & {*self.env_options, *self.options}
         if reserved:
             raise InputError(f"there is no option {min(reserved)!r}")
@@ -92,6 +109,8 @@ class RunConfig:
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),
+            reward_type=reward_type(task),
+            imports=records(),
         )
 
     @property
@@ -101,8 +120,9 @@ class RunConfig:
 
     @property
     def values(self) -> dict[str, Any]:
-        """The fields as config.json has them."""
-        return json.loads(json.dumps(dataclasses.asdict(self)))
+        """The fields that tell runs apart, as config.json has them."""
+        fields = dataclasses.asdict(self).items()
+        return json.loads(json.dumps({name: value for name, value in fields if name not in RECORDS}))
 
     def build_setting(self) -> Setting:
         """Return the setting with its options."""
@@ -116,6 +136,7 @@ class RunConfig:
                 class.
         """
         _require_registered("env", self.env, self.env_class, env_class)
+        self._require_imported("env", self.env, list_envs)
         return make(self.env, **self.env_options)
 
     def build_env(self) -> Env:
@@ -125,12 +146,32 @@ class RunConfig:
     def build_method(self) -> Method:
         """Return the method with its hyper-parameters. Errors as `build_task`."""
         _require_registered("algo", self.algo, self.algo_class, algo_class)
+        self._require_imported("algo", self.algo, list_algos)
+        self._require_imported("learner", self.options.get("learner", DEFAULT), list_learners)
         return make_algo(self.algo, **self.options)
 
     @functools.cached_property
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
-        return deployed_metric(self.build_env())
+        return DEPLOYED[self.reward_type or reward_type(self.build_env())]
+
+    def _require_imported(self, kind: str, name: Any, known: Callable[[], list[str]]) -> None:
+        """Raise an InputError that names the files of this run if `name` is unknown; without files, do nothing."""
+        if not self.imports or name in known():
+            return
+        files = {record["file"]: f"{record['file']} (sha256 {short_hash(record)})" for record in self.imports}
+        options = " ".join(f"--import {shlex.quote(file)}" for file in files)
+        raise InputError(
+            f"unknown {kind} {name!r}: this run was trained with {' and '.join(files.values())}: pass {options}"
+        )
+
+    def warn_of_changes(self, path: Path) -> None:
+        """Warn if a file of this run, whose folder is `path`, was imported here with another text."""
+        now = {Path(record["file"]).name: record for record in records()}
+        for name, then in {Path(record["file"]).name: record for record in self.imports}.items():
+            if name in now and now[name]["sha256"] != then["sha256"]:
+                texts = f"sha256 {short_hash(then)} then, {short_hash(now[name])} now"
+                warnings.warn(f"{name} has changed since {path} was trained ({texts})", RunWarning, stacklevel=2)
 
     def protocol(self, env: Env) -> Protocol:
         """Return the protocol: the task's horizons, the setting's rules, this run's evaluations."""
@@ -148,7 +189,12 @@ class RunConfig:
 
 def deployed_metric(env: Env) -> str:
     """Return the name of the deployed metric of `env`: success for sparse rewards, return for dense ones."""
-    return "deployed/success" if env.sparse else "deployed/return"
+    return DEPLOYED[reward_type(env)]
+
+
+def reward_type(env: Env) -> str:
+    """Return the kind of reward of `env`, `sparse` or `dense`."""
+    return "sparse" if env.sparse else "dense"
 
 
 def method_options(method: Method) -> dict[str, Any]:

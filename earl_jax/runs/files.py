@@ -8,7 +8,7 @@ import stat
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Any, BinaryIO, Literal
 
 from earl_jax.errors import InputError
 
@@ -21,6 +21,16 @@ WRONG_KIND = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE
 
 class RunWarning(UserWarning):
     """A warning about the files of a run, which commands print as one line."""
+
+
+DEFAULT_FORMAT = warnings.formatwarning
+
+
+def format_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
+    """Return a `RunWarning` as one line without a source location, any other warning in Python's format."""
+    if issubclass(category, RunWarning):
+        return f"earl-jax: {message}\n"
+    return DEFAULT_FORMAT(message, category, *details)
 
 
 class DamagedWarning(RunWarning):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError, brief
+from earl_jax.options.imports import records
 from earl_jax.options.jax_settings import recorded_settings, require_settings
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps, try_out
@@ -142,8 +143,14 @@ class RunFolder:
         return dataclasses.replace(self.config, steps=steps)
 
     def record(self, **values: Any) -> None:
-        """Write entries of config.json, such as the physics engine that trains this run, unless they are there."""
+        """Write entries of config.json, such as the physics engine that trains this run, unless they are there.
+
+        Files that are imported in this process, and were not when the run began, are added to its `imports`.
+        """
         present = self.recorded()
+        known = present.get("imports", [])
+        if added := [record for record in records() if record not in known]:
+            values["imports"] = [*known, *added]
         if not values.items() <= present.items():
             write_atomically(self.config_file, json.dumps({**present, **values}, indent=2) + "\n")
 
@@ -171,9 +178,10 @@ class RunFolder:
 
     def require_resumable(self) -> None:
         """Raise a ValueError if jax has other settings here, or, as `table`, if rows or columns up to the newest checkpoint
-        are damaged or missing.
+        are damaged or missing. A `RunWarning` names the files of the run that have changed.
         """
         require_same_settings(self.config_file)
+        self.config.warn_of_changes(self.path)
         step = newest(self.checkpoints)
         table = self._table(step)
         missing = sorted(COLUMNS.difference(table.columns))

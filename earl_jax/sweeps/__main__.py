@@ -8,9 +8,11 @@ import json
 import os
 import sys
 import threading
+import warnings
 from pathlib import Path
 
 from earl_jax.options.jax_start import start_failure
+from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import lasting_streams
 
 
@@ -24,6 +26,7 @@ def main() -> int:
         end_with_pipe(sys.stdin.fileno())
     if task.get("cores") and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, task["cores"])  # before jax and the physics count the cores
+    warnings.formatwarning = format_warning
     with lasting_streams():
         try:
             from earl_jax.sweeps import worker  # it imports jax, which takes seconds

@@ -6,6 +6,7 @@ Names and numbers are checked when a run is planned, by the classes that use the
 import dataclasses
 import hashlib
 import itertools
+import os
 import re
 import tomllib
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.errors import InputError
+from earl_jax.options import imports
 from earl_jax.options.presets import Preset, named_preset
 from earl_jax.options.schedule import FIELDS, Schedule
 from earl_jax.options.seeds import seed_list
@@ -59,11 +61,15 @@ def read(path: Path) -> list[RunSpec]:
 
 
 def read_table(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file. Errors as `read`."""
+    """Return the content of a TOML file, without the files of its `import`, which are run. Errors as `read`."""
     try:
-        return tomllib.loads(path.read_text())
+        table = tomllib.loads(path.read_text())
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
+    for file in _names(table, "import") if "import" in table else ():
+        imports.note(os.path.abspath(path.parent / file))
+    imports.run_noted()
+    return {key: value for key, value in table.items() if key != "import"}
 
 
 def _blocks(table: dict[str, Any]) -> list[dict[str, Any]]:

@@ -1,11 +1,13 @@
 """The launcher of sweeps: it plans a grid, starts workers and reports every run, without importing jax."""
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
+from earl_jax.options import imports
 from earl_jax.options.values import TimeLimit
 from earl_jax.sweeps import slurm as slurm_arrays
 from earl_jax.sweeps.processes import Event, Task, Workers, events, start
@@ -60,7 +62,7 @@ def sweep(
     plan = plan_sweep(grid, out, max_lanes)
     for name in plan["finished"]:
         emit(f"done       {name}  (before)")
-    common = {"out": plan["out"], "devices": devices, "logs": list(logs), "limit": limit}
+    common = {"out": plan["out"], "imports": plan["imports"], "devices": devices, "logs": list(logs), "limit": limit}
     tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
     if launcher == "slurm":
         slurm_arrays.submit(out, tasks, options, emit)
@@ -96,13 +98,14 @@ def _check_options(
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     """Return the names of finished runs of a grid and the program groups of the others, from a worker on the CPU.
 
-    Keys: `out`, the folder; `finished`; `groups`, each with the configs of its `runs` by name, its `lanes`, the `step` from
-    which they continue, their `steps` and `replay_bytes`.
+    Keys: `out`, the folder; `imports`, the files that workers run first; `finished`; `groups`, each with the configs of its
+    `runs` by name, its `lanes`, the `step` from which they continue, their `steps` and `replay_bytes`.
 
     Raises:
         ValueError: as `sweep`.
     """
-    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes}
+    files = [{**record, "file": os.path.abspath(record["file"])} for record in imports.records()]
+    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes, "imports": files}
     with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
         reply: Event = next(events(planner), {"detail": "the planner ended without a plan; its error is above"})
     if "plan" not in reply:

@@ -13,6 +13,7 @@ from typing import Any
 from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, is_input_error
+from earl_jax.options import imports
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.jax_start import start_failure
 from earl_jax.options.values import TimeLimit
@@ -109,7 +110,8 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
         }
         for group in program_groups(planned, max_lanes)
     ]
-    return {"out": str(out), "finished": [entry.name for entry in planned if entry.finished], "groups": groups}
+    finished = [entry.name for entry in planned if entry.finished]
+    return {"out": str(out), "imports": imports.records(), "finished": finished, "groups": groups}
 
 
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
@@ -224,11 +226,13 @@ def _cause(error: Exception) -> str:
 def serve(task: dict[str, Any]) -> int:
     """Plan the `grid` of `task`, or train its `runs`; print the plan or every event as a line of JSON, and return the failures.
 
-    Both have the folder `out`. A grid has `max_lanes`; runs can have the other arguments of `work` by name.
+    Both have the folder `out`, and `imports`, the files that the process runs first, if they have not changed. A grid has
+    `max_lanes`; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
     if "grid" in task:
         try:
+            _import(task)
             reply = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
         except Exception as error:
             reply = {"state": "refused", "detail": _cause(error)}
@@ -241,11 +245,24 @@ def serve(task: dict[str, Any]) -> int:
             failed.append(name)
         print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
+    try:
+        _import(task)
+    except Exception as error:
+        cause = _cause(error)
+        for name in task["runs"]:
+            emit(name, "failed", cause)
+        return len(failed)
     configs = {name: parse_config(config) for name, config in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
     return len(failed)
+
+
+def _import(task: dict[str, Any]) -> None:
+    for record in task.get("imports", ()):
+        imports.note(**record)
+    imports.run_noted()
 
 
 def parse_config(fields: dict[str, Any]) -> RunConfig:

@@ -12,13 +12,15 @@ from typing import Any
 
 import jax
 
+from earl_jax.options.imports import records
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.hosts import of_first_host
 
 
 def resume_command(folder: Path) -> str:
     """Return the command that continues the run in `folder`."""
-    return shlex.join(["earl-jax", "resume", str(folder)])
+    files = [part for record in records() for part in ("--import", record["file"])]
+    return shlex.join(["earl-jax", "resume", str(folder), *files])
 
 
 class Stopped(KeyboardInterrupt):

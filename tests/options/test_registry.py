@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from earl_jax import envs
+from earl_jax.adapters.earl_benchmark import ORIGINAL_NAMES
 from earl_jax.options.registry import Registry
 from tests.conftest import write_files
 
@@ -42,9 +43,9 @@ def install(tmp_path, monkeypatch):
 def test_the_names_of_a_package_are_listed_and_built(install):
     registry = install({"meadow": "theirs:Meadow"}, MEADOW)
     assert registry.names() == ["meadow", "sawyer_door"]
-    assert registry.build("meadow", {"wide": True}).wide
+    assert registry.make("meadow", wide=True).wide
     with pytest.raises(ValueError, match="'meadow' exists already"):
-        registry.register("meadow", type(registry.build("meadow", {})))
+        registry.register("meadow", type(registry.make("meadow")))
 
 
 @pytest.mark.parametrize(
@@ -66,11 +67,12 @@ def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(instal
         registry.get("meadow")
 
 
-def test_an_unknown_name_says_how_to_make_a_class_of_ones_own_known(install):
-    with pytest.raises(
-        ValueError, match=r"^unknown env 'mine'; choose from meadow, sawyer_door \(your own needs register_env"
-    ):
-        install({"meadow": "theirs:Meadow"}).get("mine")
+def test_an_unknown_name_says_what_it_may_mean_and_how_to_name_a_class_of_ones_own(install):
+    with pytest.raises(ValueError, match=r"^unknown env 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"):
+        install({"meadow": "theirs:Meadow"}).get("maze")
+    for name, own in {**ORIGINAL_NAMES, "bulb": "dhand_lightbulb", "Door": "sawyer_door"}.items():
+        with pytest.raises(ValueError, match=f"^unknown env '{name}'; did you mean '{own}'\\? Choose from cheetah_run"):
+            envs.make(name)
 
 
 def test_a_name_claimed_twice_is_an_error_that_names_both_owners(install):

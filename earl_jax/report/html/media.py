@@ -35,7 +35,10 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
 
     Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
-    task_map = lines[0].runs[0].config.build_env().map
+    try:
+        task_map = lines[0].runs[0].config.build_env().map
+    except InputError as error:
+        return [], [f"No maps of {lines[0].group.env}: {_cause(error)}."]
     if task_map is None:
         return [], []
     drawn, sentences = [], []

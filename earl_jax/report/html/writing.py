@@ -67,8 +67,7 @@ def write_page(
 
 
 def _check(curves: Curves) -> None:
-    """Raise an error if the method cannot be built or if a number of the page cannot be computed from `curves`."""
-    curves.config.build_method()
+    """Raise an error if a number of the page cannot be computed from `curves`."""
     row_of(curves, "")
     for metric in (curves.deployed_metric, "interventions"):
         if not np.isfinite(curves.metrics[metric]).all():
