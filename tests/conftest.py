@@ -1,9 +1,11 @@
 """Shared fixtures and helpers: one tiny problem, so that its programs compile once for the whole suite."""
 
+import contextlib
 import fcntl
 import gc
 import os
 import platform
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,10 +26,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import list_algos, locate_algo, make_algo
+from earl_jax import algos, envs
+from earl_jax.algos import learner, list_algos, locate_algo, make_algo
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
 from earl_jax.metrics.phase_stats import BACK, FORWARD
+from earl_jax.options import imports
 from earl_jax.protocol import Protocol, Rules
 from earl_jax.training import runner, select_seed, train
 from earl_jax.training.init import replay_capacity
@@ -54,6 +58,31 @@ ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
 """The methods of the paper."""
 
 
+MINE = """
+import dataclasses
+import earl_jax
+from earl_jax.algos.naive import Naive
+from earl_jax.envs.tabletop import TabletopOrganization
+from beside_mine import GRASS
+
+@dataclasses.dataclass(frozen=True)
+class Meadow(TabletopOrganization):
+    grass: float = GRASS
+    name = "meadow"
+
+class Patient(Naive):
+    name = "patient"
+
+class Slow(earl_jax.SAC):
+    name = "slow"
+
+earl_jax.register_env("meadow", Meadow)
+earl_jax.register_algo("patient", Patient)
+earl_jax.register_learner("slow", Slow)
+"""
+"""A file of a user with a task, a method and a learner, whose programs are those of naive RL on tabletop."""
+
+
 def pytest_configure(config):
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
@@ -75,6 +104,25 @@ def pytest_collection_modifyitems(items):
     """Put the longest files first, so that the workers end together."""
     ranks = {TESTS / name: rank for rank, name in enumerate(LONGEST)}
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+@contextlib.contextmanager
+def own_registries():
+    """A context after which what was registered and imported in it is unknown again, as in another process."""
+    with pytest.MonkeyPatch.context() as patch:
+        for registry in (envs._ENVS, algos._ALGOS, learner._LEARNERS):
+            patch.setattr(registry, "_table", dict(registry._table))
+        patch.setattr(imports, "_noted", {})
+        patch.setattr(sys, "path", list(sys.path))
+        yield
+        for path in imports._noted:
+            sys.modules.pop(path.stem, None)
+
+
+@pytest.fixture
+def registries():
+    with own_registries():
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -204,6 +252,12 @@ def assert_all_finite(tree):
 def without_shares(metrics):
     """Return `metrics` without the shares of phases that reached their goal: they are nan where no phase has ended."""
     return {name: values for name, values in metrics.items() if name not in (FORWARD, BACK)}
+
+
+def write_mine(folder):
+    """Return the path of `MINE` in `folder`, with the file beside it that it imports."""
+    write_files({"mine.py": MINE, "beside_mine.py": "GRASS = 0.25\n"}, folder)
+    return folder / "mine.py"
 
 
 def write_files(files, folder):

@@ -110,8 +110,7 @@ def test_the_page_of_installation_has_every_extra():
     assert {name for cell in rows for name in re.findall(r"`(\w+)`", cell)} == set(extras)
 
 
-def test_the_method_of_the_readme_trains_one_controller(problem, monkeypatch):
-    monkeypatch.setattr(algos._ALGOS, "_table", dict(algos._ALGOS._table))
+def test_the_method_of_the_readme_trains_one_controller(problem, registries):
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     exec(compile(next(block for block in blocks if "register_algo" in block), "README.md", "exec"), {})
     method = tiny_method("there_and_back")

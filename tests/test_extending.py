@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax import algos, envs
 from tests.conftest import CACHE, write_files
 
 ROOT = Path(__file__).parents[1]
@@ -97,13 +96,11 @@ def test_the_mujoco_package_is_installed_and_trained_on_c_and_mjx(tmp_path):
 
 
 @pytest.fixture
-def importable(tmp_path, monkeypatch):
+def importable(tmp_path, monkeypatch, registries):
     """Make the classes of the kinematic package importable, without entry points."""
     write_files(PASTURE, tmp_path)
     monkeypatch.syspath_prepend(tmp_path / "src")
     monkeypatch.chdir(tmp_path)
-    for registry in (algos._ALGOS, envs._ENVS):
-        monkeypatch.setattr(registry, "_table", dict(registry._table))
 
 
 @pytest.mark.slow

@@ -62,7 +62,9 @@ _ALGOS: Registry[Method] = Registry(
     },
 )
 list_algos = _ALGOS.names
+"""`list_algos()` returns the names that `make_algo` takes, sorted."""
 register_algo = _ALGOS.register
+"""`register_algo(name, cls)` registers the `Method` subclass `cls` for `make_algo`. A name that is taken is a ValueError."""
 locate_algo = _ALGOS.locate
 algo_class = _ALGOS.get
 

@@ -92,10 +92,15 @@ _ENVS: Registry[Env] = Registry(
     },
 )
 list_envs = _ENVS.names
+"""`list_envs()` returns the names that `make` takes, sorted."""
 register_env = _ENVS.register
+"""`register_env(name, cls)` registers the `Env` subclass `cls` for `make`. A name that is taken is a ValueError."""
 locate_env = _ENVS.locate
 env_class = _ENVS.get
 make = _ENVS.make
+"""`make(name, **options)` returns the task `name` with these options, e.g. `make("tabletop_organization", wide=True)`.
+
+An unknown name or option, or a value of another type, is a ValueError that lists the choices."""
 
 
 def __getattr__(name: str) -> Any:

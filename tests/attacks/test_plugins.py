@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from earl_jax import InputError, algos, cli, envs, register_algo, register_env
+from earl_jax import InputError, cli, register_algo, register_env
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from tests.cli.process import training
@@ -26,14 +26,8 @@ CASES += [("method", part, "ValueError") for part in METHOD_PARTS]
 CASES += [("task", "transition", kind) for kind in ERRORS] + [("method", "next_goal", kind) for kind in ERRORS]
 
 
-@pytest.fixture(autouse=True)
-def _registered(monkeypatch):
-    for registry in (envs._ENVS, algos._ALGOS):
-        monkeypatch.setattr(registry, "_table", dict(registry._table))
-
-
 @pytest.mark.parametrize(("what", "part", "kind"), CASES)
-def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path):
+def test_an_error_in_a_plugin_keeps_its_traceback(what, part, kind, tmp_path, registries):
     def erring(self, *arguments, **options):
         ERRORS[kind]()
 

@@ -14,13 +14,16 @@ import pytest
 from earl_jax import cli
 from earl_jax.sweeps import launcher, processes
 from tests.cli.process import ENVIRONMENT, run_process, start
+from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
 
 def test_the_launcher_never_imports_jax(grid, tmp_path):
+    mine = write_mine(tmp_path)
+    grid.write_text(GRID.replace("oracle", "patient"))
     code = (
         "import sys, earl_jax.sweeps.launcher; from earl_jax.cli import main;"
-        f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run']);"
+        f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run', '--import', {str(mine)!r}]);"
         "assert not {'jax', 'numpy', 'flax', 'mujoco'} & set(sys.modules), sorted(sys.modules)"
     )
     process = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
@@ -31,8 +34,9 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
-    grid.write_text(GRID.replace("steps = 120", "steps = 800"))
+def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid, tmp_path):
+    write_mine(tmp_path)
+    grid.write_text('import = ["mine.py"]\n' + GRID.replace("steps = 120", "steps = 800").replace("oracle", "patient"))
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     code, out, err = run_process("sweep", grid, "--out", whole)
     assert code == 0, err

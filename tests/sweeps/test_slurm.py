@@ -13,6 +13,7 @@ import pytest
 
 from earl_jax.sweeps import slurm
 from tests.cli.process import ENVIRONMENT, free_port, run_process
+from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
@@ -159,7 +160,9 @@ def test_a_job_that_slurm_ends_saves_and_continues_to_the_same_numbers(grid, who
 
 @pytest.mark.slow
 def test_a_sweep_of_four_runs_is_an_array_with_a_task_for_each_program(cluster, grid):
-    grid.write_text(GRID.replace("steps = 120", "steps = 40").replace("[1, 10]", "[1, 3, 10, 30]"))
+    write_mine(grid.parent)
+    text = GRID.replace("steps = 120", "steps = 40").replace("[1, 10]", "[1, 3, 10, 30]").replace("oracle", "patient")
+    grid.write_text(f'import = ["mine.py"]\n{text}')
     assert re.fullmatch(
         "earl-jax: .* cannot submit a job: .*unrecognized option '--party=x'.*\n", submit(grid, "party=x")[1]
     )

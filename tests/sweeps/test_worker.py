@@ -1,6 +1,7 @@
 """The worker: the programs of a grid, and runs that share one but give the results that each gives alone, in separate folders."""
 
 import contextlib
+import hashlib
 import json
 import os
 import re
@@ -20,7 +21,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process
 from earl_jax.sweeps import worker
 from earl_jax.training import load_lanes, memory, runner, train
-from tests.conftest import TINY, assert_equal_trees, tiny_method
+from tests.conftest import MINE, TINY, assert_equal_trees, tiny_method, write_mine
 from tests.sweeps.conftest import GRID, LENGTHS, NAMES
 
 LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true, false]\n"
@@ -130,7 +131,7 @@ def test_two_runs_in_one_program_equal_separate_runs(tmp_path, grid, separate_fo
     assert [state for _, state, _ in work(plan, out)] == ["started", "started", "done", "done"]
     assert_equal_runs(out, separate_folders)
     assert work(plan, out) == [(name, "done", "") for name in NAMES]
-    finished = {"out": str(out), "finished": NAMES, "groups": []}
+    finished = {"out": str(out), "imports": [], "finished": NAMES, "groups": []}
     assert worker.plan(grid, out) == finished
     for name in NAMES:
         shutil.rmtree(out / name / "checkpoints")
@@ -176,6 +177,25 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
     assert work(plan, out, limit=Limit()) == stopped
     work(plan, out)
     assert_equal_runs(out, separate_folders)
+
+
+def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries):
+    mine = write_mine(tmp_path)
+    record = {"file": str(mine), "sha256": hashlib.sha256(MINE.encode()).hexdigest()}
+    grid.write_text('import = "mine.py"\n' + GRID.replace("oracle", "patient"))
+    plan = worker.plan(grid, tmp_path / "out")
+    assert plan["imports"] == [record]
+    task = {"out": plan["out"], "imports": plan["imports"], "runs": plan["groups"][0]["runs"]}
+    assert {tuple(config["imports"][0].items()) for config in task["runs"].values()} == {tuple(record.items())}
+    mine.write_text(f"{MINE}# edited\n")
+    assert worker.serve(task) == 2
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {event["state"] for event in events} == {"failed"}
+    assert (
+        f"{mine} has changed since this command first read it (sha256 {record['sha256'][:8]} then"
+        in events[0]["detail"]
+    )
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("message", ["config.json is damaged", "is in use by another process"])

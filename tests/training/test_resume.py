@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax import HelpBudget, algos, envs
+from earl_jax import HelpBudget
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.runs.folder import RunFolder
@@ -122,9 +122,7 @@ def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
     assert_equal_results(earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120), whole)
 
 
-def test_resuming_after_registration_ends_bit_identical(folder, whole, monkeypatch):
-    for registry in (algos._ALGOS, envs._ENVS):
-        monkeypatch.setattr(registry, "_table", dict(registry._table))
+def test_resuming_after_registration_ends_bit_identical(folder, whole, registries):
     earl_jax.register_env("meadow", Meadow)
     earl_jax.register_algo("patient", Patient)
     assert_equal_results(earl_jax.resume(folder, steps=120), whole)
