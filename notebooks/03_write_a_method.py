@@ -118,7 +118,7 @@ if AsIf.name not in earl_jax.list_algos():  # a cell may run twice
 # %% [markdown]
 """
 With a registered name, `train`, plots and tables accept the method like any other. To use it in other
-processes too (the command line, sweeps, `resume`), put the class in a package with an entry point, as in
+processes too (the command line, sweeps, `resume`), put the class in a file and pass `--import FILE`, as in
 [docs/extending.md](../docs/extending.md).
 
 ## Test it before training
