@@ -23,6 +23,11 @@ def records() -> list[Record]:
     return list(_noted.values())
 
 
+def latest(values: list[Record]) -> dict[str, Record]:
+    """Return the last record of each file by its name, without the folder."""
+    return {Path(record["file"]).name: record for record in values}
+
+
 def short_hash(record: Record) -> str:
     """Return the start of the hash of a file, for a message."""
     return record["sha256"][:8]

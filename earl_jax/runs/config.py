@@ -15,7 +15,7 @@ from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_a
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
-from earl_jax.options.imports import Record, check_records, records, short_hash
+from earl_jax.options.imports import Record, check_records, latest, records, short_hash
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals
@@ -159,16 +159,15 @@ class RunConfig:
         """Raise an InputError that names the files of this run if `name` is unknown; without files, do nothing."""
         if not self.imports or name in known():
             return
-        files = {record["file"]: f"{record['file']} (sha256 {short_hash(record)})" for record in self.imports}
-        options = " ".join(f"--import {shlex.quote(file)}" for file in files)
-        raise InputError(
-            f"unknown {kind} {name!r}: this run was trained with {' and '.join(files.values())}: pass {options}"
-        )
+        files = latest(self.imports).values()
+        named = " and ".join(f"{record['file']} (sha256 {short_hash(record)})" for record in files)
+        options = " ".join(f"--import {shlex.quote(record['file'])}" for record in files)
+        raise InputError(f"unknown {kind} {name!r}: this run was trained with {named}: pass {options}")
 
     def warn_of_changes(self, path: Path) -> None:
         """Warn if a file of this run, whose folder is `path`, was imported here with another text."""
-        now = {Path(record["file"]).name: record for record in records()}
-        for name, then in {Path(record["file"]).name: record for record in self.imports}.items():
+        now = latest(records())
+        for name, then in latest(self.imports).items():
             if name in now and now[name]["sha256"] != then["sha256"]:
                 texts = f"sha256 {short_hash(then)} then, {short_hash(now[name])} now"
                 warnings.warn(f"{name} has changed since {path} was trained ({texts})", RunWarning, stacklevel=2)

@@ -77,10 +77,10 @@ def test_a_file_that_has_changed_since_training_is_named_and_recorded(own):
     (own / "mine.py").write_text(f"{MINE}# edited\n")
     [then] = json.loads((own / "run/config.json").read_text())["imports"]
     shutil.rmtree(own / "run/checkpoints/000000120")
-    with pytest.warns(
-        RunWarning, match=f"^mine.py has changed since run was trained .sha256 {then['sha256'][:8]} then, "
-    ):
-        assert run("resume", "run", "--import", "mine.py")[0] == 0
+    message = f"^mine.py has changed since run was trained .sha256 {then['sha256'][:8]} then, "
+    for command in (["train", "--out", "run", "--config"], ["resume"]):  # train refuses the folder
+        with pytest.warns(RunWarning, match=message):
+            assert run(*command, "run", "--import", "mine.py")[0] == (2 if "train" in command else 0)
     now = json.loads((own / "run/config.json").read_text())["imports"]
     assert (now[0], [record["file"] for record in now[1:]]) == (then, ["mine.py"])
 
