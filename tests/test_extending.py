@@ -57,7 +57,7 @@ def use_package(code, name, folder):
     given = {"TINY": TINY, "LENGTHS": LENGTHS, "DEMOS": DEMOS, "CONTRACT": str(ROOT / "tests/envs/test_contract.py")}
     constants = "".join(f"{key} = {value!r}\n" for key, value in given.items())
     code = f"{constants}from earl_jax.cli import main\n{code}{CHECK_CONTRACT.format(name=name)}"
-    environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "JAX_COMPILATION_CACHE_DIR": str(CACHE)}
+    environment = {**os.environ, "PYTHONPATH": f"{folder / 'site'}:{ROOT}", "JAX_COMPILATION_CACHE_DIR": str(CACHE)}
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=570)
     assert result.returncode == 0, result.stdout + result.stderr
