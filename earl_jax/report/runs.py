@@ -1,6 +1,5 @@
 """Curves read from run folders, grouped by task and method."""
 
-import dataclasses
 import functools
 import json
 import os
@@ -19,7 +18,7 @@ from earl_jax.metrics.phase_stats import PHASE_METRICS
 from earl_jax.metrics.scores import DEFAULT, Score, Window
 from earl_jax.protocol import Deployment
 from earl_jax.report.style import method_order, task_order
-from earl_jax.runs.config import RunConfig, deployed_metric, reward_type
+from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
@@ -112,23 +111,9 @@ def read(path: Path) -> Curves:
     metrics = Columns(path, table.metrics)
     try:
         folder.config.build_setting()
-        config = dataclasses.replace(folder.config, reward_type=_reward_type(folder.config, metrics))
     except InputError as error:  # it names the choices, but not the run
         raise InputError(f"{path}: {error}") from error
-    return Curves(config, table.steps, metrics, (folder,))
-
-
-def _reward_type(config: RunConfig, metrics: Columns) -> str:
-    """Return the reward type of a run; that of an unknown task is found from `metrics` if an early version did not record it.
-
-    A sparse reward is earned only by a success.
-    """
-    if config.reward_type:
-        return config.reward_type
-    if config.env in list_envs() and not config.env_class:
-        return reward_type(config.build_env())
-    same = np.array_equal(metrics["deployed/success"] > 0, metrics["deployed/return"] > 0)
-    return config.env_options.get("reward_type", "sparse" if same else "dense")
+    return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,))
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:

@@ -5,7 +5,7 @@ import functools
 import json
 import shlex
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,20 @@ class RunConfig:
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
         return DEPLOYED[self.reward_type or reward_type(self.build_env())]
+
+    def with_reward_type(self, metrics: Mapping[str, np.ndarray]) -> "RunConfig":
+        """Return this config with its reward type: as it was recorded, else that of the task or, if it is unknown, of `metrics`.
+
+        Only a success earns a sparse reward.
+        """
+        if self.reward_type:
+            return self
+        try:
+            kind = reward_type(self.build_env())
+        except InputError:
+            successes, returns = (np.asarray(metrics.get(name, 0)) > 0 for name in DEPLOYED.values())
+            kind = self.env_options.get("reward_type", "sparse" if np.array_equal(successes, returns) else "dense")
+        return dataclasses.replace(self, reward_type=kind)
 
     def _require_imported(self, kind: str, name: Any, known: Callable[[], list[str]]) -> None:
         """Raise an InputError that names the files of this run if `name` is unknown; without files, do nothing."""

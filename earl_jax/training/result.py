@@ -15,9 +15,9 @@ import numpy as np
 from earl_jax.algos import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import DEFAULT, SUCCESS, Score, Scores, Window, lifetime_scores
+from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
 from earl_jax.runs.checkpoint import newest
-from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.plan import per_lane
@@ -73,22 +73,15 @@ class Result:
     def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
         """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
 
-        `metric` is by default the deployed one; that of a sparse reward if the task of a loaded run is not registered here.
+        `metric` is by default the deployed one.
 
         Raises:
             ValueError: there is no evaluation yet, or no such metric.
         """
-        name = metric or self._deployed
+        name = metric or self.config.deployed_metric
         if self.metrics and name not in self.metrics:
             raise InputError(f"there is no metric {name!r}; choose from {', '.join(self.metrics)}")
         return Score.of(self.steps, self.metrics, name, window)
-
-    @property
-    def _deployed(self) -> str:
-        try:
-            return deployed_metric(self.env)
-        except InputError:
-            return SUCCESS
 
     @property
     def scores(self) -> Scores:
@@ -99,7 +92,7 @@ class Result:
         """
         if not len(self.steps):
             raise InputError(f"there is no evaluation yet: training ended at step {self.step}")
-        return lifetime_scores(self.steps, self.metrics, deployed_metric(self.env))
+        return lifetime_scores(self.steps, self.metrics, self.config.deployed_metric)
 
     @functools.cached_property
     def policies(self) -> Policy:
@@ -176,7 +169,8 @@ def load(folder: str | Path) -> Result:
     run = RunFolder.open(Path(folder))
     table = run.table()
     step = max(table.step, newest(run.checkpoints))
-    return Result(run.config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
+    config = run.config.with_reward_type(table.metrics)
+    return Result(config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
 
 
 def select_seed(state: Any, i: int) -> Any:
