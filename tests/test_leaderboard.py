@@ -74,7 +74,7 @@ def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     labels = [(group.env, group.label) for group, _ in leaderboard.entries(tmp_path)]
     assert labels == [
         (DOOR, "cfbrl"),
-        ("sawyer_peg", "cfbrl (corrected=0.0)"),
+        ("sawyer_peg", "cfbrl (corrected=0)"),
         ("sawyer_peg", "cfbrl (scripted corrections of this task)"),
     ]
 

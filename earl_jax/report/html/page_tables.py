@@ -89,7 +89,7 @@ def _board_row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
     group = line.group
     commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
-    named = group._replace(label=label(group.algo, line.curves.options, [{}]))
+    named = group._replace(label=label(group.algo, line.curves.options))
     return run_row(named, commits.pop() if len(commits) == 1 else "several", HERE)
 
 
