@@ -8,6 +8,7 @@ folder, copies its config.json and metrics.csv into results/leaderboard, and wri
 import argparse
 import itertools
 import math
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,6 +47,7 @@ CORRECTED = "cfbrl", "sawyer_peg", "corrected"
 SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 FILES = ("config.json", "metrics.csv")
+COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 
 def folders(root: Path = RESULTS) -> list[Path]:
@@ -188,8 +190,10 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
     _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
     commit = commit_of(run)
-    _require(bool(commit), "its config.json has no commit")
-    _require(not commit.endswith(CHANGED), f"the commit {short_commit(commit)} lacks changes that it was trained with")
+    releases = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    _require(bool(commit), "its config.json has neither a commit nor a release")
+    _require(not commit.endswith(CHANGED), f"{short_commit(commit)} lacks changes that it was trained with")
+    _require(bool(COMMIT.fullmatch(commit)) or commit in releases, f"{commit} is neither a commit nor in CHANGELOG.md")
     known = {pooling_key(read(folder).config): folder for folder in folders(root)}
     other = known.get(pooling_key(config))
     _require(other is None, f"{other} has the same task, method and options")
