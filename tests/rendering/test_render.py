@@ -93,7 +93,7 @@ def test_invalid_arguments_are_refused(options, message):
 
 def test_a_missing_library_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "mediapy", None)
-    with pytest.raises(ValueError, match="pictures need mediapy: pip install .*'mediapy>="):
+    with pytest.raises(ValueError, match=r"pictures need mediapy: pip install .*'mediapy>="):
         render(TASK, "x.mp4")
 
 

@@ -47,7 +47,7 @@ def test_a_window_changes_the_ranking(tmp_path):
     for number, scores in enumerate(([0.9, 0.2], [0.0, 0.8]), 1):
         write_run(tmp_path / str(number), TABLETOP, "naive", [scores] * 3, reward_scale=float(number))
     leaders = [best([tmp_path], window=window)[0] for window in (Window(), Window(last=1))]
-    assert [row["options"] for row in leaders] == ["reward_scale=1.0", "reward_scale=2.0"]
+    assert [row["options"] for row in leaders] == ["reward_scale=1", "reward_scale=2"]
     assert "over the last evaluation." in best_text([leaders[1]])
 
 
