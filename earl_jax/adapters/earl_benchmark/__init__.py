@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.adapters.earl_benchmark.task_env import TaskEnv
+from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
 from earl_jax.adapters.earl_benchmark.wrappers.lifelong_wrapper import LifelongWrapper
 from earl_jax.adapters.earl_benchmark.wrappers.persistent_state_wrapper import PersistentStateWrapper
 from earl_jax.envs import make
@@ -71,13 +72,11 @@ class EARLEnvs:
         self._train = self.get_train_env(setup_as_lifelong_learning)
         self._eval = None if setup_as_lifelong_learning else self.get_eval_env()
 
-    def get_envs(
-        self,
-    ) -> PersistentStateWrapper | LifelongWrapper | tuple[PersistentStateWrapper, PersistentStateWrapper]:
+    def get_envs(self) -> Wrapper | tuple[Wrapper, Wrapper]:
         """Return the train and the eval env, or for lifelong learning the train env alone."""
         return self._train if self._eval is None else (self._train, self._eval)
 
-    def get_train_env(self, lifelong: bool = False) -> PersistentStateWrapper | LifelongWrapper:
+    def get_train_env(self, lifelong: bool = False) -> Wrapper:
         """Return a new train env, done every H_T steps; with `lifelong` its goal changes on a schedule."""
         env = TaskEnv(self._train_task)
         if not lifelong:
@@ -85,7 +84,7 @@ class EARLEnvs:
         protocol = self._lifelong.protocol(self._train_task)
         return LifelongWrapper(PersistentStateWrapper(env, protocol.train_horizon), protocol.goal_change)
 
-    def get_eval_env(self) -> PersistentStateWrapper:
+    def get_eval_env(self) -> Wrapper:
         """Return a new eval env, done every H_E steps."""
         return PersistentStateWrapper(TaskEnv(self._task), self._task.eval_horizon)
 
