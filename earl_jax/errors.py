@@ -1,7 +1,9 @@
 """The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
 
 import itertools
+import re
 import reprlib
+import shlex
 import sysconfig
 import traceback
 from pathlib import Path
@@ -13,6 +15,18 @@ LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "pu
 
 class InputError(ValueError):
     """Invalid input: a command prints its message as one line. Other errors keep their traceback."""
+
+
+def install_line(extra: str) -> str:
+    """Return the command that installs the libraries of an extra, whether the package comes from a checkout or a wheel."""
+    from importlib import metadata
+
+    try:
+        required = metadata.requires("earl-jax") or []
+    except metadata.PackageNotFoundError:  # only its folder is on the path
+        return f"pip install -e {shlex.quote(f'{PACKAGE.parent}[{extra}]')}"
+    own = [text for text in required if re.search(rf"extra == ['\"]{extra}['\"]", text)]
+    return f"pip install {' '.join(shlex.quote(text.partition(';')[0].strip()) for text in own)}"
 
 
 def brief(value: Any) -> str:

@@ -19,21 +19,9 @@ A gripper carries a mug to one of four coasters, and the environment is not rese
 Five agents train on this task, each in its own copy of the environment, all in one jitted program on
 this machine. The page takes about five minutes on two CPU cores.
 
-[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/01_train_five_seeds.ipynb)
-
 To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `01_train_five_seeds.py`, the same page as a script.
 """
-
-# %% tags=["install"]
-import importlib.util
-import subprocess
-import sys
-
-# Or a wheel: "earl_jax-0.1.0-py3-none-any.whl[notebook]".
-PACKAGE = "earl-jax[notebook] @ git+https://github.com/OWNER/earl_jax"
-if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
 
 # %%
 import os

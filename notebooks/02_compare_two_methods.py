@@ -19,21 +19,9 @@ This page trains naive RL and forward-backward RL (FBRL) on tabletop organizatio
 estimates their difference and its uncertainty, and shows the limits of five seeds. It takes about ten
 minutes on two CPU cores.
 
-[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/02_compare_two_methods.ipynb)
-
 To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `02_compare_two_methods.py`, the same page as a script.
 """
-
-# %% tags=["install"]
-import importlib.util
-import subprocess
-import sys
-
-# Or a wheel: "earl_jax-0.1.0-py3-none-any.whl[notebook]".
-PACKAGE = "earl-jax[notebook] @ git+https://github.com/OWNER/earl_jax"
-if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
 
 # %%
 import os

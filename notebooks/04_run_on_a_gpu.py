@@ -21,21 +21,9 @@ an H200 that training takes six minutes. The page runs on a CPU too, with small 
 to learn: the outputs stored with it are those of two CPU cores shared with other work, where all success
 rates are near 0 and the speeds mean little.
 
-[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/04_run_on_a_gpu.ipynb)
-
 To open this page in a checkout, `pip install -e '.[cuda,notebook]'` (without `cuda` on a CPU) and
 `jupyter lab`. VS Code also runs `04_run_on_a_gpu.py`, the same page as a script.
 """
-
-# %% tags=["install"]
-import importlib.util
-import subprocess
-import sys
-
-# Or a wheel: "earl_jax-0.1.0-py3-none-any.whl[cuda,notebook]".
-PACKAGE = "earl-jax[cuda,notebook] @ git+https://github.com/OWNER/earl_jax"
-if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
 
 # %%
 import os

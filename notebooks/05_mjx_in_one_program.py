@@ -21,21 +21,9 @@ trains a sweep of whole lifetimes with their statistics in one jitted function, 
 It takes about ten minutes on two CPU cores, most of them for compilation. MJX is made for GPUs and TPUs; on
 a CPU, `auto` takes the C engine because that is faster.
 
-[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)](https://colab.research.google.com/github/OWNER/earl_jax/blob/main/notebooks/05_mjx_in_one_program.ipynb)
-
 To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `05_mjx_in_one_program.py`, the same page as a script.
 """
-
-# %% tags=["install"]
-import importlib.util
-import subprocess
-import sys
-
-# Or a wheel: "earl_jax-0.1.0-py3-none-any.whl[notebook]".
-PACKAGE = "earl-jax[notebook] @ git+https://github.com/OWNER/earl_jax"
-if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
 
 # %%
 import os

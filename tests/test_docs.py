@@ -97,11 +97,15 @@ def test_the_gallery_lists_the_policies_that_ship_and_their_success_in_small_vid
     assert sum(path.stat().st_size for path in (DOCS / "pictures" / "gallery").iterdir()) < 3_000_000
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_install_lines_need_no_index(page):
+def test_only_pyproject_has_the_address_and_install_lines_need_no_index():
     """The package is on no index yet; docs/installation.md says what changes then."""
-    lines = re.findall(r"^.*pip install '?earl-jax.*$", page.read_text(), flags=re.MULTILINE)
-    assert [line for line in lines if " @ git+" not in line] == [] or page.name == "installation.md"
+    code = [path for folder in ("earl_jax", "notebooks", "docs", ".github") for path in (ROOT / folder).rglob("*")]
+    files = [path for path in [*PAGES, *code] if path.suffix in {".py", ".md", ".ipynb", ".yml", ".html"}]
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text() for path in files}
+    assert [name for name, text in texts.items() if re.search(r"OWNER|github\.com/[\w-]+/earl_jax\b", text)] == []
+    assert (ROOT / "pyproject.toml").read_text().count('/earl_jax"') == 1
+    lines = [(name, line) for name, text in texts.items() for line in re.findall(r"pip install '?earl-jax.*", text)]
+    assert {name for name, line in lines if " @ git+" not in line} <= {"docs/installation.md"}
 
 
 def test_the_page_of_installation_has_every_extra():

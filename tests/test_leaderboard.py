@@ -33,7 +33,7 @@ def written(path, scores, algo="naive", **options):
 
 def change(folder, **values):
     config = json.loads((folder / "config.json").read_text())
-    config["provenance"]["commit"] = "0123456789abcdef"
+    config["provenance"] |= {"commit": "0123456789abcdef", **values.pop("provenance", {})}
     (folder / "config.json").write_text(json.dumps({**config, **values}))
 
 
@@ -55,6 +55,13 @@ def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
     assert rows.index(row) > next(number for number, line in enumerate(rows) if "| RISC |" in line)
 
 
+def test_the_row_of_a_wheels_run_has_its_release(tmp_path, run):
+    change(run, provenance={"commit": None, "release": "0.1.0"})
+    leaderboard.add(run, tmp_path / "results")
+    [row] = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path / "results")) if row.source == "earl_jax"]
+    assert row.commit == "0.1.0"
+
+
 def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
     root = tmp_path / "results"
     leaderboard.add(run, root)
@@ -74,7 +81,7 @@ def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     labels = [(group.env, group.label) for group, _ in leaderboard.entries(tmp_path)]
     assert labels == [
         (DOOR, "cfbrl"),
-        ("sawyer_peg", "cfbrl (corrected=0.0)"),
+        ("sawyer_peg", "cfbrl (corrected=0)"),
         ("sawyer_peg", "cfbrl (scripted corrections of this task)"),
     ]
 
@@ -86,7 +93,10 @@ def test_only_runs_with_scripted_corrections_say_so(tmp_path):
         ({"steps": 110_000}, "it has 100000 of 110000 steps"),
         ({"env_options": {"wide": True}}, "the task has options"),
         ({"algo_class": "mine:Naive"}, "mine:Naive is not registered"),
-        ({"provenance": {"commit": "0123456789-dirty"}}, "the commit 012345678-dirty lacks changes"),
+        ({"provenance": {"commit": "0123456789-dirty"}}, "012345678-dirty lacks changes"),
+        ({"provenance": {"commit": None, "release": "0.1.0-dirty"}}, "0.1.0-dirty lacks changes"),
+        ({"provenance": {"commit": None, "release": "0.0.9"}}, "0.0.9 is neither a commit nor in CHANGELOG.md"),
+        ({"provenance": {"commit": None}}, "its config.json has neither a commit nor a release"),
     ],
 )
 def test_a_run_that_breaks_a_rule_is_refused(tmp_path, run, values, rule):

@@ -41,13 +41,22 @@ def test_a_notebook_becomes_a_page_with_its_outputs():
     assert pictures == {"nine_1.png": b"\x89PNG"}
 
 
-def test_the_repository_is_named_in_badges_and_install_cells():
-    text = NOTEBOOKS[0].read_text()
-    named = notebooks.REPOSITORY.sub(r"\g<1>me/mine", text)
-    assert named.count("/me/mine") == text.count("OWNER/earl_jax") == 2
-    assert "OWNER" not in named
-    assert "https://colab.research.google.com/github/me/mine/blob/main/notebooks/01" in named
-    assert '"earl-jax[notebook] @ git+https://github.com/me/mine"' in named
+def test_a_known_repository_gives_a_button_for_colab_and_a_cell_that_installs_and_outputs_stay():
+    pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
+    [path] = [path for path in NOTEBOOKS if path.stem == "04_run_on_a_gpu"]
+    named = notebooks.convert(path, "https://github.com/me/mine")
+    first, install = ("".join(cell["source"]) for cell in named["cells"][:2])
+    assert first.endswith(
+        "(https://colab.research.google.com/github/me/mine/blob/main/notebooks/04_run_on_a_gpu.ipynb)"
+    )
+    assert '"earl-jax[cuda,notebook] @ git+https://github.com/me/mine"' in install
+    kept = json.loads(path.with_suffix(".ipynb").read_text())
+    outputs = [cell["outputs"] for cell in kept["cells"] if cell["cell_type"] == "code"]
+    moved = notebooks.with_outputs(named, kept)
+    assert [cell["outputs"] for cell in moved["cells"] if cell["cell_type"] == "code"] == [[], *outputs]
+    next(cell for cell in kept["cells"] if cell["cell_type"] == "code")["source"] = "changed"
+    changed = notebooks.with_outputs(notebooks.convert(path, ""), kept)
+    assert not any(cell.get("outputs") for cell in changed["cells"])
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from earl_jax.report.published import RECONSTRUCTED, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.provenance import short_commit
+from earl_jax.runs.provenance import made_by, short_commit
 
 RUNS = RESULTS / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
@@ -79,8 +79,8 @@ def _cell(env: str, algo: str, measured: Row) -> Row:
 
 
 def commit_of(folder: Path) -> str:
-    """Return the commit that made the run of `folder`."""
-    return json.loads((folder / "config.json").read_text())["provenance"]["commit"]
+    """Return the commit that made the run of `folder`, or the release where it was made by a wheel."""
+    return made_by(json.loads((folder / "config.json").read_text())["provenance"])
 
 
 def cells_text(rows: list[Row]) -> str:

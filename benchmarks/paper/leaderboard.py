@@ -8,6 +8,7 @@ folder, copies its config.json and metrics.csv into results/leaderboard, and wri
 import argparse
 import itertools
 import math
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,7 +34,7 @@ from earl_jax.report.published import (
     published_score,
     published_steps,
 )
-from earl_jax.report.runs import MethodRuns, by_method, pooling_key, read
+from earl_jax.report.runs import MethodRuns, by_method, options_text, pooling_key, read
 from earl_jax.report.tables import markdown_table, millions
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
@@ -46,6 +47,7 @@ CORRECTED = "cfbrl", "sawyer_peg", "corrected"
 SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 FILES = ("config.json", "metrics.csv")
+COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 
 def folders(root: Path = RESULTS) -> list[Path]:
@@ -63,16 +65,18 @@ def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
         (curves, short_commit(commit_of(folder))) for folder in folders(root) if (curves := read(folder)).comparable
     ]
     commits = {id(curves): commit for curves, commit in runs}
-    return [(_marked(group), commits[id(group.curves)]) for group in by_method([curves for curves, _ in runs])]
+    groups = by_method([curves for curves, _ in runs])
+    return [(_named(group, groups), commits[id(group.curves)]) for group in groups]
 
 
-def _marked(group: MethodRuns) -> MethodRuns:
-    """Return `group` with `SCRIPTED` in its label where that is so."""
-    algo, env, option = CORRECTED
-    if (group.algo, group.env) != (algo, env) or group.curves.options.get(option) == 0:
-        return group
-    name, _, options = group.label.removesuffix(")").partition(" (")
-    return group._replace(label=f"{name} ({'; '.join(filter(None, (SCRIPTED, options)))})")
+def _named(group: MethodRuns, groups: list[MethodRuns]) -> MethodRuns:
+    """Return `group` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
+    cell, own = (group.algo, group.env), group.curves.options
+    peers = [other.curves.options for other in groups if (other.algo, other.env) == cell]
+    named = {name: own[name] for name in own if any(other.get(name) != own[name] for other in peers)}
+    marks = [SCRIPTED] if cell == CORRECTED[:2] and own.get(CORRECTED[2]) != 0 else []
+    text = "; ".join([*marks, options_text(named)] if named else marks)
+    return group._replace(label=f"{group.algo} ({text})" if text else group.algo)
 
 
 def rows_of(runs: list[tuple[MethodRuns, str]]) -> list[Row]:
@@ -186,8 +190,10 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
     _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
     commit = commit_of(run)
-    _require(bool(commit), "its config.json has no commit")
-    _require(not commit.endswith(CHANGED), f"the commit {short_commit(commit)} lacks changes that it was trained with")
+    releases = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    _require(bool(commit), "its config.json has neither a commit nor a release")
+    _require(not commit.endswith(CHANGED), f"{short_commit(commit)} lacks changes that it was trained with")
+    _require(bool(COMMIT.fullmatch(commit)) or commit in releases, f"{commit} is neither a commit nor in CHANGELOG.md")
     known = {pooling_key(read(folder).config): folder for folder in folders(root)}
     other = known.get(pooling_key(config))
     _require(other is None, f"{other} has the same task, method and options")

@@ -1,7 +1,8 @@
 """What MkDocs does not do by itself: pages from outside docs/, links to them, notebooks, and formulas as MathML.
 
 The pages of docs/ are written to be read in the repository, where links go to files. On the site a link to a file that is no
-page goes to the repository, whose address is `repo_url` of mkdocs.yml, or is plain text without one.
+page goes to the repository, whose address is `repo_url` of mkdocs.yml or that of pyproject.toml, or is plain text without
+one.
 """
 
 import html
@@ -91,14 +92,13 @@ def linked(label: str, target: str, page: str, repository: str) -> str:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:
-    """Rewrite the links outside of code, and name the repository where a page says OWNER."""
-    repository = (config.repo_url or "").rstrip("/")
+    """Rewrite the links outside of code."""
+    repository = (config.repo_url or notebooks.repository()).rstrip("/")
     name = page.file.src_uri
     parts = FENCE.split(markdown)
     for index in range(0, len(parts), 2):
         parts[index] = LINK.sub(lambda match: linked(match[1], match[2], name, repository), parts[index])
-    text = "".join(parts)
-    return text.replace("github.com/OWNER/earl_jax", repository.removeprefix("https://")) if repository else text
+    return "".join(parts)
 
 
 def on_page_content(content: str, *, page: Any, config: Any, files: Any) -> str:

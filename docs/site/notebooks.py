@@ -2,18 +2,26 @@
 
 python -m docs.site.notebooks            # writes the .ipynb of every .py; outputs of unchanged notebooks stay
 python -m docs.site.notebooks --execute  # runs them too, for about 35 minutes on two quiet CPU cores
-python -m docs.site.notebooks --repository OWNER/NAME  # names the repository in badges and install cells
+
+Where pyproject.toml has the real address of the repository, notebooks get a button for Colab and a cell that installs the
+package from there.
 """
 
 import argparse
 import base64
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
-REPOSITORY = re.compile(r"(github(?:\.com)?/)[\w.-]+/[\w.-]+?(?=/blob/main/notebooks|\"|$)", re.MULTILINE)
+COLAB = "https://colab.research.google.com"
+INSTALL = """import importlib.util
+
+if importlib.util.find_spec("earl_jax") is None:  # a fresh machine, such as Colab's
+    %pip install --quiet "earl-jax{extras} @ git+{address}"
+"""
 TEXT_LINES = 60
 """Lines of printed output that a page shows."""
 
@@ -52,19 +60,33 @@ def _output(output: dict[str, Any], name: str, pictures: dict[str, bytes]) -> st
 
 def index(folder: Path) -> str:
     """Return the page that lists the notebooks of `folder`."""
-    lines = ["# Notebooks", "", "Each is a script in `notebooks/` and a notebook with a button for Colab.", ""]
+    lines = ["# Notebooks", "", "Each is a script in `notebooks/` and a notebook.", ""]
     for path in sorted(folder.glob("*.ipynb")):
         title = "".join(json.loads(path.read_text())["cells"][0]["source"]).splitlines()[0].strip("# ")
         lines.append(f"- [{title}]({path.stem}.ipynb)")
     return "\n".join(lines) + "\n"
 
 
-def convert(path: Path) -> dict[str, Any]:
-    """Return the script at `path` as a notebook without outputs, with cell ids that follow from their places."""
+def repository() -> str:
+    """Return the address of the repository in pyproject.toml, or an empty text while its owner is one in capitals."""
+    project = tomllib.loads((FOLDER.parent / "pyproject.toml").read_text())["project"]
+    address = project["urls"]["Repository"]
+    return "" if address.split("/")[3].isupper() else address
+
+
+def convert(path: Path, address: str | None = None) -> dict[str, Any]:
+    """Return the script at `path` as a notebook without outputs, with a button for Colab if `address` is not empty."""
     import jupytext
     import nbformat
 
-    notebook = jupytext.read(path)
+    notebook, address = jupytext.read(path), repository() if address is None else address
+    if address:
+        first = notebook.cells[0].source
+        page = f"{COLAB}/github/{address.removeprefix('https://github.com/')}/blob/main/notebooks/{path.stem}.ipynb"
+        notebook.cells[0].source = f"{first}\n\n[![Open in Colab]({COLAB}/assets/colab-badge.svg)]({page})"
+        extras = re.findall(r"pip install -e '\.(\[.*?\])'", first)[0]
+        install = INSTALL.format(extras=extras, address=address)
+        notebook.cells.insert(1, nbformat.v4.new_code_cell(install, metadata={"tags": ["install"]}))
     for number, cell in enumerate(notebook.cells):
         cell["id"] = f"cell-{number}"
     notebook.metadata.pop("jupytext", None)
@@ -75,6 +97,22 @@ def same_source(notebook: dict[str, Any], other: dict[str, Any]) -> bool:
     """Return whether two notebooks have the same cells, outputs aside."""
     cells = [[(cell["cell_type"], "".join(cell["source"])) for cell in book["cells"]] for book in (notebook, other)]
     return cells[0] == cells[1]
+
+
+def with_outputs(notebook: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
+    """Return `notebook` with the outputs of `kept` if both have the same code, apart from cells that install."""
+    cells, others = (
+        [
+            cell
+            for cell in book["cells"]
+            if cell["cell_type"] == "code" and "install" not in cell["metadata"].get("tags", ())
+        ]
+        for book in (notebook, kept)
+    )
+    if ["".join(cell["source"]) for cell in cells] == ["".join(cell["source"]) for cell in others]:
+        for cell, other in zip(cells, others, strict=True):
+            cell |= {"outputs": other["outputs"], "execution_count": other["execution_count"]}
+    return notebook
 
 
 def execute(notebook: dict[str, Any]) -> dict[str, Any]:
@@ -96,12 +134,9 @@ def main() -> None:
     """Write the notebooks."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--execute", action="store_true")
-    parser.add_argument("--repository")
     parser.add_argument("names", nargs="*", help="notebooks, by default all")
     arguments = parser.parse_args()
     for path in sorted(FOLDER.glob("*.py")):
-        if arguments.repository:
-            path.write_text(REPOSITORY.sub(rf"\g<1>{arguments.repository}", path.read_text()))
         if arguments.names and path.stem not in arguments.names:
             continue
         notebook, target = convert(path), path.with_suffix(".ipynb")
@@ -110,6 +145,8 @@ def main() -> None:
             notebook = execute(notebook)
         elif kept and same_source(notebook, kept):
             continue
+        elif kept:
+            notebook = with_outputs(notebook, kept)
         target.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
         print(target)
 

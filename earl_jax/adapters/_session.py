@@ -193,7 +193,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
     for option in options:
         if option not in known:
             choices = ", ".join(["mode", "setting", "attempt_steps", "starts", *known])
-            raise InputError(f"env {task!r} has no option {option!r}; choose from {choices}")
+            raise InputError(f"task {task!r} has no option {option!r}; choose from {choices}")
     return make(task, **options)
 
 

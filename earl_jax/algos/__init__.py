@@ -76,9 +76,9 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     lanes. `learner` is a name of `list_learners()`, or an object, which gets these options too; by default `sac`.
 
     Raises:
-        ValueError: the name or an option is unknown; the message lists the choices.
+        ValueError: the name or an option is unknown; the message has the choices or the nearest.
     """
-    from earl_jax.options.values import check
+    from earl_jax.options.values import check, unknown_option
 
     method = _ALGOS.get(name)
     base = _learner(method, learner)
@@ -86,11 +86,11 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     own = {field.name for field in dataclasses.fields(method)} - {"learner"}
     unknown = sorted(set(options) - shared - own)
     if unknown:
-        choices = ", ".join(sorted(shared | own | {"learner"}))
-        raise InputError(f"algo {name!r} has no option {unknown[0]!r}; choose from {choices}")
+        known = sorted(shared | own | {"learner"})
+        raise unknown_option(f"method {name!r}", unknown[0], options[unknown[0]], known, name)
     options = {option: _leaf(option, value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
-    check(f"algo {name!r}", type(base), changed)
+    check(f"method {name!r}", type(base), changed)
     rest = {option: value for option, value in options.items() if option in own}
     return _ALGOS.make(name, learner=base.replace(**changed), **rest)
 

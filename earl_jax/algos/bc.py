@@ -15,7 +15,9 @@ from earl_jax.options.values import within
 
 
 class BC(FBRL):
-    """Clone the demonstrations before the first step, then live as FBRL does, without noise and without learning.
+    """Clone the demonstrations, then live without learning.
+
+    Clone the demonstrations before the first step, then live as FBRL does, without noise and without learning.
 
     With the demonstrated steps (s, g, a) of both directions, or of those that the task has, the greedy policy pi
     minimises `mean (pi(s, g) - a)^2` in `Learner.pretrain_steps`. It acts greedily: nothing explores. No update follows,

@@ -12,7 +12,9 @@ from earl_jax.options.values import within
 
 
 class FBRL(Method):
-    """Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
+    """Alternate a controller to the goals and one back.
+
+    Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
 
     Source: Han et al. 2015 and Eysenbach et al. 2018, as run by Sharma et al. 2022. Both phases end on success or after
     H_E steps, and only the acting controller learns. The released variants differ; this one has the published cycle of

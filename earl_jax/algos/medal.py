@@ -42,7 +42,9 @@ class Classifier(struct.PyTreeNode):
 
 
 class MEDAL(Method):
-    """Alternate a forward controller on task goals and a backward one that seeks the states of the demonstrations.
+    """As FBRL, back to the states of the demonstrations.
+
+    Alternate a forward controller on task goals and a backward one that seeks the states of the demonstrations.
 
     The classifier C(s, g) tells states D+ of the forward demonstrations from states D- of backward phases. The backward
     reward is `-log(1 - sigmoid(C(s', g)) + 1e-10)` with the current C, times the reward scale, where g is the task goal

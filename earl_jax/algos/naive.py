@@ -11,7 +11,9 @@ from earl_jax.options.values import COUNT, within
 
 
 class Naive(Method):
-    """Keep the task goal until it is reached or `episode_length` steps have passed, then draw the next one, no reset.
+    """Pursue one task goal after another, without a reset.
+
+    Keep the task goal until it is reached or `episode_length` steps have passed, then draw the next one, no reset.
 
     Source: Sharma et al. 2022, section 5.1. The text does not say that success also draws a new goal, but the published
     reward rate of one reward in 30.7 steps on tabletop requires it.

@@ -6,7 +6,9 @@ from earl_jax.algos.method import Method, Phase
 
 
 class Oracle(Method):
-    """Learn with an extrinsic reset at the end of every episode of H_E steps; resets count as interventions.
+    """Reset after every episode, for reference.
+
+    Learn with an extrinsic reset at the end of every episode of H_E steps; resets count as interventions.
 
     Source: Sharma et al. 2022, section 6. Success ends an episode, as in the released wrappers.
     """

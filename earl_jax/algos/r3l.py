@@ -33,7 +33,9 @@ class RND(struct.PyTreeNode):
 
 
 class R3L(Method):
-    """Alternate the task controller with a controller that seeks novel states (RND) for H_E steps and never ends early.
+    """Alternate the task and a search for novel states.
+
+    Alternate the task controller with a controller that seeks novel states (RND) for H_E steps and never ends early.
 
     Source: Zhu et al. 2020, as run by Sharma et al. 2022 with the true reward and no classifier. Novelty is the
     prediction error on the state without the goal, divided by an exponential average of its own standard deviation, as

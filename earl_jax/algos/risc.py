@@ -15,7 +15,9 @@ from earl_jax.options.values import within
 
 
 class RISC(FBRL):
-    """Alternate phases as FBRL does with one goal-conditioned agent, and switch early where success is likely.
+    """As FBRL, with early switches where success is likely.
+
+    Alternate phases as FBRL does with one goal-conditioned agent, and switch early where success is likely.
 
     Success critics P1, P2 learn the discounted probability of success, `P(s, g, a) <- t + (1 - t) gamma min P'(s', g,
     a')` with t = 1 where s' reaches g. Step number c of a phase, counted from 1, ends it with probability

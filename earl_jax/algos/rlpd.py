@@ -8,7 +8,9 @@ from earl_jax.algos.naive import Naive
 
 
 class RLPD(Naive):
-    """Live as naive RL does and learn from an ensemble of critics, half of each batch from demonstrations.
+    """As naive RL, with many critics and demonstrations.
+
+    Live as naive RL does and learn from an ensemble of critics, half of each batch from demonstrations.
 
     With E = 10 critics, a random pair M of them for each update and their layers normalised, the target is
     `y = lambda r + (1 - d) gamma min_{i in M} Q'_i(x', a')`, without an entropy term; the actor climbs the mean of all

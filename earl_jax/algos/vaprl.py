@@ -24,7 +24,9 @@ class Curriculum(struct.PyTreeNode):
 
 
 class VaPRL(Method):
-    """Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho with a value >= epsilon.
+    """Alternate the task and subgoals from demonstrations.
+
+    Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho with a value >= epsilon.
 
     Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`. There are
     three deliberate differences. Values come from a pair of critics without entropy bonus, in units of one reward, so

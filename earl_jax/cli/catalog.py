@@ -16,8 +16,7 @@ from earl_jax.options.presets import PRESETS
 CATALOG = Path(__file__).with_name("catalog.json")
 LOCATE = {"task": envs.locate_env, "method": algos.locate_algo, "learner": learner.locate_learner}
 TASK_NUMBERS = ("observation_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon")
-"""The attributes of a task that are cells of its row."""
-TASK_CELLS = (*TASK_NUMBERS, "goal_change")
+"""The attributes of a task that its description has."""
 
 
 def names() -> dict[str, list[str]]:

@@ -9,27 +9,15 @@ from typing import Any
 from earl_jax import assets
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
-from earl_jax.cli.catalog import LOCATE, TASK_CELLS, names, stored
+from earl_jax.cli.catalog import LOCATE, names, stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import PRESETS
 from earl_jax.options.registry import choices
+from earl_jax.options.values import value_text
 
 WIDTH = 80
-TASK_ROW = "{:<21}{:>4}{:>5}{:>4}  {:<8}{:>8}{:>6}{:>7}  {:<7}{:<6}"
-TASK_HEADER = TASK_ROW.format("task", "obs", "goal", "act", "reward", "H_T", "H_E", "change", "demos", "engine")
-TASK_NOTE = """obs, goal, act: sizes. reward: the default, sparse or dense; --set reward_type=... takes the other. \
-H_T: steps between hard interventions; H_E: steps of an evaluation episode; change: steps between goal changes in the \
-continuing setting. demos: demonstrations that ship. engine: MuJoCo's is auto, mjx, warp or c; "none" is plain arithmetic."""
-METHOD_ROW = "{:<12}{:<6}{:<16}"
-LEARNER_ROW = "{:<12}{:<6}"
-LEARNER_NOTE = "A method learns with sac, or with another learner: train --learner NAME. Both have options (--set)."
-PRESET_ROW = "{:<12}{:>5}{:>12}{:>10}"
-PRESET_NOTE = """A preset is a name for seeds, a schedule and options of the learner: train --preset NAME, \
-preset = "NAME" in a sweep file, earl_jax.preset(NAME, TASK) in Python. What is given besides wins."""
-MORE = "earl-jax list NAME describes a task, a method or a learner with all of its options; --json prints everything."
+MORE = "earl-jax list NAME describes one of them with its options; --json prints all."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
-IN_COLUMNS = ("reward_type", "train_horizon", "eval_horizon", "demo_file", "engine")
-"""Options of a task that its row shows, or that every task has."""
 NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
 
 
@@ -108,61 +96,26 @@ def _preset(name: str) -> dict[str, Any]:
 
 
 def _overview(everything: dict[str, Any]) -> str:
-    """Return the tables of all tasks, methods and presets, each row with lines below it."""
-    kinds = ("tasks", "methods", "learners", "presets")
-    tasks, methods, learners, presets = (everything[kind].values() for kind in kinds)
-    lines = [TASK_HEADER, *chain(*map(_rows, tasks)), "", *_wrap(TASK_NOTE), ""]
-    lines += [METHOD_ROW.format("method", "year", "demonstrations") + "source", *chain(*map(_rows, methods)), ""]
-    lines += [LEARNER_ROW.format("learner", "year") + "source", *chain(*map(_rows, learners)), ""]
-    lines += [*_wrap(f"Every learner also has these options: {', '.join(everything['shared'])}."), ""]
-    lines += [*_wrap(LEARNER_NOTE), ""]
-    lines += [PRESET_ROW.format("preset", "seeds", "steps", "episodes"), *chain(*map(_rows, presets)), ""]
-    return "\n".join(line.rstrip() for line in [*lines, *_wrap(PRESET_NOTE), "", *_wrap(MORE)])
+    """Return a line for each task and each method, and the names of learners and presets."""
+    lines = []
+    for kind, size in (("tasks", 23), ("methods", 12)):
+        for number, described in enumerate(everything[kind].values()):
+            start = f"{kind if number == 0 else '':<9}{described['name']:<{size}}"
+            lines.append(start + textwrap.shorten(_summary(described), WIDTH - len(start), placeholder="..."))
+        lines.append("")
+    lines += [f"{kind:<9}{', '.join(everything[kind])}" for kind in ("learners", "presets")]
+    return "\n".join([*lines, MORE])
 
 
-def _rows(described: dict[str, Any]) -> list[str]:
-    """Return the row of a name, and the lines below it: what it is, its package, options and trained policies."""
-    if "error" in described:
-        return [described["name"], *_wrap(described["error"], "    ")]
-    values = described.get("values") or {key: option["default"] for key, option in described.get("options", {}).items()}
-    options = ", ".join(f"{key}={_cell(value)}" for key, value in values.items() if key not in IN_COLUMNS)
+def _summary(described: dict[str, Any]) -> str:
+    """Return what a name stands for in a sentence, with the package that brings it, or the error of its class."""
     package = described.get("package", "earl_jax")
-    below = [
-        described["summary"] + (f" From {package}." if package != "earl_jax" else ""),
-        f"Options: {options}." if options else "",
-        f"Trained policies: {', '.join(described['policies'])}." if described.get("policies") else "",
-    ]
-    return [*ROWS[described["kind"]](described), *chain(*(_wrap(text, "    ") for text in below))]
-
-
-def _task_row(task: dict[str, Any]) -> list[str]:
-    demos = {0: "none", 1: "".join(task["demonstrations"])}.get(len(task["demonstrations"]), "both")
-    cells = [_number(task[key]) for key in TASK_CELLS]
-    return [TASK_ROW.format(task["name"], *cells, demos, "MuJoCo" if task["engines"] else "none")]
-
-
-def _method_row(method: dict[str, Any]) -> list[str]:
-    demos = "needed" if method["needs_demonstrations"] else "used if any"
-    start = METHOD_ROW.format(method["name"], method["year"] or "-", demos)
-    return textwrap.wrap(method["source"] or "-", WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
-
-
-def _learner_row(learner: dict[str, Any]) -> list[str]:
-    start = LEARNER_ROW.format(learner["name"], learner["year"] or "-")
-    return textwrap.wrap(learner["source"] or "-", WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
-
-
-def _preset_row(preset: dict[str, Any]) -> list[str]:
-    steps = _number(preset["steps"] or "published")
-    return [PRESET_ROW.format(preset["name"], preset["seeds"], steps, preset["eval_episodes"])]
-
-
-ROWS = {"task": _task_row, "method": _method_row, "learner": _learner_row, "preset": _preset_row}
+    return described.get("error") or described["summary"] + (f" From {package}." if package != "earl_jax" else "")
 
 
 def _details(described: dict[str, Any]) -> str:
     """Return all of the description of one name."""
-    facts = {key.replace("_", " "): value for key, value in described.items() if key not in NOT_FACTS}
+    facts = {key.replace("_", " "): _number(value) for key, value in described.items() if key not in NOT_FACTS}
     facts |= {"steps": described["steps"] or "published"} if described["kind"] == "preset" else {}
     lines = [f"{described['name']} ({described['kind']})", "", *_wrap(described.get("summary", "")), ""]
     for key, value in {**facts, **described.get("values", {})}.items():
@@ -206,12 +159,12 @@ def _cell(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, list | tuple):
         return ", ".join(value) if isinstance(value[0], str) else f"[{', '.join(map(_cell, value))}]"
-    return str(value)
+    return value_text(value)
 
 
-def _number(value: int | str | None) -> str:
-    """Return a number with separators, a text as it is, and "-" for None."""
-    return "-" if value is None else f"{value:,}" if isinstance(value, int) else value
+def _number(value: Any) -> Any:
+    """Return a whole number of five digits or more with separators, and any other value as it is."""
+    return f"{value:,}" if isinstance(value, int) and value >= 10_000 else value
 
 
 def _valid_text(valid: list[str] | str) -> str:

@@ -44,7 +44,7 @@ WIDE_TRIES = 64
 
 @dataclasses.dataclass(frozen=True)
 class TabletopOrganization(KinematicEnv):
-    """A gripper carries a mug to one of four coasters and returns home.
+    """A gripper takes a mug to a coaster and returns.
 
     `obs [12]` = gripper 2, mug 2, held flag 2, goal 6; `action [3]` = dx, dy, grip.
     A step moves the gripper by up to 0.2 along each axis. `grip > 0` holds a mug nearer than 0.4. Success: the joint

@@ -9,7 +9,7 @@ import numbers
 import re
 import time
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError, brief
@@ -78,6 +78,23 @@ def check_intervals(owner: str, options: Any) -> None:
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}
 
 
+def unknown_option(owner: str, option: str, value: Any, known: Iterable[str], name: str) -> InputError:
+    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest names and where all of them are."""
+    from difflib import get_close_matches
+
+    from earl_jax.options.schedule import FIELDS
+
+    if option == "seed":
+        one = brief(value)
+        return InputError(
+            f"there is no option 'seed'; did you mean seeds={one} (or seeds=[{one}] for that seed alone)?"
+        )
+    near = get_close_matches(option, [*known, *FIELDS], 3)
+    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    lists = f"`earl-jax list {name}` lists its options, `earl-jax list TASK` those of a task"
+    return InputError(f"{owner} has no option {option!r}; {guess}{lists}")
+
+
 def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
     """Check that the dataclass `factory` has every option, and that each value has the type of its default.
 
@@ -127,6 +144,19 @@ def _fits(kind: Any, value: Any) -> bool:
     if _is_of_jax(value):
         return True
     return kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool) and _is_finite(value)
+
+
+def value_text(value: Any) -> str:
+    """Return a number as people write it, such as 222.86, 20000, 3e-4 or 1e9, and any other value as `str` does."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(value_text, value))}]"
+    if not isinstance(value, float):
+        return str(value)
+    digits, _, exponent = f"{value:.6g}".partition("e")
+    if value and abs(value) < 1e-3:
+        digits, _, exponent = f"{value:.5e}".partition("e")
+        digits = digits.rstrip("0").rstrip(".")
+    return f"{digits}e{int(exponent)}" if exponent else digits
 
 
 def _is_whole(value: Any) -> bool:

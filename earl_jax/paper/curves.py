@@ -53,9 +53,9 @@ def _points(groups: Sequence[MethodRuns]) -> Iterator[Row]:
 
 
 def _scores_table(groups: Sequence[MethodRuns]) -> str:
-    header = ["env", "algo", "seeds", "steps"]
-    header += [text for level in LEVELS for text in (f"to {level}", "published")]
-    header += ["D(A)", "C(A)", "published", "J_D", "published"]
+    header = ["task", "method", "seeds", "steps"]
+    header += [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]
+    header += ["D(A)", "C(A)", "published C(A)", "J_D", "published J_D"]
     return markdown_table(header, [_line(group) for group in groups])
 
 

@@ -187,7 +187,7 @@ def _returns(arms: Arms) -> str:
     for (env, update), arm in arms.items():
         texts = {point.horizon: f"{estimate_text(mean_of(point.scores), 1)} ({len(point.scores)})" for point in arm}
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
-    return markdown_table(["env", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
+    return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
 
 
 def _findings(arms: Arms) -> str:
@@ -199,7 +199,7 @@ def _findings(arms: Arms) -> str:
         horizons = f"{arm[0].horizon:,} and {arm[-1].horizon:,}" if len(arm) > 1 else MISSING
         words = [ours, published or MISSING, verdict(ours, update_effect, published)]
         lines.append([env, UPDATES[update], horizons, estimate_text(estimate, 1), *words])
-    header = ["env", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
+    header = ["task", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
     return markdown_table(header, lines)
 
 
@@ -208,7 +208,7 @@ def _effects(arms: Arms) -> str:
     for env in dict.fromkeys(env for env, _ in arms):
         horizon, estimate, word = effect(arms[env, True], arms[env, False])
         lines.append([env, f"{horizon:,}" if horizon else MISSING, estimate_text(estimate, 1), word])
-    return markdown_table(["env", "H_T", "return with minus without the biased update", "the biased update"], lines)
+    return markdown_table(["task", "H_T", "return with minus without the biased update", "the biased update"], lines)
 
 
 def _missing(arms: Arms) -> str:

@@ -124,7 +124,7 @@ def _measures_table(rows: Sequence[Row]) -> str:
     for name, seeds in grouped(rows, "env", "algo").items():
         texts = [MISSING if seeds[0][each] is None else mean_text(column(seeds, each), 3) for each in MEASURES]
         lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
-    return markdown_table(["env", "algo", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
+    return markdown_table(["task", "method", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
 
 
 def verdicts(rows: Sequence[Row]) -> list[Row]:

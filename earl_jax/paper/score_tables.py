@@ -69,7 +69,7 @@ def _tests(tested: Sequence[Row]) -> str:
     """Return a table of the tests against the published scores, or a line that there is none."""
     if not tested:
         return "No run can be tested against the paper."
-    header = ["env", "method", "steps", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
+    header = ["task", "method", "steps", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
     lines = []
     for row in tested:
         numbers = [f"{row['p']:.2g}", "-" if row["p_holm"] is None else f"{row['p_holm']:.2g}"]

@@ -133,7 +133,7 @@ def _points_table(rows: Sequence[Row]) -> str:
         texts = [mean_text(column(seeds, score), 3) for score in ("final", "deployed_area")]
         spent, ended = mean_text(column(seeds, "interventions"), 1, ","), f"{column(seeds, 'ended').mean():.2f}"
         lines.append([*name, f"{value:g}", len(seeds), f"{steps:,}", spent, *texts, ended])
-    header = ["env", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
+    header = ["task", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
     return markdown_table(header, lines)
 
 
@@ -153,7 +153,7 @@ def _findings_table(lines: Lines) -> str:
         numbers = [_number(correlation), *(_number(value, least=0.001) for value in (own_p, p))]
         word = verdict(correlation, p)
         rows.append([*name, *ends, *numbers, WORDS.get(word, word)])
-    header = ["env", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
+    header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "more interventions"], rows)
 
 

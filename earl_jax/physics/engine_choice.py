@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 from jax import default_backend, local_device_count
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.options.environment import own_cores
 
 ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
 """The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
 mjx."""
-REQUIREMENTS = {"mjx": ("mujoco.mjx", ""), "warp": ("warp", "[warp]"), "c": ("mujoco", "")}
-"""The module that each engine needs, and the extra of this package that installs it."""
+MODULES = {"mjx": "mujoco.mjx", "warp": "warp", "c": "mujoco"}
+"""The module that each engine needs."""
 DEVICE_LANES = 1000
 """The number of lanes at which device costs were measured."""
 
@@ -32,7 +32,7 @@ class EngineCost(NamedTuple):
 
 def is_installed(engine: str) -> bool:
     """Return whether the module that `engine` needs is installed."""
-    return importlib.util.find_spec(REQUIREMENTS[engine][0].partition(".")[0]) is not None
+    return importlib.util.find_spec(MODULES[engine].partition(".")[0]) is not None
 
 
 def resolve_engine(engine: str) -> str:
@@ -46,9 +46,8 @@ def resolve_engine(engine: str) -> str:
     if engine not in ENGINES:
         raise InputError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
     if not is_installed(engine):
-        raise InputError(
-            f"physics engine {engine!r} is not installed; install it with: pip install 'earl-jax{REQUIREMENTS[engine][1]}'"
-        )
+        line = install_line("warp") if engine == "warp" else f"pip install {MODULES[engine].replace('.', '-')}"
+        raise InputError(f"physics engine {engine!r} is not installed: {line}")
     return engine
 
 

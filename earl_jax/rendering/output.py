@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.runs.files import write_atomically
 
 CRF = 26
@@ -35,7 +35,7 @@ def library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise InputError(f"pictures need {name.partition('.')[0]}: pip install 'earl-jax[render]'") from error
+        raise InputError(f"pictures need {name.partition('.')[0]}: {install_line('render')}") from error
 
 
 def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple[int, int]) -> Path:

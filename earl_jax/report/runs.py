@@ -1,22 +1,24 @@
 """Curves read from run folders, grouped by task and method."""
 
+import dataclasses
 import functools
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.envs import list_envs, make
+from earl_jax.envs import env_class, list_envs, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import PHASE_METRICS
 from earl_jax.metrics.scores import DEFAULT, Score, Window
-from earl_jax.protocol import Deployment
+from earl_jax.options.values import value_text
+from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
@@ -216,11 +218,38 @@ def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:
-    """Return a label for each of `runs`: its method, with the options in which its runs on the same task differ."""
-    peers: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    """Return a label for each of `runs`: its method, with the options in which its runs on the same task differ.
+
+    A run with the default of such an option is labelled with it, or with `default` where its class is not known here.
+    """
+    peers: dict[tuple[str, str], list[Curves]] = {}
     for curves in runs:
-        peers.setdefault((curves.config.env, curves.config.algo), []).append(curves.options)
-    return [label(curves.config.algo, curves.options, peers[curves.config.env, curves.config.algo]) for curves in runs]
+        peers.setdefault((curves.config.env, curves.config.algo), []).append(curves)
+    found: dict[int, str] = {}
+    for (_, algo), members in peers.items():
+        names = {name for curves in members for name in curves.options}
+        values = [_values(curves, names) for curves in members]
+        differing = [name for name in names if len({value_text(value.get(name)) for value in values}) > 1]
+        for curves, value in zip(members, values, strict=True):
+            found[id(curves)] = label(algo, {name: value[name] for name in differing if name in value})
+    return [found[id(curves)] for curves in runs]
+
+
+def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
+    """Return the values of the options `names` of a run, without those that its task, setting and method do not have."""
+    config, defaults, unknown = curves.config, {"setting": Deployment.name}, {}
+    learner = {name: value for name, value in config.options.items() if name == "learner"}
+    parts: list[Any] = [SETTINGS[config.setting["name"]]]
+    try:
+        parts.append(env_class(config.env))
+        method = dataclasses.replace(config, options=learner).build_method()
+        parts += [method, method.learner]
+        defaults["learner"] = method.learner.name
+    except InputError:
+        unknown = dict.fromkeys(names, "default")
+    fields = {field.name: getattr(part, field.name) for part in parts for field in dataclasses.fields(part)}
+    known = {**unknown, **fields, **defaults, **curves.options}
+    return {name: known[name] for name in names if name in known}
 
 
 def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
@@ -236,14 +265,9 @@ def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
     return [_plain(name) for name in names] or lines
 
 
-def label(algo: str, options: dict[str, Any], peers: Sequence[dict[str, Any]]) -> str:
-    """Return the name of a method with those of its changed `options` in which its `peers` differ.
-
-    An option with its default value is not named, so a run with the defaults has the bare name.
-    """
-    named = [key for key in sorted(options) if any(other.get(key) != options[key] for other in peers)]
-    text = _plain(", ".join(f"{key}={options[key]}" for key in named))
-    return f"{algo} ({text})" if text else algo
+def label(algo: str, options: dict[str, Any]) -> str:
+    """Return the name of a method with `options`."""
+    return f"{algo} ({options_text(options)})" if options else algo
 
 
 def _plain(text: str) -> str:
@@ -265,5 +289,5 @@ def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
 
 
 def options_text(options: dict[str, Any]) -> str:
-    """Return changed options in one line, or `the defaults` if there are none."""
-    return _plain(", ".join(f"{name}={value}" for name, value in sorted(options.items()))) or "the defaults"
+    """Return options in one line, or `the defaults` if there are none."""
+    return _plain(", ".join(f"{name}={value_text(options[name])}" for name in sorted(options))) or "the defaults"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import PAPER_TASKS, list_envs
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.metrics.statistics import Estimate
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
@@ -31,7 +31,7 @@ def matplotlib() -> Any:
     try:
         import matplotlib.figure
     except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'earl-jax[plot]'") from error
+        raise InputError(f"plots need matplotlib: {install_line('plot')}") from error
     return matplotlib
 
 

@@ -118,7 +118,7 @@ def _number(heading: str, name: str, style: str) -> Column:
     return heading, lambda row: "-" if row[name] is None else format(row[name], style)
 
 
-NAMES: tuple[Column, ...] = (("env", lambda row: row["env"]), ("algo", lambda row: row["algo"]))
+NAMES: tuple[Column, ...] = (("task", lambda row: row["env"]), ("method", lambda row: row["algo"]))
 STEPS = _number("steps", "steps", ",")
 COLUMNS: tuple[Column, ...] = (
     *NAMES,
@@ -126,9 +126,9 @@ COLUMNS: tuple[Column, ...] = (
     STEPS,
     ("deployed, mean [95 %]", lambda row: _interval(row, "deployed")),
     _number("seeds over 0.5", "seeds_above_half", ".0%"),
-    ("published", lambda row: row["published_deployed"] or "-"),
-    ("continuing", lambda row: f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})"),
-    ("published", lambda row: row["published_continuing"] or "-"),
+    ("published deployed", lambda row: row["published_deployed"] or "-"),
+    ("continuing (stderr)", lambda row: f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})"),
+    ("published continuing", lambda row: row["published_continuing"] or "-"),
     *map(_crossing, LEVELS),
     _number("steps/reward", "steps_per_reward", ".1f"),
 )

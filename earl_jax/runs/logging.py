@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.runs.contents import TENSORBOARD, WANDB
 from earl_jax.runs.files import RunWarning, make_folder
 from earl_jax.runs.folder import RunFolder
@@ -141,7 +141,7 @@ def check_logs(logs: Sequence[Any]) -> None:
         if isinstance(log, str) and log not in LOGS:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
         if isinstance(log, str) and importlib.util.find_spec(LIBRARIES[log]) is None:
-            raise InputError(f"the log {log} needs {LIBRARIES[log]}: pip install 'earl-jax[{log}]'")
+            raise InputError(f"the log {log} needs {LIBRARIES[log]}: {install_line(log)}")
         if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 

@@ -1,8 +1,12 @@
-"""The origin of a run, which config.json records: time, versions, machine and commit."""
+"""The origin of a run, which config.json records: time, versions, machine, and the commit or the release."""
 
+import base64
 import datetime
+import hashlib
+import json
 import platform
 import subprocess
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -10,13 +14,16 @@ from typing import Any
 import jax
 
 CHANGED = "-dirty"
-"""The end of a commit whose files were changed, as `git describe --dirty` writes it."""
+"""The end of a commit or of a release whose files were changed, as `git describe --dirty` writes it."""
 PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco", "mujoco-mjx", "numpy")
 
 
 def provenance() -> dict[str, Any]:
-    """Return the time (UTC), versions, platform and commit, as `checkout_commit` gives it, of a new run."""
-    versions = {}
+    """Return the time (UTC), versions, platform, and `checkout_commit` or `installed_release` of a new run."""
+    package, versions = Path(__file__).resolve().parents[1], {}
+    commit, release = checkout_commit(package), None
+    if commit is None:
+        release, commit = installed_release(package)
     for package in PACKAGES:
         try:
             versions[package] = metadata.version(package)
@@ -28,7 +35,8 @@ def provenance() -> dict[str, Any]:
         "python": platform.python_version(),
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
-        "commit": checkout_commit(Path(__file__).resolve().parents[1]),
+        "commit": commit,
+        "release": release,
     }
 
 
@@ -49,6 +57,38 @@ def _git(package: Path, *command: str) -> str:
     paths = [str(package), str(package.parent / "assets")]
     git = ["git", "--no-optional-locks", "-C", str(package), *command, "--", *paths]
     return subprocess.run(git, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+
+
+def installed_release(package: Path) -> tuple[str | None, str | None]:
+    """Return the version of the wheel that `package` was installed from, and its commit if that was built from a git URL.
+
+    Both end in `CHANGED` if a module differs from the wheel's; they are None for a package that is no wheel's.
+    """
+    try:
+        wheel = metadata.distribution("earl-jax")
+    except metadata.PackageNotFoundError:
+        return None, None
+    hashes = {Path(str(file.locate())).resolve(): file.hash for file in wheel.files or () if file.suffix == ".py"}
+    if package / "__init__.py" not in hashes:
+        return None, None
+    mark = CHANGED * any(known and _sha256(path) != known.value for path, known in hashes.items())
+    source = json.loads(wheel.read_text("direct_url.json") or "{}")
+    commit = source.get("vcs_info", {}).get("commit_id")
+    return wheel.version + mark, commit and commit + mark
+
+
+def _sha256(path: Path) -> str | None:
+    """Return the hash of a file as a wheel's RECORD has it, or None if it cannot be read."""
+    try:
+        digest = hashlib.sha256(path.read_bytes()).digest()
+    except OSError:
+        return None
+    return base64.urlsafe_b64encode(digest).decode().rstrip("=")
+
+
+def made_by(values: Mapping[str, Any]) -> str:
+    """Return the commit that a provenance has, else its release, else an empty text."""
+    return values.get("commit") or values.get("release") or ""
 
 
 def short_commit(commit: str, digits: int = 9) -> str:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import TimeLimit
@@ -289,7 +289,7 @@ def optuna() -> Any:
     try:
         module: Any = importlib.import_module("optuna")
     except ImportError as error:
-        raise InputError("search needs optuna: pip install 'earl-jax[search]'") from error
+        raise InputError(f"search needs optuna: {install_line('search')}") from error
     module.logging.set_verbosity(module.logging.ERROR)
     warnings.filterwarnings("ignore", category=module.exceptions.ExperimentalWarning)
     return module

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.algos import Method, method_for
-from earl_jax.envs import Env, make, with_engine
+from earl_jax.envs import Env, env_class, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
@@ -77,16 +77,18 @@ def train(
         minutes: a limit of wall-clock time from this call on, compilation included. Training ends after the chunk of
             steps in which it runs out, at least one, and returns the `Result` so far; with `out`, a checkpoint of that
             step is saved, and `resume` continues it.
-        options: hyper-parameters by name; a list has a value for each lane.
+        options: options of the task, of the setting and of the method by name; a list of a hyper-parameter has a value
+            for each lane. An `env` or a `setting` that is an object has its options already.
 
     Raises:
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     require_jax()
     limit = TimeLimit.of(minutes)
-    task = with_engine(make(env) if isinstance(env, str) else env, engine)
+    task, rules, options = split_options(env, {**options, "setting": setting})
+    task = with_engine(task, engine)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
-    run = _new_run(task, algo, setting, options, seed_list(seeds), schedule)
+    run = _new_run(task, algo, rules, options, seed_list(seeds), schedule)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
@@ -96,19 +98,17 @@ def train(
 def _new_run(
     env: Env,
     algo: str | Method,
-    setting: str | Setting,
+    setting: Setting,
     options: dict[str, Any],
     seeds: tuple[int, ...],
     schedule: Schedule,
 ) -> Run:
-    """Return the run of `algo` on `env`, with help if the setting has a budget. Errors as `train`."""
-    env, setting = split_setting(env, setting_of(setting))
-    env = setting.wrap(env)
+    """Return the run of `algo` on `env`. Errors as `train`."""
     if isinstance(algo, str):
         method = method_for(env, algo, **options)
     elif options:
         raise InputError(
-            f"options {', '.join(options)} go with an algo's name; this algo is an object: use .replace(...)"
+            f"options {', '.join(options)} go with a method's name; this method is an object: use .replace(...)"
         )
     else:
         method = algo
@@ -210,25 +210,35 @@ def _create_folder(
     return RunFolder.create(path, run.config, engine, names, overwrite)
 
 
-def split_options(env: str, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
-    """Return the environment of the task `env`, its setting (`setting=NAME` in `options`) and the method's options.
+def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
+    """Return the environment of the task `env`, its setting (`setting` in `options`) and the method's options.
 
     Raises:
         ValueError: the task or the setting is unknown, or one of their options is invalid.
     """
     rest = dict(options)
-    name = rest.pop("setting", Deployment.name)
-    known = {field.name for field in dataclasses.fields(setting_of(name))}
-    fields = {field.name for field in dataclasses.fields(make(env))}
-    task_options = {option: rest.pop(option) for option in list(rest) if option in fields}
-    setting_options = {option: rest.pop(option) for option in list(rest) if option in known}
-    for other, setting in SETTINGS.items():
-        strays = {field.name for field in dataclasses.fields(setting)} & set(rest)
-        if strays:
-            raise InputError(f"{strays.pop()} is an option of the setting {other!r}, but the setting is {name!r}")
-    task = make(env, **task_options)
-    setting = with_explicit_horizon(setting_of(name, **setting_options), task, task_options)
+    chosen = rest.pop("setting", Deployment.name)
+    setting = setting_of(chosen)
+    task_options = _taken(rest, env_class(env) if isinstance(env, str) else env)
+    setting_options = _taken(rest, setting)
+    for owner, given, taken in (("task", env, task_options), ("setting", chosen, setting_options)):
+        if taken and not isinstance(given, str):
+            name, value = next(iter(taken.items()))
+            fix = f"dataclasses.replace({owner}, {name}={value!r})"
+            raise InputError(f"{name} is an option of the {owner}, which is an object here: pass {fix}")
+    for other in SETTINGS.values():
+        for name in _taken(dict(rest), other):
+            raise InputError(f"{name} is an option of the setting {other.name!r}, but the setting is {setting.name!r}")
     reserved = RESERVED & set(rest)
     if reserved:
         raise InputError(f"there is no option {min(reserved)!r}")
+    task = make(env, **task_options) if isinstance(env, str) else env
+    setting = with_explicit_horizon(setting_of(chosen, **setting_options), task, task_options)
+    task, setting = split_setting(task, setting)
     return setting.wrap(task), setting, rest
+
+
+def _taken(options: dict[str, Any], owner: Any) -> dict[str, Any]:
+    """Remove from `options` those that are fields of the dataclass `owner`, and return them."""
+    fields = {field.name for field in dataclasses.fields(owner)}
+    return {name: options.pop(name) for name in list(options) if name in fields}

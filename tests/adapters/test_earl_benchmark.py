@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from earl_jax.adapters import earl_benchmark
+from earl_jax.adapters.earl_benchmark.wrappers.lifelong_wrapper import LifelongWrapper
+from earl_jax.adapters.earl_benchmark.wrappers.persistent_state_wrapper import PersistentStateWrapper
 from earl_jax.envs import make
 
 HOLD = np.array([0.0, 0.0, -1.0])
@@ -88,7 +90,46 @@ def test_lifelong_learning_changes_goals_on_a_schedule():
     assert (changes % 3 == 0).all()
     env.reset_goal(env.step(HOLD)[0][:6])
     env.step(HOLD)
-    assert env.lifelong_return == 1.0
+    assert (env.lifelong_return, env.total_steps, env.num_interventions) == (1.0, 62, 1)
+
+
+def test_the_next_goal_is_drawn_among_the_task_goals_and_changes_nothing():
+    env, _ = short().get_envs()
+    before = env.reset()[6:]
+    drawn = {tuple(env.get_next_goal().tolist()) for _ in range(40)}
+    assert drawn == set(map(tuple, short().get_goal_states().tolist()))
+    np.testing.assert_array_equal(env.goal, before)
+    np.testing.assert_array_equal(env.reset_goal(env.get_next_goal())[6:], env.goal)
+
+
+def test_the_wrappers_take_an_env_with_four_tuples():
+    class Line:
+        def reset(self):
+            self.place, self.goal = 0, 1
+            return self.place, self.goal
+
+        def step(self, action):
+            self.place += action
+            return (self.place, self.goal), float(self.place == self.goal), False, {}
+
+        def reset_goal(self):
+            self.goal += 1
+            return self.place, self.goal
+
+    env = LifelongWrapper(PersistentStateWrapper(Line(), 3), 2)
+    env.reset()
+    steps = [env.step(1) for _ in range(4)]
+    assert [(obs, done) for obs, _, done, _ in steps] == [
+        ((1, 1), False),
+        ((2, 2), False),
+        ((3, 2), True),
+        ((4, 3), True),
+    ]
+    assert (env.lifelong_return, env.total_steps, env.num_interventions, env.place) == (1.0, 4, 1, 4)
+    env.reset()
+    assert (env.step(1)[2], env.num_interventions, env.env.num_interventions) == (False, 2, 2)
+    with pytest.raises(AttributeError, match="close"):
+        env.close()
 
 
 def test_numpys_seed_makes_starts_reproducible():
@@ -112,9 +153,8 @@ def test_the_released_configurations(name):
     loader = earl_benchmark.EARLEnvs(name)
     train_env, eval_env = loader.get_envs()
     assert (train_env.observation_space.shape, train_env.action_space.shape) == ((obs,), (action,))
-    horizons = [env._env.session.protocol.eval_horizon for env in (train_env, eval_env)]
-    assert horizons == [train_horizon, eval_horizon]
-    assert loader.get_train_env(lifelong=True)._goal_change == change
+    assert [env._horizon for env in (train_env, eval_env)] == [train_horizon, eval_horizon]
+    assert loader.get_train_env(lifelong=True)._frequency == change
     assert loader.has_demos() == demos
 
 

@@ -57,7 +57,7 @@ def test_braxs_own_sac_learns_from_a_lifetime(python):
 @pytest.mark.parametrize("snippet", SNIPPETS)
 def test_a_snippet_of_the_page_runs_and_prints(snippet):
     if "stable_baselines3" in snippet and not importlib.util.find_spec("stable_baselines3"):
-        pytest.skip("pip install 'earl-jax[peers]'")
+        pytest.skip("the learners of other libraries need the extra peers")
     assert run(sys.executable, "-c", snippet)
 
 

@@ -93,7 +93,7 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
     [
         (["train", "cheetah"], ["earl-jax: unknown env 'cheetah'", "tabletop_organization"]),
         ([*TRAIN, "--algo", "ppo"], ["unknown algo 'ppo'", "naive", "vaprl"]),
-        ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "discount"]),
+        ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
         ([*TRAIN, "--seeds", "10:5"], ["earl-jax: seeds takes a count (5), a range (5:10, without 10) or a list"]),

@@ -66,7 +66,7 @@ def test_an_interval_contains_its_numbers_only(interval, inside, outside):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: make_algo("fbrl", learning_rate=1e308), "algo 'fbrl': learning_rate must lie in (0, 1], not 1e+308"),
+        (lambda: make_algo("fbrl", learning_rate=1e308), "method 'fbrl': learning_rate must lie in (0, 1], not 1e+308"),
         (lambda: make_algo("fbrl", learning_rate=[3e-4, 0.0]), "learning_rate must lie in (0, 1]"),
         (lambda: make_algo("fbrl", initial_temperature=-1.0), "initial_temperature must lie in (0, 1000000]"),
         (lambda: make_algo("naive", discount=1.0), "discount must lie in [0, 1), not 1.0"),

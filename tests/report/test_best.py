@@ -24,9 +24,9 @@ def write_cells(path, **scores):
 def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
     rows = best([write_cells(tmp_path, bad=BAD, good=GOOD, close=CLOSE)])
     assert [(row["rank"], row["options"], row["verdict"]) for row in rows] == [
-        (1, "batch_size=32, reward_scale=2.0", "best"),
-        (2, "batch_size=32, reward_scale=3.0", "cannot tell"),
-        (3, "batch_size=32, reward_scale=1.0", "below"),
+        (1, "batch_size=32, reward_scale=2", "best"),
+        (2, "batch_size=32, reward_scale=3", "cannot tell"),
+        (3, "batch_size=32, reward_scale=1", "below"),
     ]
     tests = [permutation(np.array(GOOD), np.array(other)).p for other in (CLOSE, BAD)]
     assert [row["p"] for row in rows[1:]] == tests
@@ -47,7 +47,7 @@ def test_a_window_changes_the_ranking(tmp_path):
     for number, scores in enumerate(([0.9, 0.2], [0.0, 0.8]), 1):
         write_run(tmp_path / str(number), TABLETOP, "naive", [scores] * 3, reward_scale=float(number))
     leaders = [best([tmp_path], window=window)[0] for window in (Window(), Window(last=1))]
-    assert [row["options"] for row in leaders] == ["reward_scale=1.0", "reward_scale=2.0"]
+    assert [row["options"] for row in leaders] == ["reward_scale=1", "reward_scale=2"]
     assert "over the last evaluation." in best_text([leaders[1]])
 
 
@@ -63,7 +63,7 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     text = best_text(few)
     assert "Of 2 others of the same length, 2 cannot be told from the best: rank 2, 3." in text
     assert "the smallest adjusted p of so many permutation tests is 0.67" in text
-    assert "| 1 | naive (reward_scale=1.0) | 2 | 20 | 0.825 |" in text
+    assert "| 1 | naive (reward_scale=1) | 2 | 20 | 0.825 |" in text
     welch = best_text(best([tmp_path], "welch"), "welch")
     assert "None could be" not in welch
     assert "by Welch's test" in welch

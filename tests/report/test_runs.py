@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from earl_jax.report.runs import by_method, find_runs, gather, read, read_all
+from earl_jax.protocol import Continuing
+from earl_jax.report.runs import by_method, find_runs, gather, labels, read, read_all
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run, write_run
 
@@ -69,8 +70,29 @@ def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
     ]
     groups = [(group.env, group.label) for group in by_method(read_all(paths))]
     assert groups == [
-        (TABLETOP, "naive"), (TABLETOP, "fbrl (reward_scale=1.0)"), (TABLETOP, "fbrl"), (DOOR, "oracle"),
+        (TABLETOP, "naive"), (TABLETOP, "fbrl (reward_scale=1)"), (TABLETOP, "fbrl (reward_scale=10)"), (DOOR, "oracle"),
     ]  # fmt: skip
+
+
+def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unknown_methods(tmp_path):
+    small = {"hidden_sizes": (32, 32), "learning_rate": 3e-4}
+    runs = {
+        "a": {**small, "learner": "td3", "policy_delay": 3},
+        "b": {**small, "setting": Continuing(budget=20.0)},
+        "c": {**small, "env_options": {"wide": True}},
+    }
+    paths = [write_run(tmp_path / name, TABLETOP, "fbrl", rising(1, 1), **options) for name, options in runs.items()]
+    assert labels(read_all(paths)) == [
+        "fbrl (budget=None, learner=td3, policy_delay=3, setting=deployment, wide=False)",
+        "fbrl (budget=20, learner=sac, setting=continuing, wide=False)",
+        "fbrl (budget=None, learner=sac, setting=deployment, wide=True)",
+    ]
+    for path in paths[:2]:
+        (path / "config.json").write_text((path / "config.json").read_text().replace('"fbrl"', '"theirs"'))
+    assert labels(read_all(paths[:2])) == [
+        "theirs (budget=None, learner=td3, policy_delay=3, setting=deployment)",
+        "theirs (budget=20, learner=default, policy_delay=default, setting=continuing)",
+    ]
 
 
 def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):

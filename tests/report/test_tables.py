@@ -39,12 +39,16 @@ def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_o
     settings = {"a": {}, "b": {"setting": Continuing(goal_change=7)}, "c": {"reward_scale": 1.0}}
     paths = [write_three_evaluations(tmp_path / name, **options) for name, options in settings.items()]
     rows = tables.tabulate(paths)
-    names = ["naive", "naive (goal_change=7, setting=continuing)", "naive (reward_scale=1.0)"]
+    names = [
+        "naive (reward_scale=10, setting=deployment)",
+        "naive (goal_change=7, reward_scale=10, setting=continuing)",
+        "naive (reward_scale=1, setting=deployment)",
+    ]
     assert [row["algo"] for row in rows] == names
     assert [row["published_deployed"] for row in rows] == ["0.32 (0.17)", None, "0.32 (0.17)"]
     text = tables.run_table(rows).text()
     assert [f"| {name} |" in text for name in names] == [True] * 3
-    assert text.endswith("naive (reward_scale=1.0): reward_scale=1.0")
+    assert text.endswith("naive (reward_scale=1, setting=deployment): reward_scale=1")
 
 
 def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_path):
@@ -96,12 +100,12 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "one", "--last", "2")
     code, out, _ = run(*arguments, "--out", tmp_path / "t.tex")
     assert code == 0
-    assert "| env | algo | seeds | steps | continuing/recent, mean [95 %] |" in out
+    assert "| task | method | seeds | steps | continuing/recent, mean [95 %] |" in out
     assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out
     assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()
     assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
     code, _, err = run("table", tmp_path / "runs", "--labels", "one")
-    assert (code, "give one for each of: naive; naive (reward_scale=1.0)" in err) == (2, True)
+    assert (code, "give one for each of: naive (reward_scale=10); naive (reward_scale=1)" in err) == (2, True)
 
 
 TABLE = tables.Table(

@@ -69,7 +69,7 @@ CONFIG = [
     ("options", "[" * 5000 + "]" * 5000, "config.json is damaged: "),
     ("options", '{"a":' * 900 + "1" + "}" * 900, "config.json is damaged: 'a' in options has more than 8 levels"),
     ("options", '{"discount": ' + "9" * 400 + "}", "'discount' in options is or holds a number that is too large"),
-    ("options", '{"discount": NaN}', "algo 'naive': discount must be a finite number, not nan"),
+    ("options", '{"discount": NaN}', "method 'naive': discount must be a finite number, not nan"),
     ("options", "[]", "options must be a dict, not []"),
     ("steps", "4" + "0" * 399, "steps must lie in [1, "),
     ("steps", "4" + "0" * 4999, "config.json is damaged: "),

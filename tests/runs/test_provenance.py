@@ -1,10 +1,12 @@
 """The commit that a run records, which says whether files differ from it."""
 
+import json
 import subprocess
 
 import pytest
 
-from earl_jax.runs.provenance import checkout_commit, short_commit
+from earl_jax.runs.provenance import checkout_commit, installed_release, made_by, short_commit
+from tests.conftest import write_files
 
 
 def git(root, *command):
@@ -57,6 +59,25 @@ def test_files_that_git_does_not_track_have_no_commit(package):
     (installed / "file").write_text("1\n")
     assert checkout_commit(installed) is None
     assert checkout_commit(package.parent / "nowhere") is None
+
+
+def test_an_installed_wheel_has_its_release_and_the_commit_of_its_url(tmp_path, monkeypatch):
+    package = tmp_path / "earl_jax"
+    files = {
+        "earl_jax/__init__.py": "x = 1\n",
+        "earl_jax-0.2.dist-info/METADATA": "Metadata-Version: 2.1\nName: earl-jax\nVersion: 0.2\n",
+        "earl_jax-0.2.dist-info/RECORD": "earl_jax/__init__.py,sha256=nia_NpkRxFwkPGhBR7I_yeHc_PJX0pmhxjIBam_NM_Q,6\n",
+    }
+    write_files(files, tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert installed_release(package) == ("0.2", None)
+    assert installed_release(tmp_path / "elsewhere") == (None, None)
+    source = {"url": "https://example.org/earl_jax", "vcs_info": {"vcs": "git", "commit_id": "0123456789"}}
+    (tmp_path / "earl_jax-0.2.dist-info/direct_url.json").write_text(json.dumps(source))
+    (package / "__init__.py").write_text("x = 2\n")
+    assert installed_release(package) == ("0.2-dirty", "0123456789-dirty")
+    (package / "__init__.py").unlink()
+    assert made_by({"commit": None, "release": installed_release(package)[0]}) == "0.2-dirty"
 
 
 def test_a_short_commit_keeps_its_mark():

@@ -138,7 +138,7 @@ def test_a_damaged_journal_or_a_link_is_one_line(space, tmp_path, batches, conte
 
 @pytest.mark.parametrize("missing", [True, False])
 def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_path, monkeypatch, missing):
-    message = "search needs optuna: pip install 'earl-jax[search]'" if missing else "trials must be at least 1, not 0"
+    message = "search needs optuna: pip install 'optuna>=5'" if missing else "trials must be at least 1, not 0"
     if missing:
         monkeypatch.setitem(sys.modules, "optuna", None)
     code, _, err = run("search", space, "--out", tmp_path / "out", "--trials", str(int(missing)))

@@ -52,9 +52,11 @@ def test_a_seed_is_selected_and_its_policy_can_be_called(env):
         policy(obs[:6])
 
 
-def test_a_list_gives_each_lane_its_own_hyper_parameter():
-    mixed = tiny_train("naive", seeds=[5, 6], reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
-    same = tiny_train("naive", seeds=[5, 6], reward_scale=5.0, learning_rate=1e-4)
+def test_options_of_task_and_setting_go_by_name_and_a_list_gives_each_lane_its_own_hyper_parameter():
+    world = {"seeds": [5, 6], "wide": True, "intervention_chance": 0.01}
+    mixed = tiny_train("naive", **world, reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
+    same = tiny_train("naive", **world, reward_scale=5.0, learning_rate=1e-4)
+    assert (same.env.wide, same.config.setting) == (True, {"name": "deployment", "intervention_chance": 0.01})
     np.testing.assert_array_equal(mixed.metrics["entropy"][1], same.metrics["entropy"][1])
     assert (mixed.metrics["entropy"][0] != same.metrics["entropy"][0]).any()
     with pytest.raises(ValueError, match="each of 2 lanes"):
@@ -78,7 +80,7 @@ def test_invalid_numbers_are_refused(changed, message):
 
 
 def test_options_beside_a_method_object_are_refused():
-    with pytest.raises(ValueError, match="go with an algo's name"):
+    with pytest.raises(ValueError, match="go with a method's name"):
         train("tabletop_organization", earl_jax.make_algo("naive"), discount=0.9)
 
 
@@ -92,6 +94,28 @@ def test_options_are_split_into_task_setting_and_method():
     assert (setting.protocol(env).train_horizon, setting.protocol(env).intervention_chance) == (0, 1)
     env, setting, _ = split_options("sawyer_peg", {"setting": "continuing", "train_horizon": 100_000})
     assert setting.protocol(env).train_horizon == 100_000
-    message = "goal_change is an option of the setting 'continuing', but the setting is 'deployment'"
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "message"),
+    [
+        ("", {"seed": 3}, r"there is no option 'seed'; did you mean seeds=3 \(or seeds=\[3\] for that seed alone\)\?"),
+        ("", {"learning_rat": 1e-3}, "method 'fbrl' has no option 'learning_rat'; did you mean learning_rate"),
+        ("", {"step": 5}, "did you mean steps.*`earl-jax list fbrl` lists its options"),
+        ("", {"name": "mine"}, "there is no option 'name'"),
+        (
+            "",
+            {"goal_change": 5},
+            "goal_change is an option of the setting 'continuing', but the setting is 'deployment'",
+        ),
+        ("", {"setting": Continuing(), "budget": 5}, r"object here: pass dataclasses.replace\(setting, budget=5\)"),
+        (
+            earl_jax.make("tabletop_organization"),
+            {"wide": True},
+            r"object here: pass dataclasses.replace\(task, wide=True",
+        ),
+    ],
+)
+def test_an_unknown_or_misplaced_option_is_refused_with_the_fix(env, options, message):
     with pytest.raises(ValueError, match=message):
-        split_options("tabletop_organization", {"goal_change": 5})
+        train(env or "tabletop_organization", "fbrl", **options)

@@ -83,7 +83,7 @@ NEAR, NEARER = (0.1, 0.2, 0.9), (0.04, 0.1, 2.25)
 
 @dataclasses.dataclass(frozen=True)
 class DHandLightbulb(MujocoEnv):
-    """A four-finger hand on an arm picks up a bulb and holds it at a target.
+    """A four-finger hand holds a bulb at a target.
 
     `obs [35]` = hand joints 16, arm joints 7, bulb 3, hand 3, their difference 3, goal 3; `action [22]`.
     Actions 0 to 15 set the fingers' targets up to 0.8 rad from the joints. Actions 16 to 18 move the wrist by up to 1

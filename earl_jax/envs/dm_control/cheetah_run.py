@@ -38,7 +38,7 @@ HEIGHTS = (-1.0, 10.0)
 
 @dataclasses.dataclass(frozen=True)
 class CheetahRun(MujocoEnv):
-    """A planar cheetah runs at 10 m/s (figure 2 of the paper).
+    """A planar cheetah runs (the paper's figure 2).
 
     `obs [17]` = height, pitch, 6 joint angles, then velocities of forward and of these; `action [6]` = torques.
     The task has no goal, so goals have length 0 and an observation is a state. The suite defines no success; here it is

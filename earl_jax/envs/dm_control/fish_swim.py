@@ -37,7 +37,7 @@ than 7.5 cm from a target."""
 
 @dataclasses.dataclass(frozen=True)
 class FishSwim(MujocoEnv):
-    """A fish swims with its mouth to a target (figure 2 of the paper).
+    """A fish swims to a target (the paper's figure 2).
 
     `obs [36]` = state 33, target 3; `action [5]` = tail, tail twist, flap, left, right fin pitch.
     State: joint angles 7, uprightness 1, velocities 13, the mouth's position 3 and frame 9 (a matrix, row by row). The

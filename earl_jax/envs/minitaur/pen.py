@@ -61,7 +61,7 @@ REPORTED = (0.424335717, 0.477845813, 0.451270707, 0.511036733, 0.485318034, 0.4
 
 @dataclasses.dataclass(frozen=True)
 class MinitaurPen(MujocoEnv):
-    """A quadruped with eight motors walks to a position in a pen.
+    """A quadruped walks to a position in a pen.
 
     `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2. There are 12 goals.
     The quaternion is xyzw. `action [8]` is in leg space: four swings, then four extensions; legs: front left, back

@@ -72,7 +72,7 @@ START_TIPS = np.array([0.00599209, 0.60039713, 0.14930194], np.float32)
 
 @dataclasses.dataclass(frozen=True)
 class SawyerPeg(Sawyer):
-    """A robot arm inserts a peg into the hole of a box.
+    """A robot arm inserts a peg into a box.
 
     The peg starts anywhere in 20 by 20 cm. Success is a head within 5 cm of the end of the hole. `listed=True` starts at
     one of the 15 published initial states. `wide=True` starts half of the time at one of 22 positions all over the table

@@ -60,7 +60,7 @@ class HelpBudget(Env):
 
     def __post_init__(self):
         if not isinstance(self.task, Env) or isinstance(self.task, HelpBudget):
-            raise InputError(f"task must be an env without a budget of its own, not {self.task!r}")
+            raise InputError(f"task must be one without a budget of its own, not {self.task!r}")
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()

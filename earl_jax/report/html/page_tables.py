@@ -16,6 +16,7 @@ from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.tables import steps_text
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.provenance import made_by
 
 MACHINE = ("python", "backend", "device", "commit")
 """Names in the provenance besides versions of packages."""
@@ -89,7 +90,7 @@ def _board_row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
     group = line.group
     commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
-    named = group._replace(label=label(group.algo, line.curves.options, [{}]))
+    named = group._replace(label=label(group.algo, line.curves.options))
     return run_row(named, commits.pop() if len(commits) == 1 else "several", HERE)
 
 
@@ -152,5 +153,6 @@ def provenance(run: RunFolder) -> dict[str, str]:
     known = recorded(run).get("provenance")
     known = known if isinstance(known, dict) else {}
     versions = known.get("versions")
-    values = {name: known.get(name) for name in MACHINE} | (versions if isinstance(versions, dict) else {})
+    values = {name: known.get(name) for name in MACHINE} | {"commit": made_by(known) or None}
+    values |= versions if isinstance(versions, dict) else {}
     return {str(name): UNKNOWN if value is None else str(value) for name, value in values.items()}

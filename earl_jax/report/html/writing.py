@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
@@ -86,7 +86,7 @@ def _libraries(out: Path) -> tuple[Any, str]:
         import jinja2
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise InputError("reports need jinja2 and plotly: pip install 'earl-jax[report]'") from error
+        raise InputError(f"reports need jinja2 and plotly: {install_line('report')}") from error
     loader = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True

@@ -37,7 +37,9 @@ class Steps(NamedTuple):
 
 
 class CFBRL(RISC):
-    """Clone both directions before the first step, then alternate phases as FBRL does, with one goal-conditioned agent.
+    """As FBRL with one agent, after cloning the demonstrations.
+
+    Clone both directions before the first step, then alternate phases as FBRL does, with one goal-conditioned agent.
 
     The actor starts as `BC` does, with little noise, and keeps a cloning term. For `warmup` steps only the critics
     learn. Demonstrated steps are also cloned from other states of the robot, with actions that lead back

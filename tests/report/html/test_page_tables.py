@@ -79,7 +79,7 @@ def test_long_curves_are_thinned_with_both_ends_kept_and_a_band_needs_three_seed
 def test_variants_of_a_method_have_names_shades_and_dashes_of_their_own(tmp_path):
     runs = [write_page_run(tmp_path / str(scale), "fbrl", rising(1, 1), reward_scale=scale) for scale in (3.0, 20.0)]
     lines = read_lines(*runs)
-    assert [line.group.label for line in lines] == ["fbrl (reward_scale=3.0)", "fbrl (reward_scale=20.0)"]
+    assert [line.group.label for line in lines] == ["fbrl (reward_scale=3)", "fbrl (reward_scale=20)"]
     assert [line.dash for line in lines] == ["solid", "dash"]
     assert lines[0].light != lines[1].light
 

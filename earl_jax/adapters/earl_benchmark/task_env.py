@@ -1,0 +1,100 @@
+"""A task with the four-tuple `step` of old gym, as the original's environments have it."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from earl_jax.adapters.gymnasium import ResetFreeEnv
+from earl_jax.envs import Env
+from earl_jax.errors import InputError
+from earl_jax.options.values import LARGEST_INT
+
+
+class TaskEnv:
+    """A task that keeps its state until the caller resets it; `done` is true only where the simulation breaks.
+
+    The observation is then that of the state before the step. `info` is `{"success": bool}`.
+    """
+
+    reward_range = (-np.inf, np.inf)
+    spec = None
+
+    def __init__(self, task: Env):
+        """Make the env of `task`, with gymnasium's spaces."""
+        task = dataclasses.replace(task, eval_horizon=LARGEST_INT)
+        self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array")
+        self._seed: int | None = int(np.random.randint(2**31))
+        self._reward = jax.jit(task.reward)
+        self._success = jax.jit(task.success)
+        self.observation_space = self._env.observation_space
+        self.action_space = self._env.action_space
+        self.metadata = self._env.metadata
+
+    def reset(self) -> np.ndarray:
+        """Return the first observation [s + g] of an attempt: s0 ~ rho and a task goal."""
+        obs, _ = self._env.reset(seed=self._seed)
+        self._seed = None
+        return obs
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
+        """Return observation [s + g], reward, done and info after one control step with `action [a]`.
+
+        Raises:
+            ValueError: the action has another shape or is not finite.
+        """
+        obs, reward, terminated, truncated, info = self._env.step(action)
+        return obs, reward, terminated or truncated, {"success": info["success"]}
+
+    def get_next_goal(self) -> np.ndarray:
+        """Return a random task goal [g], from numpy's global generator; the current goal stays."""
+        goals = self._env.session.env.goal_states
+        return np.array(goals[np.random.randint(len(goals))])
+
+    def reset_goal(self, goal: np.ndarray | None = None) -> np.ndarray:
+        """Return the observation [s + g] with `goal [g]`, or a random task goal (the original returns None)."""
+        return self._env.set_goal(goal)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The current goal [g]."""
+        return np.array(self._env.state.env_state.info["goal"])
+
+    def is_successful(self, obs: np.ndarray | None = None) -> Any:
+        """Return whether `obs [..., s + g]`, or the current state, has reached its goal: bool, or bool [...]."""
+        return self._evaluate(self._success, obs)
+
+    def compute_reward(self, obs: np.ndarray | None = None) -> Any:
+        """Return the reward of arriving in `obs [..., s + g]`, or in the current state: a number, or [...]."""
+        return self._evaluate(self._reward, obs)
+
+    def _evaluate(self, function: Callable, obs: np.ndarray | None) -> Any:
+        current = self._env.state.env_state.obs if obs is None else obs
+        value = np.array(function(np.asarray(current, np.float32)))
+        return value if value.ndim else value.item()
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seed the next reset with `seed`, or from numpy's global generator; return the seed in a list."""
+        self._seed = int(np.random.randint(2**31)) if seed is None else seed
+        return [self._seed]
+
+    def render(self, mode: str = "rgb_array") -> np.ndarray | None:
+        """Return a picture [480, 640, 3], uint8.
+
+        Raises:
+            ValueError: the `mode` is another one; there is no window.
+        """
+        if mode != "rgb_array":
+            raise InputError(f"render mode {mode!r} is not supported; use rgb_array")
+        return self._env.render()
+
+    def close(self) -> None:
+        """Release the resources of the pictures."""
+        self._env.close()
+
+    @property
+    def unwrapped(self) -> "TaskEnv":
+        """This env, which wraps none."""
+        return self

@@ -1,0 +1,25 @@
+"""The original's wrappers, for its four-tuple envs."""
+
+from typing import Any
+
+import numpy as np
+
+
+class Wrapper:
+    """An env that hands every public attribute on to the one that it wraps, as gym's `Wrapper` does."""
+
+    def __init__(self, env: Any):
+        """Wrap `env`, which has `reset` and the four-tuple `step` of old gym."""
+        self.env = env
+        self.num_interventions = 0
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the attribute of the wrapped env."""
+        if name.startswith("_") or name == "env":
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return getattr(self.env, name)
+
+    def reset(self) -> np.ndarray:
+        """Return the first observation [s + g] after an intervention, which is counted."""
+        self.num_interventions += 1
+        return self.env.reset()

@@ -1,0 +1,36 @@
+"""The wrapper whose goal changes on a schedule, and which adds up the reward of the whole life."""
+
+from typing import Any
+
+import numpy as np
+
+from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
+
+
+class LifelongWrapper(Wrapper):
+    """An env with a new task goal every `goal_change_frequency` steps.
+
+    It counts `num_interventions` and adds up rewards in `lifelong_return`. `reset_goal` of the wrapped env returns the
+    observation with the new goal.
+    """
+
+    def __init__(self, env: Any, goal_change_frequency: int):
+        super().__init__(env)
+        self.lifelong_return = 0.0
+        self._frequency = goal_change_frequency
+        self._steps = 0
+
+    def reset(self) -> np.ndarray:
+        """Return the first observation [s + g] after an intervention, which is counted."""
+        self._steps = 0
+        return super().reset()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
+        """Return observation, reward, done and info; the reward is that of the old goal, the observation has the new one."""
+        obs, reward, done, info = self.env.step(action)
+        self.lifelong_return += reward
+        self._steps += 1
+        if self._steps >= self._frequency:
+            self._steps = 0
+            obs = self.env.reset_goal()
+        return obs, reward, done, info

@@ -1,0 +1,32 @@
+"""The wrapper that says when a reset is due, and never resets."""
+
+from typing import Any
+
+import numpy as np
+
+from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
+
+
+class PersistentStateWrapper(Wrapper):
+    """An env that is done `episode_horizon` steps after its reset and goes on; 0 is never.
+
+    It counts `num_interventions` and `total_steps`.
+    """
+
+    def __init__(self, env: Any, episode_horizon: int):
+        super().__init__(env)
+        self.total_steps = 0
+        self._horizon = episode_horizon
+        self._steps = 0
+
+    def reset(self) -> np.ndarray:
+        """Return the first observation [s + g] after an intervention, which is counted."""
+        self._steps = 0
+        return super().reset()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
+        """Return observation, reward, done and info of the wrapped env, done also where a reset is due."""
+        obs, reward, done, info = self.env.step(action)
+        self.total_steps += 1
+        self._steps += 1
+        return obs, reward, done or 0 < self._horizon <= self._steps, info
