@@ -49,7 +49,7 @@ class NumpyPolicy:
         for number, (kernel, bias) in enumerate(self.layers):
             arrays |= {f"kernel_{number}": kernel, f"bias_{number}": bias}
         with Path(path).open("wb") as file:  # NumPy would add .npz to another suffix
-            np.savez(file, **arrays)
+            np.savez(file, allow_pickle=False, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> "NumpyPolicy":
