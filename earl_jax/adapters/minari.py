@@ -1,6 +1,7 @@
 """Minari datasets of demonstrations and of lives: `demonstrations(task)`, and `write` for any transitions."""
 
 import dataclasses
+import importlib
 import warnings
 from typing import Any
 
@@ -15,16 +16,13 @@ from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError
 
 try:
-    import minari
-    from minari.data_collector import EpisodeBuffer
-    from minari.dataset.minari_dataset import DATASET_ID_RE
-    from minari.storage import get_dataset_path
+    minari: Any = importlib.import_module("minari")
 except ImportError as error:
     raise InputError("a Minari dataset needs the extra minari: pip install 'minari[hdf5]' pillow") from error
 
 
-def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> minari.MinariDataset:
-    """Return a new Minari dataset of a task's recorded demonstrations, an episode for each, with rewards of `task`.
+def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:
+    """Return a new `MinariDataset` of a task's recorded demonstrations, an episode for each, with rewards of `task`.
 
     An episode terminates if the reward is sparse and its last step reaches the goal.
 
@@ -45,10 +43,8 @@ def demonstrations(task: str | Env, direction: str = "forward", dataset: str | N
     return write(dataset, env, demos, terminal, "script", f"Demonstrations of {env.name}, {direction}")
 
 
-def write(
-    dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algorithm: str, description: str
-) -> minari.MinariDataset:
-    """Return a new Minari dataset `dataset` of `transitions [T]` on `env`, an episode up to each of their `ends`.
+def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algorithm: str, description: str) -> Any:
+    """Return the new `MinariDataset` `dataset` of `transitions [T]` on `env`, an episode up to each of their `ends`.
 
     Observations are those of the task, state and goal [s + g], as one box: a goal need not be a state, so there is no
     dictionary of both. An episode whose last step is `terminal [T]` terminates; the others are truncated. The dataset
@@ -66,7 +62,7 @@ def write(
     for start, stop in zip([0, *stops[:-1]], stops, strict=True):
         steps = slice(start, stop)
         buffers.append(
-            EpisodeBuffer(
+            minari.data_collector.EpisodeBuffer(
                 observations=np.concatenate([obs[steps], next_obs[stop - 1 : stop]]),
                 actions=transitions.actions[steps],
                 rewards=transitions.rewards[steps],
@@ -91,10 +87,10 @@ def write(
 
 def _check_name(dataset: str) -> None:
     """Raise an InputError before Minari makes a folder, if a new dataset cannot have this name."""
-    match = DATASET_ID_RE.fullmatch(dataset)
+    match = minari.dataset.minari_dataset.DATASET_ID_RE.fullmatch(dataset)
     if match is None or match["version"] is None:
         raise InputError(f"{dataset!r} is no name of a Minari dataset, such as earl_jax/door/replay-v0")
-    if get_dataset_path(dataset).exists():
+    if minari.storage.get_dataset_path(dataset).exists():
         raise InputError(f"the Minari dataset {dataset} exists; choose another name or version, or delete it")
 
 

@@ -71,7 +71,7 @@ class TensorBoardLog:
         make_folder(folder.path / TENSORBOARD)
         purge_step = since + 1 if since else None
         suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
-        self._writer = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
+        self._writer: Any = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Write a scalar for every mean and every seed."""
@@ -81,12 +81,11 @@ class TensorBoardLog:
 
     def show(self, step: int, name: str, file: Path) -> None:
         """Write a .gif as an image, as `add_video` does, which needs moviepy."""
-        from tensorboardX.proto.summary_pb2 import Summary
-
+        summary: Any = importlib.import_module("tensorboardX.proto.summary_pb2").Summary
         content = file.read_bytes()
         width, height = struct.unpack("<HH", content[6:10])
-        image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=content)
-        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=name, image=image)]), step)
+        image = summary.Image(height=height, width=width, colorspace=3, encoded_image_string=content)
+        self._writer.file_writer.add_summary(summary(value=[summary.Value(tag=name, image=image)]), step)
         self._writer.flush()
 
     def close(self) -> None:
@@ -169,7 +168,7 @@ def check_logs(logs: Sequence[Any]) -> None:
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 
 
-def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:
+def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> list[Log]:
     """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
     named = [OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs] if folder else []
     attached = [log.attach(folder, named) if hasattr(log, "attach") else log for log in others]

@@ -45,7 +45,7 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
     rows = first + (int(replay.row) - first - count + np.arange(count)) % size
     goal, reached, timeout, reset, absorbed = map(np.asarray, unpack(replay.flags[rows, lane]))
     goals, states = goal_table(env).table[goal], replay.state[rows, lane]
-    following = np.where(reset[:, None], states, replay.state[np.asarray(replay.successor(rows)), lane])
+    following = np.where(reset[:, None], states, replay.state[np.asarray(replay.successor(jnp.asarray(rows))), lane])
     rewards = reached.astype(np.float32) if env.sparse else replay.reward[rows, lane]
     recomputed = ~reset if env.sparse else absorbed  # stored scaled by the steps that a life's end stands for
     if recomputed.any():
@@ -56,4 +56,4 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
     kept = ~(reset & ~reached) & ~(absorbed & np.append(False, absorbed[:-1]))
     ends = np.append(np.diff(attempt[kept]) > 0, True)
     fields = (states, goals, replay.action[rows, lane], following, rewards)
-    return Demos(*(field[kept] for field in fields), ends), (reached | absorbed)[kept]
+    return Demos._make([*(field[kept] for field in fields), ends]), (reached | absorbed)[kept]
