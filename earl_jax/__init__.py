@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from earl_jax.errors import InputError
     from earl_jax.options.presets import preset
     from earl_jax.protocol import Continuing, Deployment, Protocol
+    from earl_jax.runs.numpy_policy import NumpyPolicy
     from earl_jax.training import (
         Policy,
         Problem,
@@ -50,6 +51,7 @@ _HOME = {
     "Learner": "algos",
     "Method": "algos",
     "MujocoEnv": "envs",
+    "NumpyPolicy": "runs.numpy_policy",
     "Phase": "algos",
     "Policy": "training",
     "Problem": "training",
@@ -90,6 +92,7 @@ __all__ = [
     "Learner",
     "Method",
     "MujocoEnv",
+    "NumpyPolicy",
     "Phase",
     "Policy",
     "Problem",

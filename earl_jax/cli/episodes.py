@@ -1,4 +1,4 @@
-"""Commands that act in a task and keep the episodes: render, demos, import-demos."""
+"""Commands that act in a task or keep episodes: render, demos, import-demos, export."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -74,3 +74,34 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
     imported = {direction: importer.read(path).demos() for direction, path in files.items()}
     scripted.save(imported, target)
     print(f"{target}: " + ", ".join(f"{int(demos.ends.sum())} {direction}" for direction, demos in imported.items()))
+
+
+def export(
+    source: Positional[str],
+    dataset: str | None = None,
+    seed: int | None = None,
+    direction: Literal["forward", "backward"] = "forward",
+) -> None:
+    """Write a run's replay, or the demonstrations of a task, as a Minari dataset.
+
+    Args:
+        source: Run folder with a checkpoint, or task.
+        dataset: Name of the new dataset. By default earl_jax/TASK/METHOD-seed-SEED-v0, or earl_jax/TASK/DIRECTION-v0.
+        seed: Seed of the run whose life is exported. By default the run's first.
+        direction: Direction of the demonstrations.
+    """
+    from earl_jax.adapters import minari
+    from earl_jax.rendering.actors import is_run
+    from earl_jax.runs.folder import RunFolder
+    from earl_jax.training import load_transitions
+
+    if is_run(source):
+        config = RunFolder.open(Path(source)).config
+        seed = config.seeds[0] if seed is None else seed
+        env, transitions, terminal = load_transitions(source, seed)
+        name = dataset or f"earl_jax/{config.env}/{config.algo}-seed-{seed}-v0"
+        written = minari.write(name, env, transitions, terminal, config.algo, f"The life of seed {seed} in {source}")
+    else:
+        written = minari.demonstrations(source, direction, dataset)
+    spec = written.spec
+    print(f"{spec.dataset_id}: {spec.total_episodes} episodes, {spec.total_steps} steps, in {spec.data_path}")

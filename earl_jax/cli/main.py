@@ -13,7 +13,7 @@ import tyro
 
 from earl_jax import __version__
 from earl_jax.cli.arguments import REGISTRY, join_seeds
-from earl_jax.cli.episodes import demos, import_demos, render
+from earl_jax.cli.episodes import demos, export, import_demos, render
 from earl_jax.cli.help_text import readable
 from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, table
 from earl_jax.cli.listing import list_
@@ -34,7 +34,7 @@ from earl_jax.runs.streams import LastingStream, lasting_streams
 
 FUNCTIONS = (
     list_, train, resume, sweep, search, reproduce, show, evaluate, plot, table, best, compare, render, report, demos,
-    import_demos, quickstart,
+    import_demos, export, quickstart,
 )  # fmt: skip
 COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}
 LAUNCHERS = ("sweep", "reproduce")

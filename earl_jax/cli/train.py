@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from earl_jax.algos import Method
     from earl_jax.envs import Env
     from earl_jax.protocol import Setting
+    from earl_jax.rendering import VideoLog
 
 
 def train(
@@ -46,6 +47,7 @@ def train(
     hosts: Hosts = None,
     minutes: Minutes = None,
     log: Logs = (),
+    videos: int | None = None,
     overwrite: bool = False,
     set: Set = (),
     json: JSON = False,
@@ -67,6 +69,9 @@ def train(
         eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
         checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
         setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
+        videos: Number of videos of the first seed's policy, spread evenly over the evaluations, the last one at the end. They
+            are in the folder videos of --out and in the logs of --log. A resumed run goes on with them. They need the extra
+            render. By default none.
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
     limit = parse_minutes(minutes)
@@ -94,7 +99,7 @@ def train(
         eval_episodes=schedule.eval_episodes,
         out=out,
         checkpoint_every=schedule.checkpoint_every,
-        logs=log,
+        logs=[*log, *_video_logs(videos)],
         overwrite=overwrite,
         progress=True,
         devices=devices,
@@ -165,12 +170,24 @@ def resume(
         steps: New length of the run. By default the run keeps its length.
     """
     limit = parse_minutes(minutes)
+    from earl_jax.runs.contents import VIDEOS
+    from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit)
+    logs = _video_logs(RunFolder.open(folder).recorded().get(VIDEOS))
+    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit, logs=logs)
     _emit_result(result, folder, json)
+
+
+def _video_logs(count: int | None) -> list["VideoLog"]:
+    """Return the log of `count` videos, if any."""
+    if count is None:
+        return []
+    from earl_jax.rendering import VideoLog
+
+    return [VideoLog(count)]
 
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:

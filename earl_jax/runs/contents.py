@@ -14,19 +14,20 @@ from earl_jax.runs.files import LOCK, PART, check_kind
 from earl_jax.runs.table import lines_of
 
 CONFIG, METRICS, POLICIES, CHECKPOINTS = "config.json", "metrics.csv", "policies.npz", "checkpoints"
-TENSORBOARD, WANDB = "tensorboard", "wandb"
+TENSORBOARD, WANDB, VIDEOS = "tensorboard", "wandb", "videos"
 FILES = (CONFIG, METRICS, POLICIES)
-FOLDERS = (CHECKPOINTS, TENSORBOARD, WANDB)
+FOLDERS = (CHECKPOINTS, TENSORBOARD, WANDB, VIDEOS)
 OWN_FILES = (*FILES, *(name + PART for name in FILES), LOCK)
 OWN_NAMES = (
     *map(re.escape, (*OWN_FILES, *FOLDERS)),
     rf"{TENSORBOARD}/events\.out\.tfevents\.[^/]*",
+    rf"{VIDEOS}/{NAME}\.gif({re.escape(PART)})?",
     rf"{CHECKPOINTS}/{NAME}(/({'|'.join(PARTS)})(/.*)?)?",
     rf"{CHECKPOINTS}/[^/]*{UNFINISHED}.*",
     r"(.*/)?\.nfs[^/]*",  # NFS names deleted files so while another process reads them
 )
 """Patterns of the paths that a run writes."""
-REMOVED = (CHECKPOINTS, TENSORBOARD, POLICIES, METRICS, *(name + PART for name in FILES))
+REMOVED = (CHECKPOINTS, TENSORBOARD, VIDEOS, POLICIES, METRICS, *(name + PART for name in FILES))
 """What a new run in the place of an earlier one removes, in an order in which a kill leaves no half run."""
 
 
@@ -47,7 +48,7 @@ def unknown_entries(path: Path) -> list[str]:
 
 def _below(path: Path) -> Iterator[Path]:
     """Yield all entries of the folders in which a run writes."""
-    for name in (CHECKPOINTS, TENSORBOARD):
+    for name in (CHECKPOINTS, TENSORBOARD, VIDEOS):
         for top, folders, files in os.walk(path / name):
             yield from (Path(top, entry) for entry in folders + files)
 

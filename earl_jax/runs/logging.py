@@ -9,8 +9,10 @@ import dataclasses
 import importlib
 import importlib.util
 import os
+import struct
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +24,10 @@ from earl_jax.runs.folder import RunFolder
 
 
 class Log(Protocol):
-    """A receiver of metrics: any object with these two methods."""
+    """A receiver of metrics: any object with these two methods.
+
+    One with `attach(folder, logs)` is replaced by what that returns when training starts; `logs` are the run's others.
+    """
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Receive the metrics of an evaluation at `step`: arrays [N] with a value for each seed."""
@@ -66,12 +71,21 @@ class TensorBoardLog:
         make_folder(folder.path / TENSORBOARD)
         purge_step = since + 1 if since else None
         suffix = f".{since}.{os.getpid()}"  # tensorboardX names files by the second, which is not unique
-        self._writer = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
+        self._writer: Any = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Write a scalar for every mean and every seed."""
         for name, value in scalars(self._seeds, metrics).items():
             self._writer.add_scalar(name, value, step)
+        self._writer.flush()
+
+    def show(self, step: int, name: str, file: Path) -> None:
+        """Write a .gif as an image, as `add_video` does, which needs moviepy."""
+        summary: Any = importlib.import_module("tensorboardX.proto.summary_pb2").Summary
+        content = file.read_bytes()
+        width, height = struct.unpack("<HH", content[6:10])
+        image = summary.Image(height=height, width=width, colorspace=3, encoded_image_string=content)
+        self._writer.file_writer.add_summary(summary(value=[summary.Value(tag=name, image=image)]), step)
         self._writer.flush()
 
     def close(self) -> None:
@@ -84,11 +98,11 @@ class WandbLog:
 
     def __init__(self, folder: RunFolder, since: int):
         del since  # wandb resumes the run by itself
-        wandb: Any = importlib.import_module("wandb")
+        self._wandb: Any = importlib.import_module("wandb")
         make_folder(folder.path / WANDB)
         config = folder.config
         try:
-            self._run = wandb.init(
+            self._run = self._wandb.init(
                 project="earl_jax", name=folder.path.name, group=f"{config.env}/{config.algo}", id=folder.id,
                 config=dataclasses.asdict(config), dir=str(folder.path), resume="allow", reinit="create_new",
             )  # fmt: skip
@@ -100,6 +114,10 @@ class WandbLog:
         """Write the means and the values of all seeds as one row of the history."""
         self._run.log(scalars(self._seeds, metrics), step=step)
 
+    def show(self, step: int, name: str, file: Path) -> None:
+        """Add a video to the row of `step`."""
+        self._run.log({name: self._wandb.Video(str(file))}, step=step)
+
     def close(self) -> None:
         """Finish the run."""
         self._run.finish()
@@ -108,12 +126,16 @@ class WandbLog:
 class OptionalLog:
     """A log without which training goes on: its first error is a `RunWarning`, after which it receives nothing more."""
 
-    def __init__(self, name: str, log: Log):
+    def __init__(self, name: str, log: Any):
         self._name, self._log, self._failed = name, log, False
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Pass the metrics on."""
         self._try(self._log.log, step, metrics)
+
+    def show(self, step: int, name: str, file: Path) -> None:
+        """Pass a video on."""
+        self._try(self._log.show, step, name, file)
 
     def close(self) -> None:
         """Close the log."""
@@ -146,8 +168,8 @@ def check_logs(logs: Sequence[Any]) -> None:
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 
 
-def open_logs(folder: RunFolder | None, others: Sequence[Log], since: int) -> list[Log]:
+def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> list[Log]:
     """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
-    if folder is None:
-        return list(others)
-    return [CSVLog(folder), *(OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs), *others]
+    named = [OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs] if folder else []
+    attached = [log.attach(folder, named) if hasattr(log, "attach") else log for log in others]
+    return [*([CSVLog(folder)] if folder else []), *named, *attached]

@@ -7,6 +7,7 @@ from earl_jax.training.loading import load_lanes, load_policies, load_visits
 from earl_jax.training.policy import Policy, list_pretrained, pretrained, pretrained_env, pretrained_info
 from earl_jax.training.result import Result, load, select_seed
 from earl_jax.training.state import Problem
+from earl_jax.training.transitions import load_transitions
 
 __all__ = [
     "Policy",
@@ -18,6 +19,7 @@ __all__ = [
     "load",
     "load_lanes",
     "load_policies",
+    "load_transitions",
     "load_visits",
     "pretrained",
     "pretrained_env",

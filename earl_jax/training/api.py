@@ -125,6 +125,7 @@ def resume(
     progress: bool = False,
     devices: int | None = None,
     minutes: float | TimeLimit | None = None,
+    logs: Sequence[Log] = (),
 ) -> Result:
     """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
@@ -139,6 +140,7 @@ def resume(
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
         minutes: a limit of wall-clock time, as in `train`; it counts from this call on.
+        logs: objects that receive the metrics, besides those of the run that it names in `train`.
 
     Raises:
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
@@ -149,12 +151,12 @@ def resume(
     opened = RunFolder.open(Path(folder))
     opened.require_resumable()  # rather than after the training
     _require_checkpoint(opened)
-    check_logs(opened.logs)
+    check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else opened.extended(steps)
     setting = config.build_setting()
     wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
     run = Run.resolve(config, wrapped, algo)
-    run.folder = opened
+    run.folder, run.listeners = opened, logs
     return _execute(plan_runs([run], devices), run, progress, limit)
 
 

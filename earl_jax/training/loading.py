@@ -25,7 +25,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
-    shapes = _shapes(folder) if newest(folder.checkpoints) else None  # tracing takes long for a report of many runs
+    shapes = shapes_of(folder) if newest(folder.checkpoints) else None  # tracing takes long for a report of many runs
     state = restore(folder.checkpoints, shapes[2], with_replay=False) if shapes else None
     if not shapes or state is None:
         raise InputError(
@@ -107,11 +107,11 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
     return env, np.asarray(load_lanes(folder)[2].visits)
 
 
-def _shapes(folder: RunFolder) -> tuple[Env, Method, TrainState]:
-    """Return the env, method [N] and the shapes of the train state of a run folder, with a replay of one step."""
+def shapes_of(folder: RunFolder, steps: int = 1) -> tuple[Env, Method, TrainState]:
+    """Return the env, method [N] and the shapes of the train state of a run folder, with a replay of so many `steps`."""
     config = folder.config
     env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
     problem = Problem(env, config.protocol(env))
-    capacity = replay_capacity(problem, method, 1)
+    capacity = replay_capacity(problem, method, steps)
     init = functools.partial(init_train_state, problem, method, seed_keys(config.seeds), capacity)
     return env, method, jax.eval_shape(init)

@@ -21,11 +21,12 @@ from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env, without_budget
 from earl_jax.errors import InputError
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.numpy_policy import FULL_BUDGET, NumpyPolicy
 from earl_jax.training.state import LaneState
 
 Arrays = dict[str, np.ndarray]
-FULL_BUDGET = 1.0
-"""The share of the budget for help at which a policy is evaluated, where nothing is charged."""
+PROBES = 16
+"""Random observations at which a policy and its NumPy form are compared."""
 
 
 class Policy(struct.PyTreeNode, eq=False):
@@ -71,6 +72,27 @@ class Policy(struct.PyTreeNode, eq=False):
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
         return self.learner.greedy(self.actor, obs)[..., : self.action_size]
+
+    def numpy(self) -> NumpyPolicy:
+        """Return this policy in plain NumPy, which acts, is saved and is loaded without jax.
+
+        Raises:
+            ValueError: the learner's greedy action is not the tanh of the first outputs of a ReLU network, with which it
+                is compared here, or this is a stack of policies.
+        """
+        layers = self.actor.get("params", {}) if isinstance(self.actor, dict) else {}
+        names = [f"hidden_{number}" for number in range(len(layers))]
+        if names and set(layers) == set(names) and np.ndim(layers[names[0]]["bias"]) == 1:
+            pairs = [(np.array(layers[name]["kernel"]), np.array(layers[name]["bias"])) for name in names]
+            policy = NumpyPolicy(tuple(pairs), self.action_size, self.budget_at)
+            obs = np.random.default_rng(0).normal(size=(PROBES, self.obs_size)).astype(np.float32)
+            exact = self.replace(learner=self.learner.replace(precision="float32"))
+            if np.allclose(policy(obs), exact(jnp.asarray(obs)), atol=1e-4, equal_nan=True):
+                return dataclasses.replace(policy, bf16=self.learner.precision == "bf16")
+        raise InputError(
+            f"this policy of the learner {self.learner.name!r} has no NumPy form: it is not one lane whose greedy action "
+            "is the tanh of the first outputs of a ReLU network"
+        )
 
 
 def pretrained(task: str, method: str, seed: int | None = None) -> Policy:

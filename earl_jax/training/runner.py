@@ -190,8 +190,8 @@ def _train_to_end(
             with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
                 state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
                 metrics = gathered(metrics)
-            _record(runs, step, metrics, bar)
             save_policies_of(runs, state, step)
+            _record(runs, step, metrics, bar)
             stop.check_time()
         stopping = stop.requested and step < plan.steps
         if step:

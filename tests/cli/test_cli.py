@@ -12,6 +12,7 @@ import pytest
 
 from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
+from earl_jax.training import load_transitions
 from tests.cli.process import TASK, run, start, training
 
 TRAIN = ["train", TASK]
@@ -68,6 +69,26 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     evaluations = [run("evaluate", path, "--episodes", "5", "--json")[1] for path in (folder, whole)]
     assert evaluations[0] == evaluations[1]
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
+
+
+def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari", reason="datasets need the extra 'minari'")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    code, out, err = run("export", finished[0], "--seed", "1")
+    assert code == 0, err
+    assert out.startswith(f"earl_jax/{TASK}/fbrl-seed-1-v0: ")
+    loaded = list(minari.load_dataset(f"earl_jax/{TASK}/fbrl-seed-1-v0"))
+    _, steps, terminal = load_transitions(finished[0], 1)
+    assert len(steps.ends) == 120
+    assert [len(episode) for episode in loaded] == np.diff(np.flatnonzero(steps.ends), prepend=-1).tolist()
+    expected = {"actions": steps.actions, "rewards": steps.rewards, "terminations": terminal}
+    for name, values in expected.items():
+        np.testing.assert_array_equal(np.concatenate([getattr(episode, name) for episode in loaded]), values)
+    for part, states in ((slice(-1), steps.states), (slice(1, None), steps.next_states)):
+        obs = np.concatenate([episode.observations[part] for episode in loaded])
+        np.testing.assert_array_equal(obs, np.concatenate([states, steps.goals], axis=1))
+    code, _, err = run("export", finished[0], "--seed", "5")
+    assert (code, "has no seed 5; choose from 0, 1" in err) == (2, True)
 
 
 def show_warning(message, category, *location):

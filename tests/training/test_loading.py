@@ -83,7 +83,7 @@ def change_config(folder, **values):
 def bare(folder, monkeypatch):
     """The folder without its checkpoints, and the state of training without a trace."""
     shutil.rmtree(folder.checkpoints)
-    monkeypatch.setattr(loading, "_shapes", None)
+    monkeypatch.setattr(loading, "shapes_of", None)
     return folder
 
 

@@ -1,0 +1,112 @@
+"""Minari datasets of demonstrations and of lives: `demonstrations(task)`, and `write` for any transitions."""
+
+import dataclasses
+import importlib
+import warnings
+from typing import Any
+
+import gymnasium
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from earl_jax.adapters.gymnasium import env_id, register_envs
+from earl_jax.assets import Demos
+from earl_jax.envs import Env, env_class, list_envs, make
+from earl_jax.errors import InputError
+
+try:
+    minari: Any = importlib.import_module("minari")
+except ImportError as error:
+    raise InputError("a Minari dataset needs the extra minari: pip install 'minari[hdf5]' pillow") from error
+
+
+def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:
+    """Return a new `MinariDataset` of a task's recorded demonstrations, an episode for each, with rewards of `task`.
+
+    An episode terminates if the reward is sparse and its last step reaches the goal.
+
+    Args:
+        task: a task's name, or an `Env`.
+        direction: `forward` or `backward`.
+        dataset: the dataset's name; by default `earl_jax/TASK/DIRECTION-v0`.
+
+    Raises:
+        ValueError: the task has no such demonstrations, or the dataset exists.
+    """
+    env = make(task) if isinstance(task, str) else task
+    demos = env.demonstrations.load(direction)
+    next_obs = jnp.asarray(np.concatenate([demos.next_states, demos.goals], axis=1))
+    terminal = demos.ends & np.asarray(env.success(next_obs)) & env.sparse
+    demos = demos._replace(rewards=np.asarray(env.reward(next_obs)))
+    dataset = dataset or f"earl_jax/{env.name}/{direction}-v0"
+    return write(dataset, env, demos, terminal, "script", f"Demonstrations of {env.name}, {direction}")
+
+
+def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algorithm: str, description: str) -> Any:
+    """Return the new `MinariDataset` `dataset` of `transitions [T]` on `env`, an episode up to each of their `ends`.
+
+    Observations are those of the task, state and goal [s + g], as one box: a goal need not be a state, so there is no
+    dictionary of both. An episode whose last step is `terminal [T]` terminates; the others are truncated. The dataset
+    recovers the task of gymnasium, with `eval_env=True` its evaluation episodes, unless `env` is not registered or has
+    a budget for help.
+
+    Raises:
+        ValueError: the dataset exists, or its name is none.
+    """
+    obs, next_obs = (
+        np.concatenate([states, transitions.goals], axis=1) for states in (transitions.states, transitions.next_states)
+    )
+    truncated, buffers = transitions.ends & ~terminal, []
+    stops = np.flatnonzero(transitions.ends) + 1
+    for start, stop in zip([0, *stops[:-1]], stops, strict=True):
+        steps = slice(start, stop)
+        buffers.append(
+            minari.data_collector.EpisodeBuffer(
+                observations=np.concatenate([obs[steps], next_obs[stop - 1 : stop]]),
+                actions=transitions.actions[steps],
+                rewards=transitions.rewards[steps],
+                terminations=terminal[steps],
+                truncations=truncated[steps],
+                infos={},
+            )
+        )
+    _check_name(dataset)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # an author and a link are the user's to add
+        return minari.create_dataset_from_buffers(
+            dataset,
+            buffers,
+            **_environments(env),
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            algorithm_name=algorithm,
+            description=description,
+        )
+
+
+def _check_name(dataset: str) -> None:
+    """Raise an InputError before Minari makes a folder, if a new dataset cannot have this name."""
+    match = minari.dataset.minari_dataset.DATASET_ID_RE.fullmatch(dataset)
+    if match is None or match["version"] is None:
+        raise InputError(f"{dataset!r} is no name of a Minari dataset, such as earl_jax/door/replay-v0")
+    if minari.storage.get_dataset_path(dataset).exists():
+        raise InputError(f"the Minari dataset {dataset} exists; choose another name or version, or delete it")
+
+
+def _environments(env: Env) -> dict[str, EnvSpec]:
+    """Return gymnasium's specifications of `env` for Minari, none if it has no id with these options."""
+    if env.name not in list_envs() or type(env) is not env_class(env.name):
+        return {}
+    register_envs([env.name])
+    changed = {
+        field.name: getattr(env, field.name)
+        for field in dataclasses.fields(env)
+        if getattr(env, field.name) != field.default
+    }
+    spec = gymnasium.spec(env_id(env.name))
+
+    def with_options(**more: Any) -> EnvSpec:
+        return dataclasses.replace(spec, kwargs={**spec.kwargs, **changed, **more})
+
+    return {"env": with_options(), "eval_env": with_options(mode="eval")}

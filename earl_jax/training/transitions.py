@@ -1,0 +1,59 @@
+"""The transitions of a life, from the replay of its newest checkpoint, cut into the agent's attempts."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from earl_jax.algos.goals import goal_table
+from earl_jax.algos.learner.replay import Replay, unpack
+from earl_jax.assets import Demos
+from earl_jax.envs import Env
+from earl_jax.errors import InputError
+from earl_jax.runs.checkpoint import restore
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training.loading import shapes_of
+
+
+def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndarray]:
+    """Return the env of a run folder, the T transitions that `seed` lived, and which of them are terminal, bool [T].
+
+    They are those that the replay of the newest checkpoint still has, in their order, without demonstrations. `goals`
+    are those of the policy. `ends` cut them into attempts: where a goal was reached or the life ended, which is terminal,
+    and at time-outs, goal changes and interventions, which are not (EARL's learners treat these as terminal too). The
+    replay has no next state where the environment was reset. Such a step is left out, unless it reached its goal: then
+    its state is repeated as the next one.
+
+    Raises:
+        ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint.
+    """
+    opened = RunFolder.open(Path(folder))
+    seeds = list(opened.config.seeds)
+    if seed not in seeds:
+        raise InputError(f"{folder} has no seed {seed}; choose from {', '.join(map(str, seeds))}")
+    env, _, shapes = shapes_of(opened, opened.config.steps)
+    state = restore(opened.checkpoints, shapes)
+    if state is None:
+        raise InputError(f"{folder} has no checkpoint, which holds the replay")
+    return env, *attempts(env, state.replay, seeds.index(seed), int(state.step))
+
+
+def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np.ndarray]:
+    """Return the transitions of a `lane` after `steps` steps, and which of them are terminal."""
+    first, size = int(replay.first_row), replay.capacity - int(replay.first_row)
+    count = min(steps, size - 1) if replay.evicts else steps
+    rows = first + (int(replay.row) - first - count + np.arange(count)) % size
+    goal, reached, timeout, reset, absorbed = map(np.asarray, unpack(replay.flags[rows, lane]))
+    goals, states = goal_table(env).table[goal], replay.state[rows, lane]
+    following = np.where(reset[:, None], states, replay.state[np.asarray(replay.successor(jnp.asarray(rows))), lane])
+    rewards = reached.astype(np.float32) if env.sparse else replay.reward[rows, lane]
+    recomputed = ~reset if env.sparse else absorbed  # stored scaled by the steps that a life's end stands for
+    if recomputed.any():
+        obs = np.concatenate([following, goals], axis=1)[recomputed]
+        rewards[recomputed] = env.reward(jnp.asarray(obs))
+    number = np.cumsum(reached | timeout | absorbed)
+    attempt = np.append(0, number[:-1])
+    kept = ~(reset & ~reached) & ~(absorbed & np.append(False, absorbed[:-1]))
+    ends = np.append(np.diff(attempt[kept]) > 0, True)
+    fields = (states, goals, replay.action[rows, lane], following, rewards)
+    return Demos._make([*(field[kept] for field in fields), ends]), (reached | absorbed)[kept]

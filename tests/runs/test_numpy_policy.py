@@ -1,0 +1,78 @@
+"""Policies in plain NumPy: equal to those of every learner, and able to act where jax cannot be imported."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos.learner.td3 import TD3
+from earl_jax.envs import HelpBudget
+from earl_jax.training.policy import Policy
+
+SHIPPED = [(task, method) for task, methods in earl_jax.list_pretrained().items() for method in methods]
+OBS = np.random.default_rng(1).normal(size=(2, 3, 12)).astype(np.float32)
+WITHOUT_JAX = """
+import sys
+sys.modules["jax"] = None  # an import raises
+import numpy as np
+from earl_jax import NumpyPolicy
+np.save(sys.argv[2], NumpyPolicy.load(sys.argv[1])(np.load(sys.argv[2])))
+"""
+
+
+def policy_of(env, learner):
+    agent = learner.init(jax.random.key(3), env.observation_size, env.action_size)
+    return Policy.of_actor(env, learner, agent.actor)
+
+
+@pytest.mark.parametrize(("task", "method"), SHIPPED)
+def test_a_policy_that_ships_acts_the_same_in_numpy(task, method):
+    policy = earl_jax.pretrained(task, method)
+    obs = np.random.default_rng(1).normal(scale=0.3, size=(5, policy.obs_size)).astype(np.float32)
+    np.testing.assert_allclose(policy.numpy()(obs), policy(jnp.asarray(obs)), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3])
+@pytest.mark.parametrize("options", [{"layer_norm": True}, {"precision": "bf16"}])
+def test_an_actor_of_every_learner_acts_the_same_in_numpy(env, kind, options):
+    policy = policy_of(env, kind(hidden_sizes=(16, 8), **options))
+    numpy = policy.numpy()
+    assert (type(numpy(OBS)), numpy(OBS).dtype, numpy(OBS).shape) == (np.ndarray, np.float32, (2, 3, 3))
+    np.testing.assert_allclose(numpy(OBS), policy(jnp.asarray(OBS)), atol=1e-5)
+    with pytest.raises(ValueError, match=r"obs has shape \(11,\), this policy takes \(..., 12\)"):
+        numpy(np.zeros(11))
+
+
+def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_path):
+    policy = policy_of(HelpBudget(env, budget=5.0), SAC(hidden_sizes=(16,)))
+    numpy = policy.numpy()
+    np.testing.assert_allclose(numpy(OBS), policy(jnp.asarray(OBS)), atol=1e-5)
+    numpy.save(tmp_path / "policy")
+    np.save(tmp_path / "obs.npy", OBS)
+    files = [str(tmp_path / name) for name in ("policy", "obs.npy")]
+    subprocess.run([sys.executable, "-c", WITHOUT_JAX, *files], check=True, cwd=Path(earl_jax.__file__).parents[1])
+    np.testing.assert_array_equal(np.load(tmp_path / "obs.npy"), numpy(OBS))
+    np.savez(tmp_path / "other.npz", weights=OBS)
+    with pytest.raises(ValueError, match=r"other\.npz is no policy .* it has no action_size"):
+        earl_jax.NumpyPolicy.load(tmp_path / "other.npz")
+
+
+class Linear(SAC):
+    """A learner whose greedy action is not squashed."""
+
+    def greedy(self, actor, obs):
+        return 0.1 * super().greedy(actor, obs)
+
+
+def test_a_policy_without_a_numpy_form_is_refused(env):
+    with pytest.raises(ValueError, match="the learner 'sac' has no NumPy form"):
+        policy_of(env, Linear(hidden_sizes=(16,))).numpy()
+    one = policy_of(env, SAC(hidden_sizes=(16,)))
+    with pytest.raises(ValueError, match="not one lane"):
+        jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], one).numpy()
