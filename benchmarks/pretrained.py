@@ -101,7 +101,7 @@ def _packed(arrays: dict[str, np.ndarray], lanes: list[int]) -> tuple[bytes, lis
 
 def _training_scores(folder: Path) -> dict[str, Any]:
     """Return the score of every seed, which tells how typical the shipped seeds are."""
-    score = read(folder).score()
+    score = read(folder).score
     return {"evaluations": score.evaluations, score.metric: np.round(score.scores, 6).tolist()}
 
 

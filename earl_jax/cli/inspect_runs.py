@@ -30,7 +30,7 @@ def evaluate(
 
     chosen = Window.of(last, window)
     metrics = training.evaluate(folder, episodes, seed, engine, starts)
-    score = read(folder).score(chosen)
+    score = read(folder, chosen).score
     lines = [f"the newest policies over {episodes} new episodes each:"]
     lines += [f"{name} {values.mean():.3f}, per seed {values.round(3).tolist()}" for name, values in metrics.items()]
     values = {name: values.tolist() for name, values in metrics.items()}

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from earl_jax.cli.arguments import Positional, print_line, replacing
+from earl_jax.cli.arguments import Last, Positional, WindowSteps, print_line, replacing
 
 
 def report(
@@ -11,6 +11,8 @@ def report(
     watch: bool = False,
     every: float = 30.0,
     videos: bool = False,
+    last: Last = None,
+    window: WindowSteps = None,
 ) -> None:
     """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 
@@ -25,13 +27,14 @@ def report(
     import jax
 
     jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
+    from earl_jax.metrics.scores import Window
     from earl_jax.report.html.media import PolicyVideos
     from earl_jax.report.html.writing import watch_page, write_page
 
-    policies = PolicyVideos(print_line) if videos else None
+    policies, chosen = PolicyVideos(print_line) if videos else None, Window.of(last, window)
     if watch:
-        watch_page(folders, out, every, print_line, policies=policies)
+        watch_page(folders, out, every, print_line, policies=policies, window=chosen)
         return
     with replacing(out):
-        page = write_page(folders, out, policies=policies)
+        page = write_page(folders, out, policies=policies, window=chosen)
     print(f"{page}: {page.stat().st_size / 1e6:.1f} MB")

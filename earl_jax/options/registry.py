@@ -10,6 +10,8 @@ from typing import Any, Generic, TypeVar
 from earl_jax.errors import InputError
 
 T = TypeVar("T")
+NOUNS = {"env": "task", "algo": "method"}
+"""What messages call a kind."""
 REGISTERED: list[type] = []
 """The classes that were registered in this process, of every kind."""
 
@@ -22,6 +24,7 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, table: dict[str, str]):
         self.kind = kind
+        self._noun = NOUNS.get(kind, kind)
         self._table: dict[str, str | type[T]] = dict(table)
 
     def _entry_points(self) -> list[metadata.EntryPoint]:
@@ -43,7 +46,7 @@ class Registry(Generic[T]):
             ValueError: the name is taken, `cls` is not a dataclass, or its `name` differs.
         """
         if name in self.names():
-            raise InputError(f"{self.kind} {name!r} exists already; choose another name")
+            raise InputError(f"{self._noun} {name!r} exists already; choose another name")
         self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
 
@@ -73,13 +76,13 @@ class Registry(Generic[T]):
         owners = own + [_owner(point) for point in points]
         if len(owners) > 1:
             raise InputError(
-                f"{self.kind} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
+                f"{self._noun} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
             )
         if points:
             return points[0], owners[0]
         if target is None:
             own = "your own: --import FILE, see docs/extending.md"
-            raise InputError(f"unknown {self.kind} {name!r}; {choices(name, self.names())} ({own})")
+            raise InputError(f"unknown {self._noun} {name!r}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
     def _loaded(self, point: metadata.EntryPoint) -> type[T]:
@@ -88,17 +91,17 @@ class Registry(Generic[T]):
             factory = point.load()
         except Exception as error:
             cause = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.kind} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
+            raise InputError(f"{self._noun} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
         return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
         """Return `factory`, which comes from `source`, if it is a dataclass with the name `name`."""
         if not isinstance(factory, type) or not dataclasses.is_dataclass(factory):
-            raise InputError(f"{self.kind} {name!r}: {source} must be a dataclass, not {factory!r}")
+            raise InputError(f"{self._noun} {name!r}: {source} must be a dataclass, not {factory!r}")
         own = getattr(factory, "name", None)
         if own != name:
             raise InputError(
-                f"{self.kind} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
+                f"{self._noun} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
             )
         return factory
 
@@ -111,7 +114,7 @@ class Registry(Generic[T]):
         from earl_jax.options.values import check  # loads numpy, which listing does not need
 
         cls = self.get(name)
-        check(f"{self.kind} {name!r}", cls, options)
+        check(f"{self._noun} {name!r}", cls, options)
         return cls(**options)
 
 

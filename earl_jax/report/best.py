@@ -49,21 +49,21 @@ def best(folders: Sequence[Path], test: Test = "permutation", window: Window = D
     Raises:
         ValueError: a folder holds no run that can be read, or runs of a task are scored by different metrics.
     """
-    groups = read_methods(folders)
+    groups = read_methods(folders, window)
     rows: list[Row] = []
     for env in task_order(group.env for group in groups):
-        rows += _ranked([group for group in groups if group.env == env], test, window)
+        rows += _ranked([group for group in groups if group.env == env], test)
     return rows
 
 
-def _ranked(groups: Sequence[MethodRuns], test: Test, window: Window) -> list[Row]:
+def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     """Return the rows of one task."""
     if len({group.curves.deployed_metric for group in groups}) > 1:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
     longest = max(group.curves.steps[-1] for group in groups)
-    pairs = [(group, seed_scores(group.curves, window)) for group in groups]
+    pairs = [(group, seed_scores(group.curves)) for group in groups]
     pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, -pair[1].mean()))
-    rows = [_row(rank, group, scores, window) for rank, (group, scores) in enumerate(pairs, 1)]
+    rows = [_row(rank, group, scores) for rank, (group, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
     for row, scores in tested:
@@ -87,13 +87,13 @@ def _least_p(first: int, second: int, test: Test) -> float:
     return smallest_p(first, second) if test == "permutation" else 0.0
 
 
-def _row(rank: int, group: MethodRuns, scores: np.ndarray, window: Window) -> Row:
+def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
     """Return the row of a run that is not compared."""
     interval, curves = interval_of(group.curves, scores), group.curves
     return {
         "env": group.env, "rank": rank, "method": group.algo, "label": group.label, "options": options_text(curves.options),
         "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
-        "mean_over": window.text, "score": interval.value, "low": interval.low, "high": interval.high,
+        "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p"), math.nan),
         "verdict": "shorter",
     }  # fmt: skip

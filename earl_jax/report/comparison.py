@@ -83,11 +83,11 @@ def compare(
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
-    groups = read_methods(folders)
+    groups = read_methods(folders, window)
     if against == "published":
-        rows = published_rows(groups, metric, window)
+        rows = published_rows(groups, metric)
     else:
-        rows = [pair_row(a, b, metric, window=window) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
+        rows = [pair_row(a, b, metric) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
@@ -111,9 +111,7 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> li
     return rows
 
 
-def pair_row(
-    first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0, window: Window = DEFAULT
-) -> Row:
+def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0) -> Row:
     """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
 
     Raises:
@@ -122,44 +120,41 @@ def pair_row(
     if metric is None and first.curves.deployed_metric != second.curves.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
     step = int(age * common_steps(first.curves, second.curves)[1])
-    scores, others = (seed_scores(runs.curves, window, step, metric) for runs in (first, second))
+    scores, others = (seed_scores(runs.curves, step, metric) for runs in (first, second))
     row = _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others), metric)
-    return row | {"age": age, "mean_over": window.text}
+    return row | {"age": age}
 
 
-def published_rows(groups: Sequence[MethodRuns], metric: str | None = None, window: Window = DEFAULT) -> list[Row]:
+def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
     """Return the comparisons of each of `groups` with the paper, without an adjusted p; none where the paper has nothing.
 
     They are with the released runs at each of `AGES`, by the deployed score or another `metric`, or with the printed score of
     a task without such runs.
     """
     return [
-        row
-        for group in groups
-        for row in _released_rows(group, metric, window) or ([] if metric else _printed_rows(group, window))
+        row for group in groups for row in _released_rows(group, metric) or ([] if metric else _printed_rows(group))
     ]
 
 
-def _released_rows(group: MethodRuns, metric: str | None, window: Window) -> list[Row]:
+def _released_rows(group: MethodRuns, metric: str | None) -> list[Row]:
     """Return the comparisons with the released runs at each age that both sides have reached."""
     released = released_beside(group.curves)
     if released is None or (metric or group.curves.deployed_metric) not in released.metrics:
         return []
     published = MethodRuns(group.env, group.algo, "published", released)
     first, common = common_steps(group.curves, released)
-    return [pair_row(group, published, metric, age, window) for age in AGES if first <= age * common]
+    return [pair_row(group, published, metric, age) for age in AGES if first <= age * common]
 
 
-def _printed_rows(group: MethodRuns, window: Window) -> list[Row]:
+def _printed_rows(group: MethodRuns) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
     score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
     sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
     if not score or not sample:
         return []
     step = int(group.curves.steps[-1])
-    scores = seed_scores(group.curves, window)
+    scores = seed_scores(group.curves)
     row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
-    row |= {"age": 1.0, "mean_over": window.text}
     if group.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
     elif step < length:
@@ -180,7 +175,7 @@ def _row(
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(scores, other, result),
+        **comparison_columns(scores, other, result), "age": 1.0, "mean_over": first.curves.window.text,
     }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
+from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores
@@ -79,7 +80,7 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
     """Return the row of a run: scores by the default `Window`, each with its 95 % interval over seeds."""
-    curves = group.curves
+    curves = group.curves._replace(window=DEFAULT)
     deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
     alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
     return Row(

@@ -111,7 +111,7 @@ def released_beside(curves: Curves) -> Curves | None:
     names = {"deployed": curves.deployed_metric, "continuing": "continuing/reward"}
     metrics = {names[name]: values for name, values in runs.items() if name in names}
     released = RunConfig(config.env, {}, config.algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
-    return Curves(released, steps, metrics)
+    return Curves(released, steps, metrics, window=curves.window)
 
 
 def row_beside(table: str, curves: Curves) -> dict[str, str]:

@@ -34,22 +34,24 @@ SAME_TASK = frozenset({"engine", "demo_file", "variant", "reward_type"})
 class Curves(NamedTuple):
     """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E].
 
-    `runs` are the folders of the runs that the seeds come from.
+    `runs` are the folders of the runs that the seeds come from, and `window` has the evaluations that score them.
     """
 
     config: RunConfig
     steps: np.ndarray
     metrics: dict[str, np.ndarray]
     runs: tuple[RunFolder, ...] = ()
+    window: Window = DEFAULT
 
     @property
     def deployed_metric(self) -> str:
         """The metric that scores a deployed policy on this task."""
         return self.config.deployed_metric
 
-    def score(self, window: Window = DEFAULT) -> Score:
-        """The deployed score, by default of the last tenth of the run."""
-        return Score.of(self.steps, self.metrics, self.deployed_metric, window)
+    @property
+    def score(self) -> Score:
+        """The deployed score."""
+        return Score.of(self.steps, self.metrics, self.deployed_metric, self.window)
 
     @property
     def diverged(self) -> int:
@@ -100,7 +102,7 @@ class MethodRuns(NamedTuple):
     curves: Curves
 
 
-def read(path: Path) -> Curves:
+def read(path: Path, window: Window = DEFAULT) -> Curves:
     """Return the curves of one run folder, up to its last complete evaluation.
 
     Raises:
@@ -115,7 +117,7 @@ def read(path: Path) -> Curves:
         folder.config.build_setting()
     except InputError as error:  # it names the choices, but not the run
         raise InputError(f"{path}: {error}") from error
-    return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,))
+    return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,), window)
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
@@ -146,7 +148,7 @@ def _runs_below(folder: Path) -> Iterator[Path]:
 
 
 def gather(
-    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None
+    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None, window: Window = DEFAULT
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
@@ -160,7 +162,7 @@ def gather(
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
         try:
-            curves = read(path)
+            curves = read(path, window)
             key = pooling_key(curves.config)
             parts = [*pools.get(key, ()), curves]
             check(pooled(parts))
@@ -174,13 +176,13 @@ def gather(
     return [pooled(parts) for parts in pools.values()], left_out
 
 
-def read_all(folders: Sequence[Path]) -> list[Curves]:
+def read_all(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
     """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
 
     Raises:
         ValueError: as `gather`, or one of `folders` is itself a run that is left out.
     """
-    runs, left_out = gather(folders)
+    runs, left_out = gather(folders, window=window)
     for path, cause in left_out.items():
         if path in folders:
             raise InputError(cause)
@@ -209,7 +211,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
         for name in parts[0].metrics
         if name not in OPTIONAL_METRICS or all(name in part.metrics for part in parts)
     }
-    return Curves(config, steps, Columns(folders[0].path, metrics), folders)
+    return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 
 
 def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
@@ -275,9 +277,9 @@ def _plain(text: str) -> str:
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
-def read_methods(folders: Sequence[Path]) -> list[MethodRuns]:
+def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[MethodRuns]:
     """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
-    return by_method(read_all(folders))
+    return by_method(read_all(folders, window))
 
 
 def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:

@@ -10,7 +10,7 @@ from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import band, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import DEFAULT, RATES, SUCCESS, Window, final_scores
+from earl_jax.metrics.scores import RATES, SUCCESS, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import LEVELS, published_beside
 from earl_jax.report.runs import Curves, options_text
@@ -23,10 +23,8 @@ MEANS = {"forward_success": FORWARD, "back_success": BACK, "alive": ALIVE, "stil
 """By the name of a row's value: the metric of which it is the mean over seeds."""
 
 
-def seed_scores(
-    curves: Curves, window: Window = DEFAULT, step: int | None = None, metric: str | None = None
-) -> np.ndarray:
-    """Return the score [N] of each seed up to `step`: the mean over the evaluations of `window` at the end.
+def seed_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
+    """Return the score [N] of each seed up to `step`: the mean over the evaluations of its window.
 
     `step` is by default the last one, `metric` the deployed one.
 
@@ -39,7 +37,7 @@ def seed_scores(
     values = curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(values).all():
         raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
-    return final_scores(curves.steps[until], values, window)
+    return final_scores(curves.steps[until], values, curves.window)
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:
@@ -73,9 +71,9 @@ def level_crossings(curves: Curves) -> dict[float, Estimate]:
     return {level: crossings.crossing(curves.steps, curves.metrics[curves.deployed_metric], level) for level in LEVELS}
 
 
-def row_of(curves: Curves, name: str, window: Window = DEFAULT) -> dict[str, Any]:
+def row_of(curves: Curves, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
-    deployed, continuing = seed_scores(curves, window), curves.metrics["continuing/reward"][:, -1]
+    deployed, continuing = seed_scores(curves), curves.metrics["continuing/reward"][:, -1]
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
     return {
         "env": curves.config.env,
@@ -84,7 +82,7 @@ def row_of(curves: Curves, name: str, window: Window = DEFAULT) -> dict[str, Any
         "seeds": len(deployed),
         "diverged": curves.diverged,
         "steps": int(curves.steps[-1]),
-        "mean_over": window.text,
+        "mean_over": curves.window.text,
         "deployed": interval.value,
         "deployed_stderr": float(stderr(deployed)),
         "deployed_low": interval.low,
@@ -94,7 +92,7 @@ def row_of(curves: Curves, name: str, window: Window = DEFAULT) -> dict[str, Any
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),
         "published_continuing": _published("table2", curves),
-        **life_values(curves.metrics, window.count(curves.steps)),
+        **life_values(curves.metrics, curves.window.count(curves.steps)),
         **_crossing_columns(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }

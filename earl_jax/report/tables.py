@@ -73,18 +73,16 @@ def tabulate(
     Raises:
         ValueError: a folder cannot be read, a run has no column `metric`, or `names` are too few or many.
     """
-    runs = read_all(folders)
+    runs = read_all(folders, window)
     named = zip(runs, checked_labels(names, labels(runs)), strict=True)
-    return [
-        _metric_row(curves, metric, window, name) if metric else row_of(curves, name, window) for curves, name in named
-    ]
+    return [_metric_row(curves, metric, name) if metric else row_of(curves, name) for curves, name in named]
 
 
-def _metric_row(curves: Curves, metric: str, window: Window, name: str) -> Row:
-    interval = interval_of(curves, seed_scores(curves, window, metric=metric), metric)
+def _metric_row(curves: Curves, metric: str, name: str) -> Row:
+    interval = interval_of(curves, seed_scores(curves, metric=metric), metric)
     return {
         "env": curves.config.env, "algo": name, "options": options_text(curves.options), "seeds": curves.seeds,
-        "steps": int(curves.steps[-1]), "metric": metric, "mean_over": window.text, "mean": interval.value,
+        "steps": int(curves.steps[-1]), "metric": metric, "mean_over": curves.window.text, "mean": interval.value,
         "low": interval.low, "high": interval.high,
     }  # fmt: skip
 

@@ -16,6 +16,7 @@ from earl_jax.algos.learner import DEFAULT
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
+from earl_jax.options.registry import NOUNS
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals
@@ -176,7 +177,7 @@ class RunConfig:
         files = latest(self.imports).values()
         named = " and ".join(f"{record['file']} (sha256 {short_hash(record)})" for record in files)
         options = " ".join(f"--import {shlex.quote(record['file'])}" for record in files)
-        raise InputError(f"unknown {kind} {name!r}: this run was trained with {named}: pass {options}")
+        raise InputError(f"unknown {NOUNS.get(kind, kind)} {name!r}: this run was trained with {named}: pass {options}")
 
     def warn_of_changes(self, path: Path) -> None:
         """Warn if a file of this run, whose folder is `path`, was imported here with another text."""
@@ -269,7 +270,7 @@ def _require_registered(kind: str, name: str, class_name: str | None, class_of: 
         return
     cls = class_name.rpartition(":")[2].rpartition(".")[2]
     raise InputError(
-        f"this run was trained with {kind} {name!r} as an object of {class_name}, which is not registered here; "
+        f"this run was trained with {NOUNS[kind]} {name!r} as an object of {class_name}, which is not registered here; "
         f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
         f"earl_jax.resume(folder, {kind}=...)"
     )

@@ -169,7 +169,7 @@ def test_a_door_can_start_at_its_goal():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"env_name": "tabletop"}, "unknown env 'tabletop'"),
+        ({"env_name": "tabletop"}, "unknown task 'tabletop'"),
         ({"env_name": "sawyer_door", "horizon": 3}, "no option 'horizon'"),
         ({"env_name": "kitchen", "kitchen_task": "open_microwave"}, "kitchen_task 'open_microwave'"),
         ({"env_name": "tabletop_manipulation", "reset_train_env_at_goal": True}, "cannot start at its goal"),

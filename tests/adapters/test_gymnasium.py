@@ -204,7 +204,7 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         *[({"width": value}, "width must") for value in (None, 1.5, -5, 0, 100_000)],
         ({"height": "x"}, "height must be a whole number, not 'x'"),
         ({"setting": None}, "unknown setting None"),
-        ({"task": [1]}, r"unknown env \[1\]"),
+        ({"task": [1]}, r"unknown task \[1\]"),
         ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
         ({"render_mode": "human"}, "render_mode 'human'"),
         ({"starts": "wide"}, "starts='wide' is for episodes"),

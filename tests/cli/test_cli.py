@@ -112,8 +112,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "messages"),
     [
-        (["train", "cheetah"], ["earl-jax: unknown env 'cheetah'", "tabletop_organization"]),
-        ([*TRAIN, "--algo", "ppo"], ["unknown algo 'ppo'", "naive", "vaprl"]),
+        (["train", "cheetah"], ["earl-jax: unknown task 'cheetah'", "tabletop_organization"]),
+        ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
@@ -137,7 +137,7 @@ def test_invalid_input_exits_with_code_2_and_the_choices(arguments, messages, tm
 
 
 def test_a_traceback_of_invalid_input_can_be_requested():
-    with pytest.raises(InputError, match="unknown env 'nowhere'"):
+    with pytest.raises(InputError, match="unknown task 'nowhere'"):
         cli.main(["train", "nowhere", "--traceback"])
 
 

@@ -47,7 +47,7 @@ def test_a_run_is_read_without_its_classes(own):
     [row] = json.loads(outputs["table"][1])["rows"]
     assert (row["env"], row["algo"], row["seeds"]) == ("meadow", "patient", 2)
     assert json.loads(outputs["best"][1])["rows"][0]["metric"] == "deployed/success"
-    assert "No maps of meadow: unknown env" in (own / "x.html").read_text()
+    assert "No maps of meadow: unknown task" in (own / "x.html").read_text()
 
 
 @pytest.mark.parametrize(("returns", "metric"), [(3.0, "deployed/success"), (-1.0, "deployed/return")])
@@ -62,7 +62,7 @@ def test_a_command_that_needs_the_classes_names_the_file_and_never_runs_it(own, 
     edit_config(own / "run/config.json", imports=[{"file": "my file.py", "sha256": "0" * 64}])
     (own / "my file.py").write_text("raise SystemExit('ran')")
     message = "this run was trained with my file.py (sha256 00000000): pass --import 'my file.py'"
-    assert run(command[0], "run", *command[1:]) == (2, "", f"earl-jax: unknown env 'meadow': {message}\n")
+    assert run(command[0], "run", *command[1:]) == (2, "", f"earl-jax: unknown task 'meadow': {message}\n")
 
 
 def test_commands_know_the_classes_of_the_file(own):
@@ -91,7 +91,7 @@ def test_a_file_that_has_changed_since_training_is_named_and_recorded(own):
         ("nowhere.py", None, "nowhere.py can't be imported: there is no such file"),
         ("mine.toml", "", "mine.toml can't be imported: its name does not end in .py"),
         ("nothing.py", "x = 1", "nothing.py can't be imported: it registers nothing; call earl_jax.register_algo"),
-        ("taken.py", MINE.replace("patient", "naive"), "taken.py can't be imported: algo 'naive' exists already"),
+        ("taken.py", MINE.replace("patient", "naive"), "taken.py can't be imported: method 'naive' exists already"),
         ("json.py", "", "json.py has the name of another module"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 from earl_jax import training
 from earl_jax.cli import quickstart
 from earl_jax.options.presets import PRESETS
-from earl_jax.report.runs import read
+from earl_jax.training import load
 from tests.cli.process import run
 from tests.report.run_files import TABLETOP, write_page_run
 
@@ -22,7 +22,7 @@ def asked(monkeypatch):
         arguments.update(options, env=env, algo=algo)
         scores = np.arange(10, dtype=float)[None] * np.array([[0.1], [0.08]])
         write_page_run(out, algo, scores, env=env)
-        return read(out)
+        return load(out)
 
     monkeypatch.setattr(training, "train", train)
     return arguments

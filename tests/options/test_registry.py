@@ -63,17 +63,19 @@ def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(instal
     registry = install({"meadow": "theirs:Meadow"}, source)
     assert registry.names() == ["meadow", "sawyer_door"]
     assert registry.get("sawyer_door").name == "sawyer_door"
-    with pytest.raises(ValueError, match=f"env 'meadow'.*{message}"):
+    with pytest.raises(ValueError, match=f"task 'meadow'.*{message}"):
         registry.get("meadow")
 
 
 def test_an_unknown_name_says_what_it_may_mean_and_how_to_name_a_class_of_ones_own(install):
     with pytest.raises(
-        ValueError, match=r"^unknown env 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"
+        ValueError, match=r"^unknown task 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"
     ):
         install({"meadow": "theirs:Meadow"}).get("maze")
     for name, own in {**ORIGINAL_NAMES, "bulb": "dhand_lightbulb", "Door": "sawyer_door"}.items():
-        with pytest.raises(ValueError, match=f"^unknown env '{name}'; did you mean '{own}'\\? Choose from cheetah_run"):
+        with pytest.raises(
+            ValueError, match=f"^unknown task '{name}'; did you mean '{own}'\\? Choose from cheetah_run"
+        ):
             envs.make(name)
 
 

@@ -58,8 +58,8 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("oracle", "ppo", "unknown algo 'ppo'; choose from .*vaprl"),
-        ("tabletop_organization", "cheetah", "unknown env 'cheetah'; did you mean 'cheetah_run'"),
+        ("oracle", "ppo", "unknown method 'ppo'; choose from .*vaprl"),
+        ("tabletop_organization", "cheetah", "unknown task 'cheetah'; did you mean 'cheetah_run'"),
         (
             "batch_size",
             "bath_size",

@@ -111,10 +111,10 @@ def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare
     np.testing.assert_equal(loaded.metrics, trained[1].metrics)
     np.testing.assert_array_equal(loaded.policy(1)(jnp.full(12, 0.3)), trained[1].policy(1)(jnp.full(12, 0.3)))
     assert "task: meadow" in repr(loaded)
-    with pytest.raises(ValueError, match="unknown env 'meadow'"):
+    with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = loaded.env
     change_config(bare, setting={"name": "deployment", "budget": 5.0})
-    with pytest.raises(ValueError, match="unknown env 'meadow'"):
+    with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = earl_jax.load(bare.path).policies
 
 

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
@@ -47,7 +46,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "lines": lines,
         "summary": _summary(lines, versions),
         "rule": INTERVAL_RULE,
-        "difference_rule": RULE.format(window=DEFAULT.text).removesuffix(TEST_RULE),
+        "difference_rule": RULE.format(window=lines[0].curves.window.text).removesuffix(TEST_RULE),
         "cards": [_run_card(line, run) for line in lines for run in line.runs],
         "versions": {name: ", ".join(values) for name, values in versions.items()},
         "differing": [name for name, values in versions.items() if len(values) > 1],

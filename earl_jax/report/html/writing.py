@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError, install_line
+from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
@@ -29,18 +30,23 @@ LEAST_SECONDS = 1.0
 
 
 def write_page(
-    folders: Sequence[Path], out: Path, reload_seconds: float | None = None, policies: PolicyVideos | None = None
+    folders: Sequence[Path],
+    out: Path,
+    reload_seconds: float | None = None,
+    policies: PolicyVideos | None = None,
+    window: Window = DEFAULT,
 ) -> Path:
     """Write the page of the runs in and below `folders` to `out`, an .html file, and return the path.
 
     Runs that cannot be read are listed on the page with the cause, and named by a `RunWarning`. With `reload_seconds`, a
-    browser loads the page again as often. With `policies`, a video of a policy of each run is on the page.
+    browser loads the page again as often. With `policies`, a video of a policy of each run is on the page. `window` has the
+    evaluations that score a run.
 
     Raises:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
     """
     environment, plotly = _libraries(out)
-    runs, left_out = gather(folders, _check)
+    runs, left_out = gather(folders, _check, window)
     for cause in left_out.values():
         warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
     content = page_content(lines_of(runs), policies)
@@ -50,6 +56,7 @@ def write_page(
     }
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     command = ["earl-jax", "report", *map(str, folders), "--out", str(out), *(["--videos"] if policies else [])]
+    command += [f"--{name}={value}" for name, value in zip(("last", "window"), window, strict=True) if value]
     page = environment.get_template("report.html").render(
         content,
         left_out=left_out,
@@ -111,6 +118,7 @@ def watch_page(
     emit: Callable[[str], None],
     sleep: Callable[[float], None] = time.sleep,
     policies: PolicyVideos | None = None,
+    window: Window = DEFAULT,
 ) -> None:
     """Write the page of `folders` to `out` again whenever a run changes, looking `every` so many seconds, until Ctrl-C.
 
@@ -129,7 +137,7 @@ def watch_page(
             files = set(_files(folders))
             if files != seen:
                 try:
-                    write_page(folders, out, every, policies)
+                    write_page(folders, out, every, policies, window)
                     cause, written = "", True
                     emit(f"{out}: written at {_now()}; Ctrl-C ends")
                 except InputError as error:
@@ -140,7 +148,7 @@ def watch_page(
             sleep(every)
     except KeyboardInterrupt:
         if written:
-            write_page(folders, out, policies=policies)
+            write_page(folders, out, policies=policies, window=window)
             emit(f"{out} is of {_now()} and does not reload any more")
 
 
