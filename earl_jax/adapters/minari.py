@@ -13,12 +13,12 @@ from gymnasium.envs.registration import EnvSpec
 from earl_jax.adapters.gymnasium import env_id, register_envs
 from earl_jax.assets import Demos
 from earl_jax.envs import Env, env_class, list_envs, make
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, install_line
 
 try:
     minari: Any = importlib.import_module("minari")
 except ImportError as error:
-    raise InputError("a Minari dataset needs the extra minari: pip install 'minari[hdf5]' pillow") from error
+    raise InputError(f"a Minari dataset needs minari: {install_line('minari')}") from error
 
 
 def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:
