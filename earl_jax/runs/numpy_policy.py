@@ -58,7 +58,7 @@ class NumpyPolicy:
         Raises:
             ValueError: the file is not such a policy.
         """
-        with np.load(path) as stored:  # it refuses pickles
+        with np.load(path, allow_pickle=False) as stored:
             if "action_size" not in stored:
                 raise ValueError(f"{path} is no policy of NumpyPolicy.save: it has no action_size")
             count = sum(name.startswith("kernel") for name in stored)

@@ -108,9 +108,9 @@ def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal
     def stop(*_, **__):
         raise interrupt
 
-    monkeypatch.setattr("earl_jax.training.api.resume", stop)
+    monkeypatch.setattr("earl_jax.training.api.train", stop)
     with pytest.raises(SystemExit) as exit_info:
-        cli.main(["resume", "anywhere"])
+        cli.main(["train", "tabletop_organization"])
     assert exit_info.value.code == code
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -10,6 +10,7 @@ import pytest
 
 from earl_jax.cli.report import report
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.html import writing
 from earl_jax.report.html.writing import watch_page, write_page
 from earl_jax.runs.files import RunWarning
@@ -124,7 +125,7 @@ def pages(monkeypatch):
     """The numbers of runs and the reloading times of the pages that are written; a page is a text."""
     written = []
 
-    def write(folders, out, reload_seconds=None, policies=None):
+    def write(folders, out, reload_seconds=None, policies=None, window=DEFAULT):
         written.append((len(writing.gather(folders)[0]), reload_seconds))
         out.write_text("page")
 
