@@ -122,3 +122,20 @@ def test_the_method_of_the_readme_trains_one_controller(problem, registries):
     state = advance(problem, method, start, CHUNK)
     assert_all_finite(state.lanes.agent)
     assert (np.asarray(state.replay.counts) - np.asarray(start.replay.counts)).tolist() == [[CHUNK, 0]] * 2
+
+
+TRAINS = re.compile(r"\btrain\(|lifetime\)\(|earl-jax (?:train|sweep|search|reproduce)\b")
+OF_DEVELOPERS = {"history.md"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_trains_says_how_long_it_takes_on_two_cores_and_on_an_h200(page):
+    """A page names both machines beside its first block that trains."""
+    text = page.read_text()
+    blocks = re.finditer(r"```(?:python|sh)\n(.*?)```", text, flags=re.DOTALL)
+    first = next((block for block in blocks if TRAINS.search(block[1])), None)
+    if first is None or page.name in OF_DEVELOPERS:
+        return
+    beside = text[max(0, first.start() - 700) : first.end() + 500]
+    assert "two cores" in " ".join(beside.split())
+    assert "H200" in beside
