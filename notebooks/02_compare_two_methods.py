@@ -38,7 +38,7 @@ from earl_jax.options.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
 from earl_jax.report.style import colours, step_axis
-from earl_jax.report.tables import markdown, tabulate
+from earl_jax.report.tables import run_table, tabulate
 
 # %matplotlib inline
 
@@ -86,7 +86,7 @@ columns. They only show where published values appear.
 """
 
 # %%
-Markdown(markdown(tabulate(folders)))
+Markdown(run_table(tabulate(folders)).text())
 
 # %% [markdown]
 """
