@@ -57,7 +57,7 @@ def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
         cells |= {
             SIZE: f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}",
             MEAN: f"{texts['mean']} ({texts['stderr']})",
-            INTERVAL: f"[{texts['low']}, {texts['high']}]",
+            INTERVAL: f"[{texts['low']}, {texts['high']}]".replace("[–, –]", "–"),
         }
     return line, row["label"], [cells.get(name, "") for name in HEAD]
 
