@@ -19,6 +19,7 @@ def render(
     fps: float | None = None,
     camera: str | None = None,
     policy: str | None = None,
+    life: bool = False,
 ) -> None:
     """Render a trained policy, a scripted expert, the demonstrations or random actions, as a video or a picture.
 
@@ -33,11 +34,12 @@ def render(
         fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.
         camera: Camera of the task. By default the task's own. An unknown name lists the valid ones.
         policy: Method whose trained policy acts in a task, of those that ship. An unknown name lists them. By default none.
+        life: Show one life without resets, whose goals are a task goal and an initial state in turn.
     """
     from earl_jax.rendering import api
 
     with replacing(api.output_path(source, out)):
-        path = api.render(source, out, acting, seed, steps, size, fps, camera, policy=policy, progress=True)
+        path = api.render(source, out, acting, seed, steps, size, fps, camera, policy=policy, life=life, progress=True)
     print(path)
 
 

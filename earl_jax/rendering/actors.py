@@ -4,7 +4,7 @@ import contextlib
 import operator
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -139,8 +139,11 @@ def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
     return start
 
 
-def episodes(actor: Actor) -> Iterator[Episode]:
-    """Yield episodes of `actor` without end; each stops `SECONDS_AFTER_GOAL` after it reaches its goal."""
+def episodes(actor: Actor, life: bool = False) -> Iterator[Episode]:
+    """Yield episodes of `actor` without end; each stops `SECONDS_AFTER_GOAL` after it reaches its goal.
+
+    In a `life` each episode goes on from the last state of the one before, and every second goal is an initial state.
+    """
     env = actor.env
 
     @jax.jit
@@ -152,9 +155,19 @@ def episodes(actor: Actor) -> Iterator[Episode]:
         states = jax.lax.scan(step, first, planned)[1]
         return jax.tree.map(lambda start, rest: jnp.concatenate([jnp.asarray(start)[None], rest]), first, states)
 
+    episode = None
     for number in range(2**31):
-        states = jax.device_get(rollout(*actor.start(number)))
+        first, planned = actor.start(number)
+        if life and episode:
+            first = env.with_goal(episode.at(-1), _life_goal(env, first, number))
+        states = jax.device_get(rollout(first, planned))
         successes = np.flatnonzero(states.metrics["success"][1:])
         last = int(successes[0]) + 1 if len(successes) else len(states.reward) - 1
         kept = operator.itemgetter(slice(last + round(SECONDS_AFTER_GOAL / view_of(env).dt) + 1))
-        yield Episode(states=jax.tree.map(kept, states), last=last, reached=len(successes) > 0)
+        episode = Episode(states=jax.tree.map(kept, states), last=last, reached=len(successes) > 0)
+        yield episode
+
+
+def _life_goal(env: Env, first: State, number: int) -> Any:
+    """Return the goal [g] of episode `number` of a life: that of its `first` state, or on the way back an initial state."""
+    return env.initial_states[number // 2 % len(env.initial_states)] if number % 2 else first.info["goal"]

@@ -37,6 +37,7 @@ def render(
     camera: str | None = None,
     progress: bool = False,
     policy: str | None = None,
+    life: bool = False,
 ) -> Path:
     """Draw episodes of `source`, each from s0 with a goal of its own, in real time, and return the path of the file.
 
@@ -52,14 +53,19 @@ def render(
         camera: one of the task's cameras.
         progress: whether to show a progress bar.
         policy: for a task, the method whose trained policy acts, one of `earl_jax.list_pretrained()[source]`.
+        life: whether a film shows one life without resets. Its goals are a task goal and an initial state in turn, each until
+            it is reached or an episode's steps are over.
 
     Raises:
         ValueError: the source, suffix, acting, policy or camera is unknown, the source has no such acting or camera, a
-            number is not positive, a video's height or width is odd, or a library is missing.
+            number is not positive, a video's height or width is odd, a library is missing, or a life is asked for of
+            demonstrations or on a sheet.
     """
     path = output_path(source, out)
     size = size or SIZES[path.suffix]
     _check_numbers(path, size, steps=steps, fps=fps)
+    if life and path.suffix == ".png":
+        raise InputError("a life is a film, not a sheet: choose .mp4, .gif or .webp")
     library("mediapy" if path.suffix == ".mp4" else "PIL")  # a missing library is reported before the simulation
     if str(source) == ALL:
         if policy is not None:
@@ -67,11 +73,13 @@ def render(
         actors = [actor_of(name, acting, seed) for name in PAPER_TASKS]
         return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
     actor = actor_of(source, acting, seed, policy)
+    if life and actor.acting == "demos":
+        raise InputError("demonstrations begin where they were recorded, so they are not a life: choose another acting")
     if path.suffix == ".png":
         return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
     seconds = view_of(actor.env).dt
     stride = max(1, round(1 / ((fps or RATES[path.suffix]) * seconds)))
-    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride))
+    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride, life))
     with Scene(actor.env, size, camera) as scene:
         images = map(scene.image, _tracked(states, len(states), progress))
         return write_film(path, images, 1 / (stride * seconds), size)

@@ -17,9 +17,9 @@ PORTRAIT_SHARE = 0.75
 """Share of an episode after which a sheet of several tasks shows it."""
 
 
-def frames(actor: Actor, steps: int, stride: int) -> Iterator[State]:
-    """Yield every `stride`-th state of episodes that have `steps` steps together."""
-    for episode in episodes(actor):
+def frames(actor: Actor, steps: int, stride: int, life: bool) -> Iterator[State]:
+    """Yield every `stride`-th state of episodes that have `steps` steps together, of one `life` or each from a reset."""
+    for episode in episodes(actor, life):
         length = len(episode.states.reward)
         yield from (episode.at(number) for number in range(0, min(length, steps + 1), stride))
         steps -= length - 1

@@ -81,6 +81,8 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
         ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
         ({"policy": "fbrl", "source": "all", "out": "x.png"}, "a policy belongs to one task"),
+        ({"life": True, "out": "x.png"}, "a life is a film, not a sheet"),
+        ({"life": True, "acting": "demos"}, "demonstrations begin where they were recorded"),
         ({"steps": 0}, "steps must be above 0"),
         ({"fps": -1.0}, "fps must be above 0"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
@@ -108,6 +110,18 @@ def test_a_trained_policy_that_ships_reaches_goals_within_its_episodes():
     actor = actor_of(TASK, method="vaprl")
     assert actor.acting == "policy"
     assert next(episodes(actor)).reached
+
+
+def test_a_life_goes_on_from_its_last_state_and_back_to_an_initial_state():
+    actor = actor_of(TASK)
+    life = episodes(actor, life=True)
+    there, back, again = (next(life) for _ in range(3))
+    goals = [episode.at(0).info["goal"] for episode in (there, back, again)]
+    assert np.array_equal(goals[1], actor.env.initial_states[0])
+    assert all((goal == actor.env.goal_states).all(axis=1).any() for goal in (goals[0], goals[2]))
+    for before, after in ((there, back), (back, again)):
+        assert np.array_equal(before.at(-1).data.qpos, after.at(0).data.qpos)
+    assert back.reached
 
 
 @pytest.mark.slow
