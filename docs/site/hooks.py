@@ -47,7 +47,7 @@ def on_files(files: Any, config: Any) -> Any:
 def outside_files(folder: Path) -> list[str]:
     """Return the pages and pictures of benchmarks/ that the pages of `folder` and `OUTSIDE` link to, as repository paths."""
     targets = set()
-    for page in [*folder.glob("*.md"), *(ROOT / source for source in OUTSIDE)]:
+    for page in [*folder.rglob("*.md"), *(ROOT / source for source in OUTSIDE)]:
         base = page.parent.relative_to(ROOT).as_posix()
         for _, target in LINK.findall(page.read_text()):
             source = posixpath.normpath(posixpath.join(base, target.partition("#")[0]))
