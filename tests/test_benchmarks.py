@@ -235,9 +235,9 @@ def test_the_cost_of_a_method_is_its_rate_beside_naives_in_the_same_round(tmp_pa
     file.write_text(file.read_text().replace(device, "cpu"))
     table = method_cost.tables(tmp_path)
     assert "3 lanes, `precision=bf16`, 3 rounds:" in table
-    assert "| `rlpd`, `utd=20` | 0.1 | 0.075 to 0.15 |" in table
+    assert "| `rlpd`, `utd=20` | 0.1 |" in table
     file.write_text(file.read_text().replace("cpu", "NVIDIA H200"))
-    assert "| `rlpd`, `utd=20` | 100 | 100 to 450 | 0.1 | 0.075 to 0.15 |" in method_cost.tables(tmp_path)
+    assert "| `rlpd`, `utd=20` | 100 | 0.1 |" in method_cost.tables(tmp_path)
 
 
 def test_the_cost_of_every_method_is_measured():

@@ -39,8 +39,8 @@ def table_rows(text, first):
 
 
 @pytest.mark.parametrize("cls", [algos.Learner, algos.SAC, algos.TD3, *map(algos.algo_class, own_algos())])
-def test_the_page_of_algorithms_has_every_hyper_parameter(cls):
-    page = (DOCS / "algorithms.md").read_text()
+def test_the_page_of_methods_has_every_hyper_parameter(cls):
+    page = (DOCS / "methods.md").read_text()
     shared = {"learner"} | (
         set() if cls is algos.Learner else {field.name for field in dataclasses.fields(algos.Learner)}
     )
@@ -71,7 +71,7 @@ def test_the_page_of_environments_has_the_numbers_of_every_task():
 
 CODE = {
     name: re.findall(r"```python\n(.*?)```", (DOCS / f"{name}.md").read_text(), flags=re.DOTALL)
-    for name in ("environment_api", "getting_started", "formalism", "irreversible", "python_api")
+    for name in ("environment_api", "getting_started", "formalism", "python_api")
 }
 
 

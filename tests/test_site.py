@@ -27,7 +27,7 @@ WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
         ("python_api.md", "../notebooks/02_compare_two_methods.py", "notebooks/02_compare_two_methods.md"),
         ("notebooks/01_x.md", "02_y.py", "02_y.md"),
         ("notebooks/01_x.md", "01_x_1.png", "01_x_1.png"),
-        ("notebooks/01_x.md", "../docs/physics.md#pure-mjx", "../physics.md#pure-mjx"),
+        ("notebooks/01_x.md", "../docs/fidelity.md#pure-mjx", "../fidelity.md#pure-mjx"),
         ("reference/index.md", "../python_api.md", "../python_api.md"),
         ("results.md", "../benchmarks/results/dense/curves.png", "benchmarks/results/dense/curves.png"),
         ("faq.md", "../Makefile", f"{REPOSITORY}/blob/main/Makefile"),

@@ -1,10 +1,11 @@
 """CFBRL against the goals set for it, its options, and the life of each lane: `python -m benchmarks.paper.cfbrl`.
 
 Reads the runs of results/leaderboard (the long ones), results/cfbrl (options at equal steps) and results/cfbrl_learning
-(trials of learning on the peg), and writes the tables of examples/cfbrl/README.md and the picture results/cfbrl/curves.png.
+(trials of learning on the peg), and writes all tables into results/cfbrl/tables.md, that of the goals into
+examples/cfbrl/README.md too, and the picture results/cfbrl/curves.png.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.output import RESULTS, ROOT, with_tables, write_files
-from earl_jax.metrics.comparison import band, holm, mean_interval, permutation
+from earl_jax.metrics.comparison import LEVEL, Sample, band, detectable_difference, holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
@@ -29,6 +30,12 @@ RUNS = {
     "sawyer_door": ("cfbrl", "cfbrl-own_goals"),
     "sawyer_peg": ("cfbrl-around", "cfbrl-learning", "cfbrl-cloned"),
 }
+SHOWN = {
+    "tabletop_organization": ("cfbrl-averaged",),
+    "sawyer_door": ("cfbrl-own_goals",),
+    "sawyer_peg": ("cfbrl-around",),
+}
+"""The run of each task beside its goals in the page."""
 LANES = ("cfbrl-around", "cfbrl-cloned")
 """Runs of the peg without learning, of equal length."""
 LEARNERS = {
@@ -56,6 +63,13 @@ LIVES = 0.5
 """Share of the attempts since a reset from which a lane counts as having lived through that time."""
 
 
+ABOUT = """`python -m benchmarks.paper.cfbrl` writes this page for [CFBRL](../../../examples/cfbrl/README.md). Runs are those of
+[leaderboard](../leaderboard/README.md), this folder and [cfbrl_learning](../cfbrl_learning/README.md), means with 95 %
+intervals over seeds. p is that of the permutation test against the first run or the reference, not adjusted but where the
+text says so. `peg_lives.csv` has twelve lives of 20,000 steps of the shipped policy, by `benchmarks/peg_lives.py` of commit
+4142734."""
+
+
 class Goal(NamedTuple):
     """A goal: `metric` of the task reaches `level` before step `before`, or is there over the last `window` steps."""
 
@@ -78,10 +92,10 @@ GOALS = (
 )
 
 
-def goals_text() -> str:
-    """Return the table of the goals with what was measured."""
+def goals_text(runs: Mapping[str, Sequence[str]]) -> str:
+    """Return the table of the goals with what was measured in the `runs` of each task."""
     header = ("task", "run", "measure", "goal", "measured", "met")
-    return markdown_table(header, [_goal_line(goal, name) for goal in GOALS for name in RUNS[goal.env]])
+    return markdown_table(header, [_goal_line(goal, name) for goal in GOALS for name in runs[goal.env]])
 
 
 def _goal_line(goal: Goal, name: str) -> list[str]:
@@ -115,17 +129,26 @@ def window_scores(curves: Curves, metric: str, window: int, end: int | None = No
 
 
 def options_text() -> str:
-    """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p."""
-    rows, values = [], []
+    """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p.
+
+    A family has the measures of an option on a task.
+    """
+    rows, values = [], {}
     for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
         base = _option_scores(OPTIONS / env / "default")
         rows.append(_option_line(env, "default", base))
         for folder in sorted(path for path in (OPTIONS / env).iterdir() if path.name != "default"):
             scores = _option_scores(folder)
             rows.append(_option_line(env, folder.name, scores))
-            values += [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
+            tests = [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
+            values[env, folder.name] = float(np.nanmin(holm(tests)))
     header = ("task", "options", *MEASURES.values())
-    smallest = f"The smallest of the {len(values)} adjusted p against the default is {min(holm(values)):.2g}."
+    clear = [f"{name} on {env} ({p:.2g})" for (env, name), p in values.items() if p < LEVEL]
+    smallest = (
+        "Against the default, with the permutation test and p adjusted by Holm over the measures of an option on a task, the "
+        f"seeds tell {' and '.join(clear) or 'no option'} apart; the smallest of the {len(values)} adjusted p is "
+        f"{min(values.values()):.2g}."
+    )
     return f"{markdown_table(header, rows)}\n\n{smallest}"
 
 
@@ -150,7 +173,11 @@ def learners_text(env: str) -> str:
     end = min(int(run.steps[-1]) for run in runs.values())
     metrics = (FORWARD, BACK, WIDE, RECENT, REACHED)
     table = _trials_table(runs, metrics, metrics, next(iter(runs)), CROSSING_WINDOW, end)
-    return f"{table}\n\nUp to step {end:,}."
+    samples = [
+        [Sample.of(window_scores(run, metric, CROSSING_WINDOW, end)) for metric in metrics] for run in runs.values()
+    ]
+    found = [f"{TITLES[m]} {detectable_difference(*pair):.3f}" for m, *pair in zip(metrics, *samples[:2], strict=True)]
+    return f"{table}\n\nUp to step {end:,}. Between the first two, a difference would be found of: {', '.join(found)}."
 
 
 def _trials_table(
@@ -237,17 +264,23 @@ def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style:
 
 
 def files() -> dict[Path, str]:
-    """Return the page of the example with its tables."""
+    """Return the page of all tables, and that of the example with the table of the goals."""
     tables = {
-        "goals": goals_text(),
-        "lanes": lanes_text(),
-        "learning": learning_text(),
-        "dense": dense_text(),
-        **{f"learners of {env}": learners_text(env) for env in LEARNERS},
-        "options": options_text(),
+        "The goals set before the runs": goals_text(RUNS),
+        "Forward success on the peg in each span between hard resets": lanes_text(),
+        "Learning on the peg, and cloning alone": learners_text("sawyer_peg"),
+        "Learning on the door, and cloning alone": learners_text("sawyer_door"),
+        "Trials of learning on the peg, with cloned goals of other demonstrations and of the own one": learning_text(),
+        "Options without corrections, the last 200,000 steps": options_text(),
+        "Dense tasks": dense_text(),
     }
+    about = f"# All tables of CFBRL\n\n{ABOUT}"
     page = ROOT / "examples" / "cfbrl" / "README.md"
-    return {page: with_tables(page.read_text(), tables)}
+    return {
+        OPTIONS / "tables.md": "\n\n".join([about, *(f"## {title}\n\n{table}" for title, table in tables.items())])
+        + "\n",
+        page: with_tables(page.read_text(), {"goals": goals_text(SHOWN)}),
+    }
 
 
 if __name__ == "__main__":

@@ -1,19 +1,17 @@
 """TD3 beside SAC as the learner of oracle RL on tabletop: `python -m benchmarks.paper.learners`.
 
-Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/algorithms.md. A row is the
+Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/methods.md. A row is the
 score of a run, with its interval over seeds and the permutation test.
 """
 
 from pathlib import Path
 
 from benchmarks.output import DOCS, RESULTS, with_tables, write_files
-from benchmarks.paper.cells import commit_of
 from earl_jax.metrics.comparison import permutation
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.tables import interval_text, markdown_table, millions
-from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "learners"
 NAMES = ("sac", "td3")
@@ -31,16 +29,13 @@ def table() -> str:
             if name != "sac"
             else ["-", "-"]
         )
-        commit = short_commit(commit_of(RUNS / name))
-        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*interval_of(run, own)), *others, commit])
-    return markdown_table(
-        ("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p", "commit"), lines
-    )
+        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*interval_of(run, own)), *others])
+    return markdown_table(("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p"), lines)
 
 
 def files() -> dict[Path, str]:
-    """Return the page of algorithms with the table."""
-    page = DOCS / "algorithms.md"
+    """Return the page of methods with the table."""
+    page = DOCS / "methods.md"
     return {page: with_tables(page.read_text(), {"td3": table()})}
 
 

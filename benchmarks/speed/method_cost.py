@@ -4,7 +4,7 @@ The programs of all methods, of `--chunk` training steps, are compiled first, `-
 timing starts when that file exists, so that other work can use the device until then. In each round every method runs for about
 `--seconds`, and a ratio is to naive's rate in the same round; the first round does not count. Evaluations and the cloning
 before the first step are not timed. Writes results/method_cost/NAME.{csv,json} after each round (NAME is the device unless
-`--name` gives one), and at the end the tables of docs/algorithms.md from all of these files; with `--table` only the tables.
+`--name` gives one), and at the end the tables of docs/methods.md from all of these files; with `--table` only the tables.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ METHODS = (
     "naive", "oracle", "fbrl", "fbrl controllers=1", "r3l", "vaprl", "bc", "risc", "medal", "rlpd", "rlpd utd=20", "cfbrl",
 )  # fmt: skip
 """Methods, each with options as `--set` takes them; the others are compared with the first."""
-HEADER = ("method", "steps/s", "quartiles", "ratio to the first", "quartiles")
+HEADER = ("method", "steps/s", "ratio to the first")
 Row = dict[str, Any]
 
 
@@ -151,30 +151,26 @@ def cost_rows(rates: dict[str, list[float]]) -> list[Row]:
 
 
 def tables(root: Path = ROOT) -> str:
-    """Return a markdown table with its heading for each csv file in `root`."""
+    """Return a markdown table of medians with its heading for each csv file in `root`."""
     return "\n\n".join(map(_table, sorted(root.glob("*.csv")))) or "No device has been measured in this way yet."
 
 
 def _table(path: Path) -> str:
     rows = read_csv(path)
     heading = "{device} with {cores} cores, {env}, {lanes} lanes, `{set}`, {rounds} rounds:".format(**rows[0])
-    shown = [0, 3, 4] if rows[0]["device"] == "cpu" else range(len(HEADER))  # of a CPU only ratios
+    shown = (0, 2) if rows[0]["device"] == "cpu" else range(len(HEADER))  # of a CPU only ratios
     lines = [[cells[column] for column in shown] for cells in (HEADER, *map(_line, rows))]
     return f"{heading}\n\n{markdown_table(lines[0], lines[1:])}"
 
 
 def _line(row: dict[str, str]) -> list[str]:
     name = f"`{row['method']}`" + f", `{row['options']}`" * bool(row["options"])
-    rates, ratios = ([float(row[column + end]) for end in ("", "_low", "_high")] for column in ("steps_per_s", "ratio"))
-    return [
-        name, f"{rates[0]:,.0f}", f"{rates[1]:,.0f} to {rates[2]:,.0f}",
-        f"{ratios[0]:.3g}", f"{ratios[1]:.3g} to {ratios[2]:.3g}",
-    ]  # fmt: skip
+    return [name, f"{float(row['steps_per_s']):,.0f}", f"{float(row['ratio']):.3g}"]
 
 
 def files() -> dict[Path, str]:
-    """Return docs/algorithms.md with the tables of the kept files."""
-    page = DOCS / "algorithms.md"
+    """Return docs/methods.md with the tables of the kept files."""
+    page = DOCS / "methods.md"
     return {page: with_tables(page.read_text(), {"method cost": tables()})}
 
 

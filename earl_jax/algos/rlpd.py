@@ -20,7 +20,7 @@ class RLPD(Naive):
     released code, with the choices for sparse rewards (no entropy in the target). The paper is about episodes with
     resets; phases and goals are those of `Naive`. It is a preset: every value is an option of `SAC`, which all methods
     take. Deliberate differences: `utd` is 1 instead of 20, because its updates are sequential and dear
-    (docs/algorithms.md has the measured cost); a row is from the demonstrations with probability 1/2, where the release
+    (docs/methods.md has the measured cost); a row is from the demonstrations with probability 1/2, where the release
     takes exactly half; layers are normalised after the ReLU instead of before; two hidden layers as in EARL, where the
     release has three for its sparse tasks (`hidden_sizes`); the random steps are EARL's.
     """

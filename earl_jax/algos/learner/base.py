@@ -47,8 +47,8 @@ class Learner(struct.PyTreeNode, abc.ABC):
     discount: float = struct.field(default=0.99, metadata=within("[0, 1)"))
     """gamma (paper)."""
     reward_scale: float = struct.field(default=10.0, metadata=within("(0, 1000000]"))
-    """Factor on the reward inside the learner only. The paper gives 1. The released configurations of sparse tasks give
-    10, which reproduces the published curves (docs/results.md). Training by name uses `Env.reward_scale` instead."""
+    """Factor on the reward inside the learner only. The paper gives 1, the released configurations of sparse tasks 10;
+    docs/results.md compares both. Training by name uses `Env.reward_scale` instead."""
     timeout_bootstrap: bool = False
     """Whether to bootstrap through the end of a phase that timed out; not in EARL, where every phase end is
     terminal."""

@@ -32,7 +32,7 @@ FAR = {"closed": 1.75, "floating": 100.0}
 """Distance in metres from the middle beyond which the simulation broke, for each kind of walls."""
 HIGH = 2.0
 ON_ITS_BACK = -0.5
-"""Cosine between the body's up axis and the vertical below which no robot ever recovered: docs/irreversible.md."""
+"""Cosine between the body's up axis and the vertical below which no robot ever recovered: docs/formalism.md."""
 WALL = 1.5
 """Metres from the middle to the walls."""
 

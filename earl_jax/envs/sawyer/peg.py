@@ -26,7 +26,7 @@ SCATTER = 0.02
 RADIUS = 0.05
 NEAREST, WIDEST = 0.335, 0.64
 """Metres: if the middle of the peg has a smaller y or a larger |x|, a hand inside its range cannot touch it or can only
-push it further away: docs/irreversible.md."""
+push it further away: docs/formalism.md."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [

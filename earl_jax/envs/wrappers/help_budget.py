@@ -1,6 +1,6 @@
 """Irreversible states: a task with a budget of interventions, an action that requests help, and an end without budget.
 
-Source: Sharma et al. 2022, appendix on irreversible states. docs/irreversible.md has the equations.
+Source: Sharma et al. 2022, appendix A.2 (irreversible states). docs/formalism.md has the equations.
 """
 
 import dataclasses

@@ -16,7 +16,7 @@ HALF_WIDTH = 0.1
 BEHIND, PEG_BESIDE, HAND_BESIDE = -0.17, 0.125, 0.16
 """Metres: neither a peg's head nor a hand touches the block from a larger x or a larger |y - 0.6| on."""
 FREE_LOW, FREE_HIGH = np.array([-0.45, 0.36], np.float32), np.array([0.35, 0.87], np.float32)
-"""x, y [m] of the heads to which the peg is moved: where the hand can lift most of them (docs/measurements_once.md)."""
+"""x, y [m] of the heads to which the peg is moved: the hand can lift most (benchmarks/results/cloning/peg_reach.csv)."""
 HAND_FREE_LOW, HAND_FREE_HIGH = np.array([-0.45, 0.4], np.float32), np.array([0.48, 0.88], np.float32)
 """x, y [m] of the hand at which neither the end of its range nor that of the arm's reach slows it."""
 INSIDE, DEEPER, HOLE_RADIUS, HOLE_LOW = -0.2, 0.06, 0.05, 0.07
