@@ -3,6 +3,7 @@
 A measured number has a decimal point, a thousands comma or a percent sign, and stands outside code. Its sources are files below
 benchmarks/results that its paragraph (or list, or table) or the first paragraph of its section links to, and the paths in a
 comment behind either: `<!-- from benchmarks/results/X.csv tests/test_y.py -->`. Patterns such as `results/*.csv` are allowed.
+Tables between marks are left out: tests/test_benchmark_pages.py compares them with the runs.
 """
 
 import functools
@@ -10,6 +11,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,7 +21,7 @@ UNCHECKED = {
     "README", "docs/README", "docs/adapters", "docs/algorithms", "docs/command_line", "docs/coverage", "docs/custom_loops",
     "docs/environment_api", "docs/environments", "docs/extending", "docs/faq", "docs/formalism", "docs/gallery",
     "docs/getting_started", "docs/history", "docs/installation", "docs/irreversible", "docs/leaderboard", "docs/sweeps",
-    "docs/measurements_once", "docs/performance", "docs/physics", "docs/python_api", "docs/rendering", "docs/report",
+    "docs/measurements_once", "docs/physics", "docs/python_api", "docs/rendering", "docs/report",
     "docs/results", "examples/cfbrl/README",
 }  # fmt: skip
 """Pages that have no sources yet. To be emptied."""
@@ -36,6 +38,7 @@ NO_CLAIM = re.compile(
     r"|\b(?:Python|jax|JAX|CUDA|MuJoCo|mujoco|brax|SBX|rejax|gymnasium) \d[\d.]*\d(?: (?:to|or|and) \d\.\d+)?|p under 0\.05",
 )
 FENCE = re.compile(r"^( *)```.*?^\1```.*?$", re.DOTALL | re.MULTILINE)
+WRITTEN = re.compile(r"<!-- (\w+) -->\n.*?<!-- end of \1 -->", re.DOTALL)
 
 
 @functools.cache
@@ -65,28 +68,30 @@ def occurs(match: re.Match[str], sources: set[Path]) -> bool:
     return False
 
 
-def paragraphs(text: str) -> Iterator[tuple[int, int, str, str]]:
+def paragraphs(text: str) -> Iterator[Any]:
     """Yield line, level of a heading just above (0 without one), text, and named sources of every paragraph."""
-    text = FENCE.sub(lambda match: re.sub(r"[^\n]+", "```", match[0]), text)
-    level, waiting = 1, None
+    for left_out in (WRITTEN, FENCE):
+        text = left_out.sub(lambda match: re.sub(r"[^\n]+", "<!-- -->", match[0]), text)
+    level, waiting = 1, ()
     for match in re.finditer(r"(?:[^\n]*\S[^\n]*\n?)+", text):
         for heading in re.findall(r"^(#+) ", match[0], flags=re.MULTILINE):
             level = len(heading)
-        prose = re.sub(r"^#+ .*$|^ *```$", "", COMMENT.sub("", match[0]), flags=re.MULTILINE)
+        prose = re.sub(r"^#+ .*$", "", COMMENT.sub("", match[0]), flags=re.MULTILINE)
         names = " ".join(FROM.findall(match[0]))
         if prose.strip():
             if waiting:
                 yield waiting
             waiting, level = (text.count("\n", 0, match.start()) + 1, level, prose, names), 0
         elif waiting:
-            waiting = (*waiting[:3], f"{waiting[3]} {names}")
+            waiting = *waiting[:3], f"{waiting[3]} {names}"
     if waiting:
         yield waiting
 
 
 def faults(page: Path) -> list[str]:
     """Return the numbers of a page that no named source has, and the sources that do not exist."""
-    wrong, above = [], {}
+    wrong: list[str] = []
+    above: dict[int, set[Path]] = {}
     for line, level, prose, names in paragraphs(page.read_text()):
         links = {(page.parent / link.partition("#")[0]).resolve() for link in re.findall(r"\]\(([^)\s]+)\)", prose)}
         files = {link for link in links if link.is_relative_to(ROOT / "benchmarks/results") and link.is_file()}
@@ -110,6 +115,12 @@ CHECKED = {name: page for page in PAGES if (name := page.relative_to(ROOT).with_
 @pytest.mark.parametrize("name", [name for name, page in CHECKED.items() if page.suffix == ".md"])
 def test_every_measured_number_is_in_a_named_source(name):
     assert faults(CHECKED[name]) == []
+
+
+def test_every_marked_table_has_a_module_that_writes_it():
+    modules = "".join(path.read_text() for path in (ROOT / "benchmarks").rglob("*.py"))
+    marks = {name for page in PAGES for name in WRITTEN.findall(page.read_text())}
+    assert {name for name in marks if f'"{name}"' not in modules} == set()
 
 
 SOURCE = "benchmarks/results/paper/cells.csv"  # naive RL on tabletop: a mean of 0.7128 after 2,500,000 steps, p 0.0183
