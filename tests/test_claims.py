@@ -28,7 +28,7 @@ UNCHECKED = {
 READ = {".csv", ".json", ".jsonl", ".md", ".py", ".xml", ".toml"}
 UNITS = {"%": 0.01, "M": 1e6, "k": 1e3, "mm": 1e-3, "cm": 1e-2, "ms": 1e-3, "GB": 1e9, "MB": 1e6, "kB": 1e3}
 NUMBER = re.compile(
-    r"(?P<below><\s?)?(?<![A-Za-z\d.])(?P<whole>\d{1,3}(?:,\d{3})+(?!\d)|\d+)(?P<part>\.\d+)?(?:e(?P<power>[-+]?\d+))?"
+    r"(?P<below><\s?)?(?<![A-Za-z\d.])(?P<whole>\d{1,3}(?:,\d{3})+(?!\d)|\d+)(?P<part>\.\d+)?(?:e(?P<power>[-+]?\d{1,2})(?!\d))?"
     r"(?:\s?(?P<unit>%|(?:M|k|mm|cm|ms|GB|MB|kB)\b))?"
 )
 COMMENT, FROM = re.compile(r"<!--.*?-->", re.DOTALL), re.compile(r"<!--\s+from\s+(.*?)-->", re.DOTALL)
