@@ -135,7 +135,7 @@ def test_the_page_names_what_exists_and_counts_right():
 
 
 def test_every_part_of_the_page_has_items_and_its_links_are_checked():
-    parts = re.split(r"^##+ ", PAGE.read_text(), flags=re.MULTILINE)[1:]
+    parts = re.split(r"^### ", PAGE.read_text(), flags=re.MULTILINE)[1:]
     assert [part.splitlines()[0] for part in parts if not items_of(part)] == []
     assert PAGE in PAGES
 
