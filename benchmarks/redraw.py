@@ -11,13 +11,13 @@ import argparse
 from pathlib import Path
 
 from benchmarks.output import RESULTS, read_csv, write_files
-from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, uniform_starts
+from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, lives, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.paper import figure5
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
-PAGES = (cells, differences, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
+PAGES = (cells, differences, lives, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
 """The modules that write tables into pages."""
 
 

@@ -1,5 +1,6 @@
 """The tables of the pages follow from the kept runs, and say what was not run."""
 
+import itertools
 import json
 import shutil
 
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks import redraw
-from benchmarks.output import with_tables
+from benchmarks.output import RESULTS, read_csv, with_tables
 from benchmarks.paper import cells, differences, uniform_starts
+from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
 from tests.report.run_files import DOOR, constant, rising, write_run
 
@@ -48,6 +50,19 @@ def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_say
     assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
     [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]
     assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")
+
+
+def test_the_quickstart_expects_what_pairs_of_the_kept_seeds_score():
+    rows = read_csv(RESULTS / "quickstart" / "five_seeds.csv")
+    curves = np.array(
+        [[float(row["deployed/success"]) for row in rows if row["seed"] == str(seed)] for seed in range(5)]
+    )
+    steps = [int(row["step"]) for row in rows if row["seed"] == "0"]
+    scores = np.stack([curves[:, end - 6 : end + 1].mean(axis=1) for end, step in enumerate(steps) if step >= 160_000])
+    pairs = [scores[:, list(pair)].mean(axis=1) for pair in itertools.combinations(range(5), 2)]
+    assert scores[-1].round(2).tolist() == [0.64, 0.77, 0.71, 0.68, 0.64]
+    assert (np.min(pairs).round(2), np.max(pairs).round(2)) == (0.53, 0.76)
+    assert (np.floor(10 * np.min(pairs)) / 10, np.ceil(10 * np.max(pairs)) / 10) == tuple(map(float, quickstart.RANGE))
 
 
 @pytest.fixture

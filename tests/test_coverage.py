@@ -1,4 +1,4 @@
-"""docs/coverage.md names objects, files and options that exist, and the paper's numbers are those of the code.
+"""docs/developers/coverage.md names objects, files and options that exist, and the paper's numbers are those of the code.
 
 The links of the page are checked with those of all pages, in tests/test_docs.py.
 """
@@ -18,19 +18,23 @@ from earl_jax.paper import reproduce
 from tests.test_docs import DOCS, PAGES
 
 ROOT = DOCS.parent
-PAGE = DOCS / "coverage.md"
-CLASSES = ("exact", "differs", "option", "open")
-OBJECT, OPTION, FILE = r"(earl_jax[\w.]*):([\w.]+)", r"([a-z]\w*): (\w+)=(\S+)", r"assets/[\w./]+"
-LINK = r"\]\([\w./]+\.md#[\w-]+\)"
+PAGE = DOCS / "developers" / "coverage.md"
+CLASSES = ("same", "differs", "option", "open")
+OBJECT, OPTION, FILE = r"[\w.]*:[\w.]+", r"([a-z]\w*): (\w+)=(\S+)", r"assets/[\w./]+"
+LINK = r"\]\([\w./]+\.md[#\w-]*\)"
 
 
 class Item(NamedTuple):
-    """A row of the tables: the paper's statement, the code in backticks, its class, and the remark."""
+    """A row of the tables: the paper's statement, the code in backticks, and its class with a remark."""
 
     statement: str
     where: str
-    kind: str
-    how: str
+    here: str
+
+    @property
+    def kind(self) -> str:
+        """The class, the first word of the last cell."""
+        return re.split(r"\W", self.here)[0]
 
 
 def items_of(text: str) -> list[Item]:
@@ -40,7 +44,9 @@ def items_of(text: str) -> list[Item]:
         ValueError: a row of a table of items has another number of cells.
     """
     items = []
-    for table in re.findall(r"^\| item \| where \| class \| how \|\n\|[-| ]*\n((?:\|.*\n)*)", text, flags=re.MULTILINE):
+    for table in re.findall(
+        r"^\| (?:paper|promise) \| code \| here \|\n\|[-| ]*\n((?:\|.*\n)*)", text, flags=re.MULTILINE
+    ):
         for row in re.sub(r"<!--.*?-->", "", table).splitlines():
             cells = [cell.strip() for cell in row.strip("|").split("|")]
             if len(cells) != len(Item._fields):
@@ -89,7 +95,7 @@ def fault_of_reference(text: str) -> str | None:
     option = re.fullmatch(OPTION, text)
     try:
         if re.fullmatch(OBJECT, text):
-            attribute(text)
+            attribute(f"earl_jax.{text}".replace(".:", ":"))
         elif option:
             build(*option.groups())
         elif not (re.fullmatch(FILE, text) and (ROOT / text).is_file()):
@@ -112,16 +118,15 @@ def faults(text: str) -> list[str]:
             wrong.append(f"{item.statement}: {item.where} has more than references in backticks")
         if (item.kind == "option") != any(re.fullmatch(OPTION, reference) for reference in references):
             wrong.append(f"{item.statement}: an option is named in rows of the class option only")
-        if item.kind == "differs" and not re.search(LINK, item.how):
+        if item.kind == "differs" and not re.search(LINK, item.here):
             wrong.append(f"{item.statement} differs without a link to the place that says why")
-        if item.kind != "exact" and not item.how:
+        if item.kind != "same" and item.here == item.kind:
             wrong.append(f"{item.statement} has no remark")
         wrong += filter(None, map(fault_of_reference, references))
-    counts = Counter(item.kind for item in items)
-    counts["all"] = len(items)
-    stated = re.findall(r"^\| `?(exact|differs|option|open|all)`? \| (\d+) \|", text, flags=re.MULTILINE)
-    if {kind: int(number) for kind, number in stated} != {kind: counts[kind] for kind in (*CLASSES, "all")}:
-        wrong.append(f"the counts of the page are {dict(stated)}, those of its items {dict(counts)}")
+    counts = dict(Counter(item.kind for item in items))
+    stated = {kind: int(number) for kind, number in re.findall(rf"({'|'.join(CLASSES)}) \((\d+) rows", text)}
+    if stated != counts:
+        wrong.append(f"the counts of the page are {stated}, those of its items {counts}")
     return wrong
 
 
@@ -130,7 +135,7 @@ def test_the_page_names_what_exists_and_counts_right():
 
 
 def test_every_part_of_the_page_has_items_and_its_links_are_checked():
-    parts = re.split(r"^##+ ", PAGE.read_text(), flags=re.MULTILINE)[1:]
+    parts = re.split(r"^### ", PAGE.read_text(), flags=re.MULTILINE)[1:]
     assert [part.splitlines()[0] for part in parts if not items_of(part)] == []
     assert PAGE in PAGES
 

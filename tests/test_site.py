@@ -29,7 +29,7 @@ WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
         ("notebooks/01_x.md", "01_x_1.png", "01_x_1.png"),
         ("notebooks/01_x.md", "../docs/fidelity.md#pure-mjx", "../fidelity.md#pure-mjx"),
         ("reference/index.md", "../python_api.md", "../python_api.md"),
-        ("results.md", "../benchmarks/results/dense/curves.png", "benchmarks/results/dense/curves.png"),
+        ("results.md", "../benchmarks/results/paper/cells.png", "benchmarks/results/paper/cells.png"),
         ("faq.md", "../Makefile", f"{REPOSITORY}/blob/main/Makefile"),
         ("faq.md", "https://arxiv.org/abs/1", "https://arxiv.org/abs/1"),
     ],

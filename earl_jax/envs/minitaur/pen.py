@@ -106,7 +106,7 @@ class MinitaurPen(MujocoEnv):
 
     @property
     def reward_scale(self) -> float:
-        """0.1 for the dense reward, as released for such tasks; learning was slower at 1 and 10 (docs/results.md)."""
+        """0.1 for the dense reward, as released for such tasks."""
         return 10.0 if self.sparse else 0.1
 
     @property
