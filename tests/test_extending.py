@@ -6,8 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import pytest
 
+import earl_jax
 from tests.conftest import CACHE
 
 ROOT = Path(__file__).parents[1]
@@ -109,6 +112,23 @@ def test_objects_train_and_resume_and_registered_classes_train_by_name(tmp_path,
 @pytest.mark.slow
 def test_a_policy_steps_a_task_in_a_scan():
     exec(STEPPING, {})
+
+
+@pytest.mark.slow
+def test_a_kinematic_task_has_derivatives_in_positions_and_none_in_decisions():
+    env = earl_jax.make("tabletop_organization", reward_type="dense")
+    start = env.reset(jax.random.key(0))
+
+    def total(actions):
+        def step(state, action):
+            state = env.step(state, action)
+            return state, state.reward
+
+        return jax.lax.scan(step, start, actions)[1].sum()
+
+    gradient = jax.jit(jax.grad(total))(jnp.full((10, env.action_size), 0.1))
+    assert jnp.abs(gradient[:, :2]).max() > 0
+    assert (gradient[:, 2] == 0).all()
 
 
 def test_the_page_has_the_code_of_the_package():
