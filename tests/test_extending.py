@@ -1,4 +1,4 @@
-"""The two packages of docs/extending.md, installed and used as the page says."""
+"""The package examples/pasture, installed and used as docs/extending.md says, and the code of that page."""
 
 import os
 import re
@@ -6,19 +6,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import pytest
 
-from tests.conftest import CACHE, write_files
+import earl_jax
+from tests.conftest import CACHE
 
 ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "examples" / "pasture"
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-FILES = dict(re.findall(r"\*\*`(\S+)`:?\*\*\n\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
-PENDULUM = {name.removeprefix("earl-pendulum/"): text for name, text in FILES.items() if "pendulum" in name}
-PASTURE = {name: text for name, text in FILES.items() if "pendulum" not in name}
-SNIPPETS = [
-    code for code in re.findall(r"```py(?:thon)?\n(.*?)```", PAGE, flags=re.DOTALL) if code not in FILES.values()
-]
-REGISTERED, OBJECTS, DEMOS = SNIPPETS
+SOURCES = [path.read_text() for path in [PACKAGE / "pyproject.toml", *(PACKAGE / "earl_pasture").glob("*.py")]]
+BLOCKS = re.findall(r"```(?:python|toml)\n(.*?)```", PAGE, flags=re.DOTALL)
+SNIPPETS = [code for code in BLOCKS if not any(code in source for source in SOURCES)]
+DEMOS, STEPPING, OBJECTS = SNIPPETS
 TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
 LENGTHS = ["--seeds", "2", "--steps", "40", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 
@@ -52,12 +53,12 @@ raise SystemExit(pytest.main([CONTRACT, "-k", "{name}", "-q", "-p", "no:cachepro
 """
 
 
-def use_package(code, name, folder):
-    """Return what `code` prints in a process with the package in `folder`, followed by the contract tests of task `name`."""
+def use_package(code, name, folder, site):
+    """Return what `code` prints in a process with the package in `site`, followed by the contract tests of task `name`."""
     given = {"TINY": TINY, "LENGTHS": LENGTHS, "DEMOS": DEMOS, "CONTRACT": str(ROOT / "tests/envs/test_contract.py")}
     constants = "".join(f"{key} = {value!r}\n" for key, value in given.items())
     code = f"{constants}from earl_jax.cli import main\n{code}{CHECK_CONTRACT.format(name=name)}"
-    environment = {**os.environ, "PYTHONPATH": f"{folder / 'site'}:{ROOT}", "JAX_COMPILATION_CACHE_DIR": str(CACHE)}
+    environment = {**os.environ, "PYTHONPATH": f"{site}:{ROOT}", "JAX_COMPILATION_CACHE_DIR": str(CACHE)}
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=570)
     assert result.returncode == 0, result.stdout + result.stderr
@@ -65,17 +66,18 @@ def use_package(code, name, folder):
     return result.stdout
 
 
-def install(files, folder):
-    """Install the package of `files` into `folder/site`."""
-    write_files(files, folder / "package")
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder into which the package is installed."""
+    folder = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "--target", str(folder / "site"), str(folder / "package")], check=True)
+    subprocess.run([*pip, "--target", str(folder), str(PACKAGE)], check=True)
+    return folder
 
 
 @pytest.mark.slow
-def test_the_kinematic_package_is_installed_listed_trained_evaluated_and_resumed(tmp_path):
-    install(PASTURE, tmp_path)
-    listed = use_package(USE_PASTURE, "pasture", tmp_path).splitlines()[0]
+def test_the_kinematic_task_is_installed_listed_trained_evaluated_and_resumed(tmp_path, site):
+    listed = use_package(USE_PASTURE, "pasture", tmp_path, site).splitlines()[0]
     assert '"pasture"' in listed
     assert '"detour"' in listed
     config = (tmp_path / "run" / "config.json").read_text()
@@ -86,33 +88,52 @@ def test_the_kinematic_package_is_installed_listed_trained_evaluated_and_resumed
 
 
 @pytest.mark.slow
-def test_the_mujoco_package_is_installed_and_trained_on_c_and_mjx(tmp_path):
-    install(PENDULUM, tmp_path)
-    output = use_package(USE_PENDULUM, "pendulum_hold", tmp_path)
+def test_the_mujoco_task_is_installed_and_trained_on_c_and_mjx(tmp_path, site):
+    output = use_package(USE_PENDULUM, "pendulum_hold", tmp_path, site)
     assert re.search(r"'deployed/success': Array\(1\.?0?,", output), "the expert reaches both goals"
     for engine in ("c", "mjx"):
         assert f'"engine": "{engine}"' in (tmp_path / engine / "config.json").read_text()
         assert len((tmp_path / engine / "metrics.csv").read_text().splitlines()) == 1 + 2
 
 
-@pytest.fixture
-def importable(tmp_path, monkeypatch, registries):
-    """Make the classes of the kinematic package importable, without entry points."""
-    write_files(PASTURE, tmp_path)
-    monkeypatch.syspath_prepend(tmp_path / "src")
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.mark.slow
-def test_registered_classes_train_by_name(importable):
+def test_objects_train_and_resume_and_registered_classes_train_by_name(tmp_path, monkeypatch, registries):
+    """The classes are importable, without entry points."""
+    monkeypatch.syspath_prepend(PACKAGE)
+    monkeypatch.chdir(tmp_path)
     names = {}
-    exec(REGISTERED, names)
+    exec(OBJECTS, names)
+    rows = (tmp_path / "runs/objects/metrics.csv").read_text().splitlines()
+    assert len(rows) == 1 + 2 * 4
     assert names["result"].method.home_share.tolist() == pytest.approx([0.2, 0.8])
     assert names["result"].metrics["deployed/success"].shape == (2, 2)
 
 
 @pytest.mark.slow
-def test_objects_train_and_resume_without_a_registered_name(importable, tmp_path):
-    exec(OBJECTS, {})
-    rows = (tmp_path / "runs/objects/metrics.csv").read_text().splitlines()
-    assert len(rows) == 1 + 2 * 4
+def test_a_policy_steps_a_task_in_a_scan():
+    exec(STEPPING, {})
+
+
+@pytest.mark.slow
+def test_a_kinematic_task_has_derivatives_in_positions_and_none_in_decisions():
+    env = earl_jax.make("tabletop_organization", reward_type="dense")
+    start = env.reset(jax.random.key(0))
+
+    def total(actions):
+        def step(state, action):
+            state = env.step(state, action)
+            return state, state.reward
+
+        return jax.lax.scan(step, start, actions)[1].sum()
+
+    gradient = jax.jit(jax.grad(total))(jnp.full((10, env.action_size), 0.1))
+    assert jnp.abs(gradient[:, :2]).max() > 0
+    assert (gradient[:, 2] == 0).all()
+
+
+def test_the_page_has_the_code_of_the_package():
+    assert len(BLOCKS) - len(SNIPPETS) >= 5
+    assert all("earl_jax." in code for code in SNIPPETS), "other blocks are of the package"
+    assert all(
+        f"../examples/pasture/earl_pasture/{path.name}" in PAGE for path in PACKAGE.glob("earl_pasture/[!_]*.py")
+    )

@@ -21,20 +21,16 @@ from tests.conftest import (
     run_whole,
     tiny_method,
     tiny_options,
-    write_files,
 )
-from tests.test_extending import PENDULUM
+from tests.test_extending import PACKAGE
 
 STEPS = 16
 
 
 @pytest.fixture(scope="module")
-def pendulum(tmp_path_factory):
-    """The MuJoCo task of docs/extending.md, with one joint: the cheapest to compile on MJX."""
-    folder = tmp_path_factory.mktemp("pendulum")
-    write_files(PENDULUM, folder)
-    file = folder / "src" / "earl_pendulum" / "hold.py"
-    spec = importlib.util.spec_from_file_location("earl_pendulum_hold", file)
+def pendulum():
+    """The MuJoCo task of examples/pasture, with one joint: the cheapest to compile on MJX."""
+    spec = importlib.util.spec_from_file_location("earl_pasture_pendulum", PACKAGE / "earl_pasture" / "pendulum.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.PendulumHold(engine="mjx", eval_horizon=6)
