@@ -50,8 +50,8 @@ def test_the_page_of_algorithms_has_every_hyper_parameter(cls):
     }
 
 
-def test_the_page_of_environments_has_the_numbers_of_every_task():
-    page = (DOCS / "environments.md").read_text()
+def test_the_page_of_tasks_has_the_numbers_of_every_task():
+    page = (DOCS / "tasks.md").read_text()
     tasks = {name: envs.make(name) for name in envs.list_envs()}
     rows = {row[0].strip("`"): row[1:6] for row in table_rows(page, "task")}
     assert rows == {
@@ -90,7 +90,7 @@ def test_the_gallery_lists_the_policies_that_ship_and_their_success_in_small_vid
     listed = {row[0].strip("`"): re.findall(r"`(\w+)`", row[1]) for row in table_rows(page, "task") if len(row) == 2}
     shipped = earl_jax.list_pretrained()
     assert {task: listed.get(task) for task in shipped} == shipped
-    for task, method, success in re.findall(r"\(environments.md#(\w+)\) \| (\w+), (\d\.\d+)", page):
+    for task, method, success in re.findall(r"\(tasks.md#(\w+)\) \| (\w+), (\d\.\d+)", page):
         info = earl_jax.pretrained_info(task, method.lower())
         assert f"{info['deployed/success'][0]:.2f}" == success
         assert (DOCS / "pictures" / "gallery" / f"{task}_{method.lower()}.webp").stat().st_size < 300_000

@@ -6,7 +6,6 @@ A pair is a start (two open appliances of four) with the goal. The policies do n
 results/evaluation/pairs.csv: mean and standard deviation of N evaluations; and returns_by_pair.csv.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -35,9 +34,11 @@ def nothing(obs: jax.Array) -> jax.Array:
 def returns_by_pair(env: FrankaKitchen, policy: Callable, episodes: int) -> np.ndarray:
     """Return the returns [pairs, episodes] of `policy` from every start."""
 
+    numbered = env.starts.numbered
+    assert numbered is not None
+
     def play(key: jax.Array, number: jax.Array) -> jax.Array:
-        start = functools.partial(env.starts.numbered, number=number)
-        return episode(env, policy, key, env.eval_horizon, start)["return"]
+        return episode(env, policy, key, env.eval_horizon, lambda key: numbered(key, number))["return"]
 
     keys = jax.random.split(jax.random.key(1), (len(PAIRS), episodes))
     numbers = jnp.broadcast_to(jnp.arange(len(PAIRS))[:, None], keys.shape)
@@ -57,7 +58,7 @@ def evaluations(env: FrankaKitchen, policy: Callable, pairs: str, episodes: int,
 
 def main(evaluations_of_each: int = 40, episodes_of_a_pair: int = 10) -> None:
     """Measure both policies and write the two tables."""
-    env = earl_jax.make("franka_kitchen", engine="c")
+    env = FrankaKitchen(engine="c")
     policies = {"nothing": nothing, "shipped oracle": earl_jax.pretrained("franka_kitchen", "oracle")}
     rows: list[dict[str, Any]] = []
     of_pairs: list[dict[str, Any]] = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax import assets
-from earl_jax.envs import balanced_starts, list_envs, make, start_of, tabletop
+from earl_jax.envs import HelpBudget, balanced_starts, list_envs, make, start_of, tabletop
 from earl_jax.envs.sawyer import door
 from earl_jax.envs.sawyer import peg as sawyer_peg
 from tests.envs.programs import START_COUNT, first_state, program, starts
@@ -108,6 +108,7 @@ def test_the_door_is_anywhere_with_the_arm_at_rest_and_clear_of_it():
 PAIRS = {
     "franka_kitchen": ({"noise": False}, 6),
     "franka_kitchen of the text": ({"noise": False, "variant": "paper"}, 11),
+    "franka_kitchen with a budget": ({"noise": False}, 6),
     "sawyer_peg": ({"listed": True}, 15),
     "tabletop_organization": ({}, 4),
 }
@@ -118,6 +119,7 @@ PAIRS = {
 def test_balanced_starts_have_every_pair_equally_often_and_the_rest_at_random(name):
     options, count = PAIRS[name]
     env = make(name.split()[0], **options)
+    env = HelpBudget(env, 2.0) if "budget" in name else env
     pairs = {row.tobytes() for row in np.asarray(starts(env).obs).round(5)}
     assert len(pairs) == count
 

@@ -137,7 +137,7 @@ class DHandLightbulb(MujocoEnv):
         if self.variant == "paper":
             share, turn = jax.random.uniform(key, (2,))
             direction = jnp.stack([jnp.cos(2 * np.pi * turn), jnp.sin(2 * np.pi * turn)])
-            return self.start_at(MIDDLE + SPREAD * jnp.sqrt(share) * direction)
+            return self.start_at(jnp.asarray(MIDDLE) + SPREAD * jnp.sqrt(share) * direction)
         return self._start_in_reach(key)
 
     def _start_in_reach(self, key: jax.Array) -> State:

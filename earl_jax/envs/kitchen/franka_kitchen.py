@@ -1,7 +1,7 @@
 """Franka kitchen: close the open appliances; a reset-free agent must open them again itself.
 
 Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our
-own MJCF (assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference. The paper's text has other
+own MJCF (assets/mjcf/franka_kitchen.xml); docs/tasks.md lists every difference. The paper's text has other
 appliances and the other direction than the release: `variant="paper"`.
 """
 
