@@ -50,8 +50,8 @@ def test_the_page_of_methods_has_every_hyper_parameter(cls):
     }
 
 
-def test_the_page_of_environments_has_the_numbers_of_every_task():
-    page = (DOCS / "environments.md").read_text()
+def test_the_page_of_tasks_has_the_numbers_of_every_task():
+    page = (DOCS / "tasks.md").read_text()
     tasks = {name: envs.make(name) for name in envs.list_envs()}
     rows = {row[0].strip("`"): row[1:6] for row in table_rows(page, "task")}
     assert rows == {

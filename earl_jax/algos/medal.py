@@ -103,7 +103,7 @@ class MEDAL(Method):
         A backward phase clones these demonstrations only.
         """
         assert batch.demonstrated is not None
-        backward = batch.demonstrated & (batch.flags.goal >= goals.tasks)
+        backward = batch.demonstrated & (batch.flags.goal >= goals.tasks) & (phase == RETURN)
         task = jax.random.randint(key, backward.shape, 0, goals.tasks)
         flags = batch.flags._replace(goal=jnp.where(backward, task, batch.flags.goal))
         batch = batch._replace(flags=flags, demonstrated=batch.demonstrated & (backward | (phase == TASK)))

@@ -11,6 +11,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     starts: Literal["initial", "uniform", "wide"] = "initial",
+    pairs: Literal["random", "balanced"] | None = None,
     engine: Engine = None,
     last: Last = None,
     window: WindowSteps = None,
@@ -23,13 +24,15 @@ def evaluate(
         episodes: Episodes for the policy of each seed.
         seed: Random seed of the starts and goals.
         starts: Initial states of the episodes: those of the task, uniform over the workspace, or wide.
+        pairs: Whether pairs of start and goal are drawn at random, or balanced: every pair equally often. By default as in
+            the run.
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
     from earl_jax.report.runs import read
 
     chosen = Window.of(last, window)
-    metrics = training.evaluate(folder, episodes, seed, engine, starts)
+    metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
     score = read(folder, chosen).score
     lines = [f"the newest policies over {episodes} new episodes each:"]
     lines += [f"{name} {values.mean():.3f}, per seed {values.round(3).tolist()}" for name, values in metrics.items()]

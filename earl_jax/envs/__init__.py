@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from earl_jax.envs.engines import chosen_engine, for_lanes, resolved_engine, with_engine
     from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
     from earl_jax.envs.mujoco_env import MujocoEnv
-    from earl_jax.envs.starts import start_of
+    from earl_jax.envs.starts import balanced_starts, start_of
     from earl_jax.envs.state import State
     from earl_jax.envs.wrappers.help_budget import HelpBudget
     from earl_jax.envs.wrappers.without_help import without_budget
@@ -35,6 +35,7 @@ __all__ = [
     "State",
     "TaskDemos",
     "View",
+    "balanced_starts",
     "chosen_engine",
     "env_class",
     "for_lanes",
@@ -61,6 +62,7 @@ _HOME = {
     "State": "state",
     "TaskDemos": "demonstrations",
     "View": "features",
+    "balanced_starts": "starts",
     "chosen_engine": "engines",
     "for_lanes": "engines",
     "resolved_engine": "engines",

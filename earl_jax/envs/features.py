@@ -29,11 +29,14 @@ class Starts(NamedTuple):
 
     `uniform(key)` draws over the whole workspace (figure 5 of the paper). `wide(key)` is that of `deployed/success_wide`:
     about half of its starts or more lie where no demonstration begins, in places that the agent could reach by itself.
-    A task whose reward is dense has no wide starts, because its score is a return.
+    A task whose reward is dense has no wide starts, because its score is a return. A task whose rho is uniform over `count`
+    starts has `numbered(key, number)`, which returns the one with that number; evaluations can balance them.
     """
 
     uniform: Callable[[jax.Array], State] | None = None
     wide: Callable[[jax.Array], State] | None = None
+    numbered: Callable[[jax.Array, jax.Array], State] | None = None
+    count: int = 1
 
 
 def shown_as_simulated(state: State) -> Any:

@@ -3,13 +3,18 @@
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import State
 from earl_jax.errors import InputError
 
 STARTS = ("initial", "uniform", "wide")
-"""s0 ~ rho, uniform over the workspace (figure 5 of the paper), and the starts of `deployed/success_wide`."""
+"""s0 ~ rho, uniform over the workspace (figure 4 of the paper), and the starts of `deployed/success_wide`."""
+EVAL_PAIRS = ("random", "balanced")
+"""Ways to draw the pairs of start and task goal of an evaluation: each at random, or every pair equally often."""
+PAIR_KEY = 2
+"""Folded into the key of an evaluation for the order of balanced pairs."""
 
 
 def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
@@ -27,3 +32,20 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
     return start
+
+
+def balanced_starts(env: Env, key: jax.Array, episodes: int) -> State:
+    """Return starts of `episodes` episodes, leaves [episodes, ...], with every pair of start and task goal equally often.
+
+    The pairs are those of `Starts.numbered` and `goal_states`; what a task draws besides is drawn for each episode. If
+    `episodes` is not a multiple of the number of pairs, random ones are taken once more than the others.
+    """
+    goals, listed = jnp.asarray(env.goal_states), env.starts
+    pairs = listed.count * len(goals)
+    order = jax.random.permutation(jax.random.fold_in(key, PAIR_KEY), pairs)
+
+    def start(key: jax.Array, pair: jax.Array) -> State:
+        state = env.reset(key) if listed.numbered is None else listed.numbered(key, pair // len(goals))
+        return env.with_goal(state, goals[pair % len(goals)]) if len(goals) > 1 else state
+
+    return jax.vmap(start)(jax.random.split(key, episodes), order[jnp.arange(episodes) % pairs])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.envs import Env, State
+from earl_jax.envs import Env, State, balanced_starts
 
 WIDE = "deployed/success_wide"
 """The metric of episodes from `Env.starts.wide`, on tasks that have it."""
@@ -47,15 +47,20 @@ def deployed(
     episodes: int,
     start: Callable | None = None,
     wide: Callable | None = None,
+    pairs: str = "random",
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Starts are s0 ~ rho, or drawn by `start(key) -> State`. Success counts at any step, as in the released evaluations,
-    whose values are exact multiples of 0.1, although the paper's text speaks of returns. With `wide(key) -> State`
-    there is also `deployed/success_wide`, of as many episodes from such starts (ours; docs/formalism.md says why).
-    They are part of the same scan, and change no other episode.
+    Starts are s0 ~ rho, or drawn by `start(key) -> State`. `pairs="balanced"` takes every pair of start and task goal
+    equally often instead (`balanced_starts`), which removes the chance of the draw from the mean. Success counts at any
+    step, as in the released evaluations, whose values are exact multiples of 0.1, although the paper's text speaks of
+    returns. With `wide(key) -> State` there is also `deployed/success_wide`, of as many episodes from such starts (ours;
+    docs/formalism.md says why). They are part of the same scan, and change no other episode.
     """
-    states = jax.vmap(start or env.reset)(jax.random.split(key, episodes))
+    if pairs == "balanced":
+        states = balanced_starts(env, key, episodes)
+    else:
+        states = jax.vmap(start or env.reset)(jax.random.split(key, episodes))
     if wide is not None:
         wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
         states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))

@@ -220,7 +220,8 @@ def evaluate(
     columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as return phases.
     """
     task, key = without_help(env), jax.random.fold_in(state.key, EVALUATION_KEY)
-    metrics = deployed(task, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=task.starts.wide)
+    episodes, wide, pairs = protocol.eval_episodes, task.starts.wide, protocol.eval_pairs
+    metrics = deployed(task, policy, key, protocol.eval_horizon, episodes, wide=wide, pairs=pairs)
     window = jnp.maximum(state.step - state.evaluated_at, 1).astype(jnp.float32)
     counters, of_life = continuing(
         state.counters, state.env_state, jnp.maximum(state.step, 1).astype(jnp.float32), window

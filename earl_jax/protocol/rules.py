@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs import Env, State
+from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.envs.state import tree_where
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import Schedule
 
 
@@ -126,8 +127,12 @@ class Protocol:
 
     alive_steps: int = 2_000
     """Steps within which a lane that is alive reaches the goals of its phases."""
+    eval_pairs: str = EVAL_PAIRS[0]
+    """How evaluations draw pairs of start and task goal: each at `random`, or `balanced`, every pair equally often."""
 
     def __post_init__(self):
+        if self.eval_pairs not in EVAL_PAIRS:
+            raise InputError(f"eval_pairs must be one of {', '.join(EVAL_PAIRS)}, not {brief(self.eval_pairs)}")
         for field in ("eval_horizon", "eval_every", "eval_episodes", "alive_steps"):
             if getattr(self, field) < 1:
                 raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")

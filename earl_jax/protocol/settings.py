@@ -45,6 +45,9 @@ class Setting:
     """Reward of every step after the budget is spent."""
     alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
     """Steps within which a lane that is alive reaches the goals of its phases, for the metric `continuing/alive`."""
+    eval_pairs: str = Protocol.eval_pairs
+    """How deployed evaluations draw pairs of start and task goal: each at `random` (released), or `balanced`, every pair
+    equally often."""
 
     name: ClassVar[str]
 
@@ -65,6 +68,7 @@ class Setting:
             eval_episodes=eval_episodes,
             intervention_chance=self.intervention_chance,
             alive_steps=self.alive_steps,
+            eval_pairs=self.eval_pairs,
         )
 
 

@@ -59,7 +59,9 @@ class PlannedRun:
         task = (
             env if env.has_absorbing_state else dataclasses.replace(env, train_horizon=1)
         )  # lanes carry the horizon as data
-        return task, config.schedule, self.step, self.run.protocol.alive_steps, program_structure(self.run.method)
+        protocol = self.run.protocol
+        measured = config.schedule, protocol.alive_steps, protocol.eval_pairs
+        return task, *measured, self.step, program_structure(self.run.method)
 
     def replay_bytes(self) -> int:
         """Return the bytes of the replay buffers of all lanes."""

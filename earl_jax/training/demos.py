@@ -6,7 +6,7 @@ import numpy as np
 
 from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner.cloning import DemoSteps
-from earl_jax.algos.method import Method
+from earl_jax.algos.method import BACKWARD, FORWARD, Method, PhaseDemos
 from earl_jax.errors import InputError
 from earl_jax.training.state import Problem
 
@@ -47,7 +47,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
             f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
-    uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
+    uses = _uses(method)
     wanted = dict.fromkeys(demos.direction for _, demos in uses)
     parts, all_states, first = [], [], 0
     for direction in (direction for direction in wanted if direction in env.demonstrations.directions):
@@ -65,6 +65,17 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
         return None
     fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
     return DemoRows(np.concatenate(all_states), *fields)
+
+
+def _uses(method: Method) -> list[tuple[int, PhaseDemos]]:
+    """Return the controllers of `method` with the demonstrations that they use, those of its phases or, by option, all."""
+    uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
+    if not method.learner.all_demos:
+        return uses
+    own = {(controller, demos.direction) for controller, demos in uses}
+    controllers = dict.fromkeys(controller for controller, _ in uses)
+    every = [(controller, demos) for controller in controllers for demos in (FORWARD, BACKWARD)]
+    return uses + [use for use in every if (use[0], use[1].direction) not in own]
 
 
 def demo_steps(problem: Problem, method: Method) -> DemoSteps | None:

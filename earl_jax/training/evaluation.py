@@ -8,7 +8,9 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import start_of, with_engine, without_budget
+from earl_jax.envs.starts import EVAL_PAIRS, STARTS
 from earl_jax.envs.state import all_finite
+from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
@@ -54,12 +56,18 @@ def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.A
     env, protocol = without_budget(problem.env), problem.protocol
     key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
     policy = Policy.of(problem.env, method, lane)
-    return deployed(env, policy, key, protocol.eval_horizon, protocol.eval_episodes, wide=env.starts.wide)
+    episodes, wide, pairs = protocol.eval_episodes, env.starts.wide, protocol.eval_pairs
+    return deployed(env, policy, key, protocol.eval_horizon, episodes, wide=wide, pairs=pairs)
 
 
 @package_types()
 def evaluate(
-    folder: str | Path, episodes: int = 100, seed: int = 0, engine: str | None = None, starts: str = "initial"
+    folder: str | Path,
+    episodes: int = 100,
+    seed: int = 0,
+    engine: str | None = None,
+    starts: str = "initial",
+    pairs: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Return `deployed/success` and `deployed/return` [N] of the newest policies in a run folder, on new episodes.
 
@@ -70,8 +78,10 @@ def evaluate(
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
         engine: a physics engine to use instead of the run's own.
-        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 5 of the paper), or `wide` for those
+        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 4 of the paper), or `wide` for those
             of the column `deployed/success_wide`, if the task has them.
+        pairs: `random`, or `balanced` for every pair of start and task goal equally often; by default as in the run,
+            whose setting has `eval_pairs`. Other `starts` than `initial` are random.
 
     Raises:
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
@@ -82,8 +92,20 @@ def evaluate(
     run = RunFolder.open(Path(folder))
     env, policies = with_engine(run.config.build_task(), engine), load_policies(run)
     start = start_of(env, starts)
+    pairs = _pairs_of(run, starts, pairs)
 
     def evaluate_policy(policy):
-        return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start)
+        return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start, pairs=pairs)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}
+
+
+def _pairs_of(run: RunFolder, starts: str, pairs: str | None) -> str:
+    """Return how an evaluation of `run` draws pairs of start and goal; raise a ValueError if `pairs` is unknown or impossible."""
+    if pairs is None:
+        return run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
+    if pairs not in EVAL_PAIRS:
+        raise InputError(f"pairs must be one of {', '.join(EVAL_PAIRS)}, not {brief(pairs)}")
+    if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
+        raise InputError(f"{pairs} pairs are those of the task's own starts, not of {starts} ones")
+    return pairs

@@ -139,3 +139,11 @@ def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem
     )
     np.testing.assert_array_equal(own.obs[: len(backward.ends), :6], backward.states)
     np.testing.assert_array_equal(own.action, np.tile(backward.actions, (4, 1)))
+
+
+def test_a_forward_phase_with_all_demos_keeps_the_goals_of_the_ways_back(env, medal):
+    method, goals, classifier = medal
+    batch = make_batch(goals.table[:3], goals.table[:3], goals.tasks)._replace(demonstrated=np.ones(3, bool))
+    goals_in = jax.jit(lambda phase: method.prepare(KEYS[0], env, goals, batch, phase, classifier).flags.goal)
+    np.testing.assert_array_equal(goals_in(TASK), [goals.tasks] * 3)
+    assert (goals_in(RETURN) < goals.tasks).all()

@@ -80,36 +80,53 @@ def test_the_observation_is_mujocos_own():
     np.testing.assert_allclose(obs[26:29], data.site("grasp").xpos, atol=2e-3)
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_the_papers_variant_observes_the_euler_angle_of_mujocos_wrist_target(direction):
-    first, action = start_at(0.7, 0.2), make_actions(5, a21=direction)
-    state = jax.tree.map(lambda leaf: leaf[-1, 0], run_actions(ENV, as_lane(first), action))
-    vector = np.asarray(PAPER.observe(state, action[0, 0], state.data, jnp.tile(state.obs[26:29], 9))[1])
-    before, after = (physics.mujoco_data(ENV.name, data) for data in (first.data, state.data))
-    target = Rotation.from_euler("XYZ", vector[26:29]).as_matrix()
-    np.testing.assert_allclose(target, after.body("mocap").xmat.reshape(3, 3), atol=1e-6)
-    np.testing.assert_allclose(vector[26:29], [-np.pi, 0.0, 0.1 * direction], atol=1e-5)
-    turns = [after.body(body).xmat.reshape(3, 3) @ before.body(body).xmat.reshape(3, 3).T for body in ("mocap", "tool")]
-    np.testing.assert_allclose(*turns, atol=0.03, err_msg="the hand follows the target")
-    np.testing.assert_array_equal(np.delete(vector, [26, 27, 28]), np.delete(state.obs[:32], [26, 27, 28]))
+def test_the_papers_variant_lists_the_bulbs_pose_the_distances_and_its_goal(model):
+    """MuJoCo's 30 joint values are the hand's 16, the arm's 7 and the pose of the bulb, as position and quaternion."""
+    state = start_at(0.7, 0.2, PAPER)
+    turn = Rotation.from_euler("XYZ", [0.4, -0.9, 2.5])
+    quat = np.float32(turn.as_quat(scalar_first=True))
+    state = state.replace(data=state.data.replace(qpos=state.data.qpos.at[26:].set(quat)))
+    hand = np.float32([0.71, 0.18, 0.84])
+    vector = np.asarray(PAPER.observe(state, np.zeros(22), state.data, jnp.tile(hand, 9))[1])
+    assert (len(vector), PAPER.observation_size, 16 + 7 + 7) == (35, 38, model.nq)
+    bulb = np.asarray(state.data.qpos[23:26])
+    np.testing.assert_array_equal(vector[:26], np.concatenate([state.data.qpos[7:23], state.data.qpos[:7], bulb]))
+    np.testing.assert_allclose(vector[26:29], [0.4, -0.9, 2.5], atol=1e-6)
+    np.testing.assert_allclose(vector[29:], np.concatenate([hand - bulb, bulb - task.TARGET]), atol=1e-6)
+    np.testing.assert_array_equal(state.obs[35:], task.TARGET)
+    other = PAPER.with_goal(state, jnp.asarray(PAPER.initial_states[0]))
+    np.testing.assert_array_equal(other.obs[:35], state.obs[:35], err_msg="the state depends on no goal")
 
 
-def test_the_papers_variant_has_the_same_task():
-    start, rng = start_at(0.7, 0.2, PAPER), np.random.default_rng(3)
-    np.testing.assert_allclose(start.obs[26:29], [-np.pi, 0.0, 0.0], atol=1e-6)
-    assert not bool(program(PAPER, "fault")(start))
+def test_the_papers_variant_starts_all_over_the_table_and_its_demonstrations_where_the_hand_reaches():
+    states = starts(PAPER)
+    away = np.asarray(states.obs[:, 23:25]) - task.MIDDLE
+    assert 0.37 < np.linalg.norm(away, axis=1).max() <= task.SPREAD + 1e-6
+    assert np.median(np.linalg.norm(away, axis=1)) == pytest.approx(task.SPREAD / np.sqrt(2), abs=0.02), "uniform"
+    assert not jax.jit(jax.vmap(PAPER.irreversible))(states).any()
+    moved = jax.jit(jax.vmap(PAPER.step))(states, jnp.zeros((len(away), 22)))
+    assert np.abs(np.asarray(moved.data.qpos - states.data.qpos)[:, 23:]).max() < 1e-3, "no bulb starts inside the hand"
+    assert (np.linalg.norm(PAPER.initial_states[:, :2] - task.MIDDLE, axis=1) < task.SPREAD + 1e-6).all()
+    first = next(PAPER.demonstrations.script.starts(0)).forward.obs[23:25]
+    assert ((first >= task.START_LOW) & (first <= task.START_HIGH)).all()
+
+
+def test_the_papers_variant_has_the_same_reward_success_and_script():
+    rng = np.random.default_rng(3)
     obs = np.tile(start_at(0.7, 0.2).obs, (50, 1))
     obs[:, 23:26] = rng.uniform([0.5, 0, 0.77], [0.9, 0.3, 1.1], (50, 3))
     obs[::2, 23:26] = task.TARGET + rng.uniform(-0.1, 0.1, (25, 3))
     obs[:, 29:32] = obs[:, 26:29] - obs[:, 23:26]
-    listed = obs.copy()
-    listed[:, 26:29] = [-np.pi, 0.0, 0.3]
+    listed = np.concatenate(
+        [obs[:, :26], np.zeros((50, 3)), obs[:, 29:32], obs[:, 23:26] - task.TARGET, obs[:, 32:]], 1
+    )
 
     def answers(env, obs):
         parts = env.reward(obs), env.success(obs), env.map.position(obs), jax.vmap(env.demonstrations.expert)(obs)
         return dict(zip(("reward", "success", "map", "expert"), parts, strict=True))
 
-    paper, ours = (jax.jit(answers, static_argnums=0)(env, rows) for env, rows in ((PAPER, listed), (ENV, obs)))
+    program = jax.jit(answers, static_argnums=0)
+    paper, ours = program(PAPER, np.float32(listed)), program(ENV, obs)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-4), paper, ours)
     assert paper["success"].any()
 
@@ -120,7 +137,7 @@ def test_demonstrations_of_the_other_variant_are_an_error(tmp_path):
     demos.save({"forward": rows}, file)
     own, paper = (dataclasses.replace(env, demo_file=str(file)) for env in (ENV, PAPER))
     np.testing.assert_array_equal(own.demonstrations.load("forward").states, state[:, :32])
-    with pytest.raises(ValueError, match="recorded with variant 'reconstruction', not 'paper'"):
+    with pytest.raises(ValueError, match="was not recorded with variant 'paper'"):
         paper.demonstrations.load("forward")
 
 

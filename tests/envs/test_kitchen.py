@@ -34,7 +34,10 @@ RELEASED_START = np.array(
     [0.148388023, -1.76848573, 1.84390296, -2.4768576, 0.260252026, 0.712533105, 1.59515394, 0.0479267505, 0.0371350919]
 )
 """The released `init_qpos` of arm and fingers."""
-PARTS = {"micro": {22}, "hinge": {20, 21}, "slide": {19}, "light": {17, 18}, "burner": {11, 12}}
+PARTS = {
+    **{"micro": {22}, "hinge": {20, 21}, "slide": {19}, "light": {17, 18}},
+    **{"bottom_burner": {11, 12}, "top_burner": {15, 16}},
+}
 """Indices into a state of what the appliances change."""
 
 
@@ -150,14 +153,16 @@ def test_the_papers_reward_and_the_sparse_reward():
 
 
 def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitchen():
-    assert (PAPER.observation_size, PAPER.goal_states.shape, PAPER.initial_states.shape) == (46, (7, 23), (1, 23))
+    assert (PAPER.observation_size, PAPER.goal_states.shape, PAPER.initial_states.shape) == (46, (11, 23), (1, 23))
+    assert len(set(map(frozenset, TEXT_GOALS))) == 11
     changed = changed_parts(PAPER.goal_states, ignored={20})
     assert changed == [set().union(*(PARTS[name] for name in group)) - {20} for group in TEXT_GOALS]
     assert not PARTS["light"] & set().union(*changed), "the text has no light"
     assert {22, 21, 11, 12} in changed, "the text's example: microwave, door and burner"
+    assert {11, 12, 15, 16} in changed, "two distinct burners"
     states = starts(PAPER)
     assert np.abs(states.obs[:, 9:23] - CLOSED[9:]).max() < 0.01, "everything is closed at the start"
-    assert len(np.unique(states.obs[:, 23:], axis=0)) == 7, "every goal is drawn"
+    assert len(np.unique(states.obs[:, 23:], axis=0)) == 11, "every goal is drawn"
     assert not np.asarray(states.metrics["success"]).any()
     assert not jax.jit(jax.vmap(PAPER.fault))(states).any()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax import assets
-from earl_jax.envs import list_envs, make, start_of, tabletop
+from earl_jax.envs import HelpBudget, balanced_starts, list_envs, make, start_of, tabletop
 from earl_jax.envs.sawyer import door
 from earl_jax.envs.sawyer import peg as sawyer_peg
 from tests.envs.programs import START_COUNT, first_state, program, starts
@@ -103,3 +103,38 @@ def test_the_door_is_anywhere_with_the_arm_at_rest_and_clear_of_it():
     resting = np.abs(np.asarray(states.data.qvel)).max(axis=1) == 0
     assert 0.4 < resting.mean() < 0.6
     np.testing.assert_allclose(moved.obs[resting, :7], states.obs[resting, :7], atol=1e-4)
+
+
+PAIRS = {
+    "franka_kitchen": ({"noise": False}, 6),
+    "franka_kitchen of the text": ({"noise": False, "variant": "paper"}, 11),
+    "franka_kitchen with a budget": ({"noise": False}, 6),
+    "sawyer_peg": ({"listed": True}, 15),
+    "tabletop_organization": ({}, 4),
+}
+"""Tasks with few pairs of start and goal: their options, and the number of pairs."""
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_balanced_starts_have_every_pair_equally_often_and_the_rest_at_random(name):
+    options, count = PAIRS[name]
+    env = make(name.split()[0], **options)
+    env = HelpBudget(env, 2.0) if "budget" in name else env
+    pairs = {row.tobytes() for row in np.asarray(starts(env).obs).round(5)}
+    assert len(pairs) == count
+
+    def draw(seed):
+        return balanced_starts(env, jax.random.key(seed), 2 * count + 1).obs
+
+    rows = np.asarray(jax.jit(jax.vmap(draw))(jnp.arange(8))).round(5)
+    often = [np.unique(lane, axis=0, return_counts=True) for lane in rows]
+    assert all({row.tobytes() for row in unique} == pairs for unique, _ in often)
+    assert all(sorted(counts) == [2] * (count - 1) + [3] for _, counts in often)
+    assert len({lane[-1].tobytes() for lane in rows}) > 1, "the pair of the remainder differs"
+
+
+def test_balanced_starts_of_a_task_with_one_pair_are_its_own():
+    env = make("sawyer_door")
+    keys = jax.random.split(jax.random.key(3), 4)
+    own, balanced = jax.jit(lambda: (jax.vmap(env.reset)(keys), balanced_starts(env, jax.random.key(3), 4)))()
+    np.testing.assert_array_equal(own.obs, balanced.obs)

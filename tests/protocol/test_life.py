@@ -165,3 +165,15 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
 def test_an_attempt_has_at_least_one_step():
     with pytest.raises(ValueError, match="attempt_steps must lie in"):
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
+
+
+def test_an_evaluation_of_a_life_balances_its_pairs_if_the_protocol_does(env):
+    """Every evaluation has each of the four goals once, so doing nothing returns the same each time."""
+    dense = dataclasses.replace(env, reward_type="dense")
+    protocol = Protocol(0, 2, eval_episodes=4, eval_pairs="balanced")
+
+    def measured(key):
+        life = init(dense, protocol, key)
+        return evaluate(dense, protocol, life, lambda obs: jnp.zeros(env.action_size))[1]["deployed/return"]
+
+    assert np.ptp(jax.jit(jax.vmap(measured))(jax.random.split(jax.random.key(0), 6))) < 1e-5

@@ -41,6 +41,13 @@ def test_unknown_settings_and_options_are_refused():
         setting_of("deployment", goal_change=3)
 
 
+def test_a_setting_balances_the_pairs_of_evaluations(env):
+    assert Deployment(eval_pairs="balanced").protocol(env) == Protocol(200_000, 200, eval_pairs="balanced")
+    assert Continuing(eval_pairs="balanced").protocol(env).eval_pairs == "balanced"
+    with pytest.raises(ValueError, match="eval_pairs must be one of random, balanced, not 'stratified'"):
+        Deployment(eval_pairs="stratified").protocol(env)
+
+
 def test_a_budget_wraps_the_task_and_is_split_off_again(env):
     wrapped = Deployment(budget=5.0, help_cost=2.0, help_above=0.5).wrap(env)
     assert wrapped == HelpBudget(env, budget=5.0, help_cost=2.0, help_above=0.5)

@@ -33,6 +33,7 @@ LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true
         (GRID, None, [(4, 120)]),
         (LAYER_NORM, None, [(4, 120)] * 4),
         (LAYER_NORM, 3, [(2, 120)] * 8),
+        (GRID + 'eval_pairs = ["random", "balanced"]\n', None, [(4, 120)] * 2),
         (GRID + "train_horizon = [0, 1000]\nintervention_chance = [0, 1]\n", None, [(16, 120)]),
         (
             f"{GRID}[[runs]]\noptions = {{ wide = true }}\n[[runs]]\nsteps = 240\noptions.reward_scale = 1\n",

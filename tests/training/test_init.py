@@ -60,6 +60,20 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
 
 
+OWNERS = {"naive": {0}, "oracle": {0}, "r3l": {0}, "vaprl": {0}, "bc": {0}, "fbrl": {0, 1}, "medal": {0, 1}}
+"""The controllers that have demonstrations."""
+
+
+@pytest.mark.parametrize("algo", OWNERS)
+def test_with_all_demos_each_controller_with_demonstrations_has_both_directions(problem, algo):
+    sizes = [len(assets.demos(problem.env.name, direction).states) for direction in ("forward", "backward")]
+    demos = demo_rows(problem, tiny_method(algo, all_demos=True))
+    assert set(demos.controllers.tolist()) == OWNERS[algo]
+    for controller in OWNERS[algo]:
+        backward = demos.goals[demos.controllers == controller] >= problem.goals.tasks
+        assert [int((~backward).sum()), int(backward.sum())] == sizes
+
+
 def test_the_program_of_the_first_state_does_not_contain_the_replay(problem):
     method, rules = tiny_method("fbrl"), jax.tree.map(lambda rule: jnp.full(2, rule), problem.protocol.rules)
     capacity = replay_capacity(problem, method, RUN_STEPS)

@@ -44,7 +44,11 @@ def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
     np.testing.assert_array_equal(load_visits(folder)[1], visits)
     expected = [result.policy(lane)(jnp.full(result.env.observation_size, 0.3)) for lane in range(2)]
     np.testing.assert_array_equal(actions_of(folder), expected)
-    assert evaluate(folder.path, episodes=2)["deployed/success"].shape == (2,)
+    assert evaluate(folder.path, episodes=2, pairs="balanced")["deployed/success"].shape == (2,)
+    with pytest.raises(ValueError, match="balanced pairs are those of the task's own starts, not of wide ones"):
+        evaluate(folder.path, episodes=2, starts="wide", pairs="balanced")
+    with pytest.raises(ValueError, match="pairs must be one of random, balanced, not 'all'"):
+        evaluate(folder.path, episodes=2, pairs="all")
 
 
 def test_the_newer_of_policies_and_checkpoint_is_taken(trained, folder):

@@ -1,7 +1,7 @@
 """The interface of the original benchmark: `from earl_jax.adapters import earl_benchmark` replaces the original import.
 
 Behaviour follows the released `EARLEnvs` (github.com/architsharma97/earl_benchmark), whose wrappers are in `wrappers`.
-docs/adapters.md lists the differences, docs/environments.md those of the tasks.
+docs/adapters.md lists the differences, docs/tasks.md those of the tasks.
 """
 
 import dataclasses

@@ -54,6 +54,9 @@ class Learner(struct.PyTreeNode, abc.ABC):
     terminal."""
     demo_share: float = struct.field(default=0.0, metadata=within("[0, 1]"))
     """Share of a batch drawn from the demonstrations alone; 0 as in EARL, which samples all transitions uniformly."""
+    all_demos: bool = struct.field(pytree_node=False, default=False)
+    """Whether each controller that has demonstrations gets those of both directions, as the paper gives them to every
+    method. By default only those of its own direction, as in the released configurations."""
     batch_size: int = struct.field(pytree_node=False, default=256, metadata=within("[1, 1048576]"))
     """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
     utd: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 1000]"))

@@ -2,8 +2,8 @@
 
 Source: Sharma et al. 2022 name and describe this task but released no code for it. Robot, table, action and reward
 terms have the numbers of the authors' earlier MTRF (Gupta et al. 2021), in which a Sawyer arm with a DHand picks up an
-object. Observation, start and reward size are our reconstruction; `variant="paper"` observes what the paper's text
-lists. docs/environments.md lists what is known and what is not.
+object. Observation, start and reward size are our reconstruction; `variant="paper"` has the observation and the starts of
+the paper's text. docs/tasks.md lists what is known and what is not.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ import numpy as np
 from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
-from earl_jax.envs.dhand.observation import ARM, FINGERS, POSE, REACH, TABLE, VARIANTS, observed, palm_down, yaw_of
+from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, VARIANTS, observed, palm_down, yaw_of
 from earl_jax.envs.features import ContinuingDefaults, Map, View
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
@@ -38,11 +38,14 @@ FINGER_LOW[12:14], FINGER_HIGH[12:14] = (-0.2, -2.57), (1.57, 0.57)
 """Range of motor commands: three fingers with spread, knuckle, middle and tip, then the thumb, whose knuckle comes
 first."""
 
-TARGET = np.array([0.72, 0.15, 0.92], np.float32)
 START_LOW = np.array([0.58, 0.03], np.float32)
 START_HIGH = np.array([0.86, 0.3], np.float32)
 """Range of the bulb's start: MTRF's 15 cm around (0.72, 0.15), without positions that the hand cannot reach from
 above."""
+MIDDLE = np.array([0.7, 0.15], np.float32)
+SPREAD = 0.38
+"""The starts of `variant="paper"`: the table's middle, and the radius in metres of the disc around it. The tether holds the
+bulb within 0.43 m, and from the disc's edge the arm's base is as near as `NEAREST`."""
 REST = np.float32(0.777632818)
 """Height of an upright bulb at rest."""
 START_TARGET = (LOW + HIGH) / 2
@@ -65,8 +68,6 @@ STILL = 0.05
 """Metres per second: a slower bulb that is out of reach does not roll back."""
 STRAY = 0.3
 """Metres beyond its range at which the hand counts as a broken simulation."""
-HAND_NEVER = -1.0
-"""Metres: the hand's x is always larger, and the wrist's roll [rad] always smaller. It tells demonstrations apart."""
 FROM_TARGET = np.array([0.1256, -0.032, -0.1406], np.float32)
 """Offset of the hand (the point between the fingers) from the mocap target."""
 
@@ -89,8 +90,8 @@ class DHandLightbulb(MujocoEnv):
     Actions 0 to 15 set the fingers' targets up to 0.8 rad from the joints. Actions 16 to 18 move the wrist by up to 1
     cm along each axis, and action 21 turns it by up to 0.02 rad about the vertical. Actions 19 and 20, roll and pitch,
     have no effect, as in MTRF. Success: the bulb's centre is within 10 cm of its goal. MTRF has 40 `substeps` of 2.5
-    ms. `variant="paper"` observes the wrist's Euler angle 3, which the paper's text lists, in the place of the hand 3;
-    the rest is the same.
+    ms. `variant="paper"` has the paper's text: `obs [38]` lists the bulb's Euler angle 3, hand minus bulb 3 and bulb
+    minus the task's target 3 in the place of hand and difference, and the bulb starts anywhere on the table.
 
     A difference from MTRF: while a finger or the bulb is pressed into the table, the wrist does not move down. The weld
     is nearly rigid and would push fingers 6 cm into the table and 90 degrees past their stops.
@@ -104,7 +105,6 @@ class DHandLightbulb(MujocoEnv):
 
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
-    state_size: ClassVar[int] = observation.STATE
     action_size: ClassVar[int] = 22
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400)
     control_step: ClassVar[float] = 0.1
@@ -116,17 +116,32 @@ class DHandLightbulb(MujocoEnv):
         self._require_choice("variant", VARIANTS)
 
     @property
+    def state_size(self) -> int:
+        return observation.STATE[self.variant]
+
+    @property
     def goal_states(self) -> np.ndarray:
         return TARGET[None]
 
     @property
     def initial_states(self) -> np.ndarray:
         """Nine bulb positions on the table, float32 [9, 3]: the goals of a backward controller."""
-        xs, ys = (np.linspace(low, high, 3) for low, high in zip(START_LOW, START_HIGH, strict=True))
+        corners = (START_LOW, START_HIGH)
+        if self.variant == "paper":
+            corners = tuple(MIDDLE + sign * SPREAD / np.sqrt(2) for sign in (-1, 1))
+        xs, ys = (np.linspace(low, high, 3) for low, high in zip(*corners, strict=True))
         positions = [(x, y, REST) for x in xs for y in ys]
         return np.array(positions, np.float32)
 
     def reset(self, key: jax.Array) -> State:
+        if self.variant == "paper":
+            share, turn = jax.random.uniform(key, (2,))
+            direction = jnp.stack([jnp.cos(2 * np.pi * turn), jnp.sin(2 * np.pi * turn)])
+            return self.start_at(jnp.asarray(MIDDLE) + SPREAD * jnp.sqrt(share) * direction)
+        return self._start_in_reach(key)
+
+    def _start_in_reach(self, key: jax.Array) -> State:
+        """Return a start with the bulb where the hand can be put over it."""
         return self.start_at(jax.random.uniform(key, (2,), minval=START_LOW, maxval=START_HIGH))
 
     def start_at(self, position: jax.Array) -> State:
@@ -141,7 +156,7 @@ class DHandLightbulb(MujocoEnv):
         )
         info = {"goal": jnp.asarray(TARGET), "pressed": jnp.zeros((), bool)}
         hand = jnp.asarray(START_HAND, jnp.float32)
-        return self.make_state(data, observed(data.qpos, hand, data.mocap_quat[0], self.variant), info)
+        return self.make_state(data, observed(data.qpos, hand, self.variant), info)
 
     @property
     def demonstrations(self) -> TaskDemos:
@@ -163,17 +178,16 @@ class DHandLightbulb(MujocoEnv):
         Raises:
             ValueError: they were recorded with the other variant, whose states differ.
         """
-        recorded = VARIANTS[int((demos.states[:, POSE : POSE + 1] < HAND_NEVER).any())]
-        if recorded != self.variant:
+        if demos.states.shape[1] != self.state_size:
             raise InputError(
-                f"{self.demo_file} was recorded with variant {recorded!r}, not {self.variant!r}: record demonstrations "
+                f"{self.demo_file} was not recorded with variant {self.variant!r}: record demonstrations "
                 "of this variant with earl_jax.envs.demos.make and earl_jax.envs.demos.save"
             )
         return demos
 
     def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         for key in jax.random.split(jax.random.key(seed), self.demo_count):
-            yield DemoStart(forward=self.reset(key), backward=None, backward_goal=None)
+            yield DemoStart(forward=self._start_in_reach(key), backward=None, backward_goal=None)
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
         data, wrist = state.data, action[FINGERS:]
@@ -186,7 +200,7 @@ class DHandLightbulb(MujocoEnv):
         return data.replace(mocap_pos=target[None], mocap_quat=palm_down(yaw)[None]), ctrl
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
-        vector = observed(data.qpos, sensors[:3], data.mocap_quat[0], self.variant)
+        vector = observed(data.qpos, sensors[:3], self.variant)
         links, bulb = sensors[3:].reshape(-1, 3), self._parts(vector)[1]
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (bulb[2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
@@ -214,7 +228,7 @@ class DHandLightbulb(MujocoEnv):
         return Map(position=lambda obs: self._parts(obs)[1][..., :2], bounds=np.stack([BULB_LOW[:2], BULB_HIGH[:2]]))
 
     def reward(self, obs: jax.Array) -> jax.Array:
-        """Return the reward [...] of arriving in `obs [..., 35]`.
+        """Return the reward [...] of arriving in `obs [..., o]`.
 
         MTRF's reward for picking up: minus the distance of hand and bulb, minus twice the horizontal and twice the
         vertical distance of bulb and goal, minus 2 for a hand below the table's margin, plus bonuses for height and
@@ -239,7 +253,7 @@ class DHandLightbulb(MujocoEnv):
         return grasp.action(*self._parts(obs))
 
     def _parts(self, obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return from `obs [..., 35]` fingers [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
+        """Return from `obs [..., o]` fingers [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
         return observation.parts(obs, self.variant)
 
     def irreversible(self, state: State) -> jax.Array:

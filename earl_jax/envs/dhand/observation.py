@@ -1,13 +1,13 @@
 """The DHand's observation in both variants, and the orientation of the wrist.
 
-The paper's text lists 16 hand joints, 7 arm joints, 3 numbers, a 3-dimensional Euler angle, and 6 numbers: 35, although
-it says 30. It was never released. Both variants have 35 numbers; they differ in three of them:
+The paper's text lists 16 hand joints, 7 arm joints, 3 numbers, a 3-dimensional Euler angle, 6 inter-object distances, and
+the goal state. Its list sums to 35, although it says 30, which is the number of MuJoCo's joint values with the object's
+pose. The observation was never released. The variants have different states:
 
-- `reconstruction`: fingers 16, arm 7, bulb 3, hand 3, hand minus bulb 3, goal 3.
-- `paper`: fingers 16, arm 7, bulb 3, Euler angle of the wrist 3, hand minus bulb 3, goal 3.
+- `reconstruction` (32): fingers 16, arm 7, bulb 3, hand 3, hand minus bulb 3.
+- `paper` (35): fingers 16, arm 7, bulb 3, Euler angle of the bulb 3, hand minus bulb 3, bulb minus the task's target 3.
 
-We take the Euler angle as the wrist's, because MTRF (Gupta et al. 2021) observes the Euler angle of the wrist's target
-and leaves out the object's.
+Both are followed by the goal 3.
 """
 
 import jax
@@ -16,41 +16,47 @@ import numpy as np
 
 FINGERS, ARM = 16, 7
 VARIANTS = ("reconstruction", "paper")
-STATE = FINGERS + ARM + 9
-"""Length of a state in both variants."""
+STATE = {"reconstruction": FINGERS + ARM + 9, "paper": FINGERS + ARM + 12}
+"""Length of a state of each variant."""
 POSE = FINGERS + ARM + 3
-"""Index of the first of the three numbers in which the variants differ: the hand's position or the Euler angle."""
+"""Index of the first number in which the variants differ: of the hand's position or the bulb's Euler angle. Hand minus
+bulb follows in both."""
 REACH = 0.01
 """Metres that the mocap target moves at action 1."""
 TABLE = 0.72
 """Height of the table, metres."""
-ROLL = -np.pi
-"""Radians by which the wrist is rolled, palm down: the first Euler angle. The second, pitch, is 0."""
+TARGET = np.array([0.72, 0.15, 0.92], np.float32)
+"""The task's goal: the desired position of the bulb's middle, metres."""
 
 
 def parts(obs: jax.Array, variant: str = VARIANTS[0]) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return from `obs [..., 35]` the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
-    bulb = obs[..., POSE - 3 : POSE]
-    hand = bulb + obs[..., POSE + 3 : STATE] if variant == "paper" else obs[..., POSE : POSE + 3]
-    return obs[..., :FINGERS], bulb, hand, obs[..., STATE : STATE + 3]
+    """Return from `obs [..., o]` the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
+    bulb, size = obs[..., POSE - 3 : POSE], STATE[variant]
+    hand = bulb + obs[..., POSE + 3 : POSE + 6] if variant == "paper" else obs[..., POSE : POSE + 3]
+    return obs[..., :FINGERS], bulb, hand, obs[..., size : size + 3]
 
 
-def observed(qpos: jax.Array, hand: jax.Array, wrist: jax.Array, variant: str) -> jax.Array:
-    """Return the state [32] for joints `qpos [30]`, the point between the fingers at `hand [3]`, the target `wrist [4]`.
+def observed(qpos: jax.Array, hand: jax.Array, variant: str) -> jax.Array:
+    """Return the state [s] for joints `qpos [30]` and the point between the fingers at `hand [3]`.
 
     The order is MTRF's, fingers before the arm. As in MTRF, joints and bulb are current and the hand lags by one
-    substep. `wrist` is the orientation of the mocap target; the reconstruction leaves it out.
+    substep.
     """
     arm, fingers, bulb = qpos[:ARM], qpos[ARM : ARM + FINGERS], qpos[ARM + FINGERS : ARM + FINGERS + 3]
-    return jnp.concatenate([fingers, arm, bulb, wrist_euler(wrist) if variant == "paper" else hand, hand - bulb])
+    if variant == "paper":
+        return jnp.concatenate(
+            [fingers, arm, bulb, euler_angle(qpos[ARM + FINGERS + 3 :]), hand - bulb, bulb - jnp.asarray(TARGET)]
+        )
+    return jnp.concatenate([fingers, arm, bulb, hand, hand - bulb])
 
 
-def wrist_euler(quat: jax.Array) -> jax.Array:
-    """Return roll, pitch and yaw [3] of a palm-down orientation `quat [4]`, radians, about its own x, y and z axis.
-
-    This is MTRF's `mocap_euler`. Roll and pitch are constant, because their actions have no effect, as in MTRF.
-    """
-    return jnp.stack([jnp.asarray(ROLL), jnp.asarray(0.0), yaw_of(quat)])
+def euler_angle(quat: jax.Array) -> jax.Array:
+    """Return roll, pitch and yaw [3] of an orientation `quat [4]`, radians, about its own x, y and z axis."""
+    w, x, y, z = quat
+    roll = jnp.arctan2(2 * (w * x - y * z), 1 - 2 * (x * x + y * y))
+    pitch = jnp.arcsin(jnp.clip(2 * (x * z + w * y), -1.0, 1.0))
+    yaw = jnp.arctan2(2 * (w * z - x * y), 1 - 2 * (y * y + z * z))
+    return jnp.stack([roll, pitch, yaw])
 
 
 def palm_down(yaw: jax.Array) -> jax.Array:

@@ -1,11 +1,12 @@
 """Franka kitchen: close the open appliances; a reset-free agent must open them again itself.
 
 Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our
-own MJCF (assets/mjcf/franka_kitchen.xml); docs/environments.md lists every difference. The paper's text has other
+own MJCF (assets/mjcf/franka_kitchen.xml); docs/tasks.md lists every difference. The paper's text has other
 appliances and the other direction than the release: `variant="paper"`.
 """
 
 import dataclasses
+import itertools
 from typing import ClassVar
 
 import jax
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import physics
-from earl_jax.envs.features import ContinuingDefaults, View
+from earl_jax.envs.features import ContinuingDefaults, Starts, View
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
@@ -44,19 +45,18 @@ CLOSED = np.array(
 """The goal: a noisy observation, as published."""
 OPEN = {
     "micro": {22: -0.7}, "hinge": {20: 0.0, 21: 1.45}, "slide": {19: 0.37}, "light": {17: -0.69, 18: -0.05},
-    "burner": {11: -0.88, 12: -0.01},
+    "bottom_burner": {11: -0.88, 12: -0.01}, "top_burner": {15: -0.92, 16: -0.01},
 }  # fmt: skip
-"""For each open appliance: indices into a state and their values. The final release has no burner; this is the
-`bottom_burner` of its earlier versions."""
+"""For each open appliance: indices into a state and their values. The final release has no burner. The bottom one is that
+of its earlier versions, the top one that of D4RL's kitchen (Fu et al. 2020), which has the same bottom one."""
 PAIRS = (
     ("micro", "hinge"), ("micro", "slide"), ("micro", "light"), ("light", "slide"), ("light", "hinge"), ("slide", "hinge"),
 )  # fmt: skip
-TEXT_GOALS = (
-    ("micro", "hinge"), ("micro", "slide"), ("micro", "burner"), ("burner", "slide"), ("burner", "hinge"), ("slide", "hinge"),
-    ("micro", "hinge", "burner"),
-)  # fmt: skip
-"""The open appliances in each goal of `variant="paper"`: the released pairs with the burner that the paper's text names
-in the place of the light, and the text's example, to open microwave, door and burner."""
+TEXT_APPLIANCES = ("micro", "hinge", "slide", "bottom_burner", "top_burner")
+TEXT_GOALS = (*itertools.combinations(TEXT_APPLIANCES, 2), ("micro", "hinge", "bottom_burner"))
+"""The open appliances in each goal of `variant="paper"`: as in the release all pairs, here of what the paper's text names,
+with the appendix's two distinct burners in the place of the light; and the text's example, to open microwave, door and
+burner."""
 MIDDLE = (-0.44, 0.1, 2.226)
 ARM_QPOS = (
     -0.41348427, -1.71317005, 1.42235766, -2.50195035, 0.646138996, 1.25936986, 0.868014878, 0.0399940302, 9.35269783e-05,
@@ -97,8 +97,8 @@ class FrankaKitchen(MujocoEnv):
     observes exactly. `substeps=40` is the released time step of 2 ms.
 
     `variant="paper"` has the appliances, direction and reward of the paper's text: everything is closed at the start,
-    and a goal is one of `TEXT_GOALS`. The text names microwave, hinged cabinet, burner and slide cabinet, and opening
-    as its example. It leaves open the joint values, the other tasks, the start and the success; ours are the
+    and a goal is one of `TEXT_GOALS`. The text names microwave, hinged cabinet, two burners and slide cabinet, and
+    opening as its example. It leaves open the joint values, the other tasks, the start and the success; ours are the
     release's. The reward is `reward.published`.
     """
 
@@ -129,12 +129,21 @@ class FrankaKitchen(MujocoEnv):
         return CLOSED[None].copy() if self.variant == "paper" else with_open(PAIRS)
 
     def reset(self, key: jax.Array) -> State:
+        pair_key, _ = jax.random.split(key)
+        return self._start(key, jax.random.randint(pair_key, (), 0, len(self.initial_states)))
+
+    @property
+    def starts(self) -> Starts:
+        return Starts(numbered=self._start, count=len(self.initial_states))
+
+    def _start(self, key: jax.Array, number: jax.Array) -> State:
+        """Return the start with the appliances of `initial_states[number]`; `key` draws goal and noise."""
         pair_key, noise_key = jax.random.split(key)
         goal = self.sample_goal(pair_key)  # of the pair and the goal, either variant has only a single choice
         starts = self.initial_states[:, rewards.FIRST[rewards.ROBOT :]]
         untouched = starts == CLOSED[rewards.FIRST[rewards.ROBOT :]]
         start_objects = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), starts))
-        objects = start_objects[jax.random.randint(pair_key, (), 0, len(start_objects))]
+        objects = start_objects[number]
         qpos, rest = jnp.append(jnp.array(ARM_QPOS, jnp.float32), objects), jnp.zeros(start_objects.shape[1])
         data = PhysicsState.at(
             qpos=qpos,

@@ -1,7 +1,7 @@
 """Minitaur pen: a quadruped with eight motors walks to a position in a pen; a fall does not end an episode.
 
 Source: the released EARL environment on PyBullet's Minitaur. The physics are our own MJCF (assets/mjcf), tested against
-poses and trots that were recorded there; docs/environments.md lists every difference.
+poses and trots that were recorded there; docs/tasks.md lists every difference.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """The base class of both Sawyer tasks: an arm dragged by its hand, two fingers, an object, 14 numbers of observation.
 
 Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 2021. The physics are our own MJCF
-(assets/mjcf), fitted to the recorded demonstrations; docs/environments.md lists every difference.
+(assets/mjcf), fitted to the recorded demonstrations; docs/tasks.md lists every difference.
 """
 
 import abc

@@ -116,10 +116,16 @@ class SawyerPeg(Sawyer):
         start = self._peg_start(start_key)
         return self._start_with_peg(start, goals[jax.random.randint(goal_key, (), 0, len(goals))])
 
+    def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
+        """Return the start with that `number []` in the published list."""
+        del key
+        return self._start_with_peg(_lying_peg(jnp.asarray(HEADS)[number]), jnp.asarray(self.goal_states)[0])
+
     @property
     def starts(self) -> Starts:
         """The wide starts are those of `wide=True`: half of them all over the table, where no demonstration begins."""
-        return Starts(wide=self._wide_start if self.sparse and not self.reset_at_goal else None)
+        wide = self._wide_start if self.sparse and not self.reset_at_goal else None
+        return Starts(wide=wide, numbered=self._listed_start, count=len(HEADS)) if self.listed else Starts(wide=wide)
 
     def _wide_start(self, key: jax.Array) -> State:
         return dataclasses.replace(self, listed=False, wide=True).reset(key)
@@ -153,9 +159,9 @@ class SawyerPeg(Sawyer):
         if self.reset_at_goal:
             return jnp.asarray(INSERTED - HEAD) + scatter
         if self.listed:
-            return _lying_peg(HEADS, head_key)
+            return _lying_peg(_drawn(HEADS, head_key))
         if self.wide:
-            return jnp.where(jax.random.bernoulli(wide_key), uniform, _lying_peg(FAR_HEADS, head_key) + scatter)
+            return jnp.where(jax.random.bernoulli(wide_key), uniform, _lying_peg(_drawn(FAR_HEADS, head_key)) + scatter)
         return uniform
 
     def _changed_info(
@@ -231,9 +237,13 @@ class SawyerPeg(Sawyer):
         return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
 
 
-def _lying_peg(heads: np.ndarray, key: jax.Array) -> jax.Array:
-    """Return the middle [3] of a lying peg with its head at one of `heads [n, 2]`."""
-    head = jnp.asarray(heads)[jax.random.randint(key, (), 0, len(heads))]
+def _drawn(heads: np.ndarray, key: jax.Array) -> jax.Array:
+    """Return one of `heads [n, 2]`."""
+    return jnp.asarray(heads)[jax.random.randint(key, (), 0, len(heads))]
+
+
+def _lying_peg(head: jax.Array) -> jax.Array:
+    """Return the middle [3] of a lying peg with its `head [2]`."""
     return jnp.append(head, LOW[2]) - HEAD
 
 

@@ -98,7 +98,14 @@ class HelpBudget(Env):
 
     @property
     def starts(self) -> Starts:
-        return Starts(*(start and functools.partial(self._reset_by, start) for start in self.task.starts))
+        own = self.task.starts
+        uniform, wide = (start and functools.partial(self._reset_by, start) for start in (own.uniform, own.wide))
+        return own._replace(uniform=uniform, wide=wide, numbered=own.numbered and self._numbered_start)
+
+    def _numbered_start(self, key: jax.Array, number: jax.Array) -> State:
+        start = self.task.starts.numbered
+        assert start is not None
+        return self._reset_by(lambda inner_key: start(inner_key, number), key)
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
