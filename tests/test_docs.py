@@ -5,12 +5,11 @@ import re
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import earl_jax
 from earl_jax import algos, envs
-from tests.conftest import CHUNK, advance, assert_all_finite, make_train_state, own_algos, tiny_method
+from tests.conftest import own_algos
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -115,16 +114,6 @@ def test_the_first_page_has_every_extra():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     rows = [row[0] for row in table_rows((DOCS / "getting_started.md").read_text(), "extra")]
     assert {name for cell in rows for name in re.findall(r"`(\w+)`", cell)} == set(extras)
-
-
-def test_the_method_of_the_readme_trains_one_controller(problem, registries):
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
-    exec(compile(next(block for block in blocks if "register_algo" in block), "README.md", "exec"), {})
-    method = tiny_method("there_and_back")
-    start = make_train_state(problem, method, [0, 1])
-    state = advance(problem, method, start, CHUNK)
-    assert_all_finite(state.lanes.agent)
-    assert (np.asarray(state.replay.counts) - np.asarray(start.replay.counts)).tolist() == [[CHUNK, 0]] * 2
 
 
 TRAINS = re.compile(r"\btrain\(|lifetime\)\(|earl-jax (?:train|sweep|search|reproduce)\b")
