@@ -2,8 +2,8 @@
 
     python -m benchmarks.redraw [--out DIR]
 
-Tables, curves, figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 5 of
-figure5_seeds.csv. With --out, only these are written, into another folder. The other files are those that
+Tables, figures 2 and 5 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 4 of
+figure4_seeds.csv. With --out, only these are written, into another folder. The other files are those that
 the modules of benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks.output import RESULTS, read_csv, write_files
 from benchmarks.paper import cells, cfbrl, differences, leaderboard, learners, uniform_starts
 from benchmarks.speed import method_cost
-from earl_jax.paper import figure5
+from earl_jax.paper import figure4
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
@@ -27,10 +27,10 @@ def redraw(out: Path) -> list[Path]:
     suite = [path for path in runs if path.parts[-3] in ARTEFACTS["figure2"].tasks]
     tasks = [path for path in runs if path not in suite]
     tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
-    folders = {"table1": tasks, "table2": tasks, "curves": tasks, "figure2": suite, "tradeoff": tradeoff}
+    folders = {"table1": tasks, "table2": tasks, "figure5": tasks, "figure2": suite, "tradeoff": tradeoff}
     written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
-    rows = read_csv(KEPT / "figure5" / "figure5_seeds.csv")
-    return [*written, *figure5.report_of(rows).write("figure5", out / "figure5")]
+    rows = read_csv(KEPT / "figure4" / "figure4_seeds.csv")
+    return [*written, *figure4.report_of(rows).write("figure4", out / "figure4")]
 
 
 def main() -> None:

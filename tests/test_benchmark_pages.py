@@ -32,7 +32,7 @@ def test_a_table_stands_between_its_comments():
 
 
 def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
-    """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figure 5."""
+    """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figure 4."""
     tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
     assert len(tables) == 6
     for path in tables:

@@ -1,4 +1,4 @@
-"""Figure 5 from the runs of tabletop in results/paper: success of final policies from uniform starts.
+"""Figure 4 from the runs of tabletop in results/paper: success of final policies from uniform starts.
 
     python -m benchmarks.paper.uniform_starts [--evaluate]
 
@@ -103,7 +103,7 @@ def table(runs: dict[str, dict[str, np.ndarray]]) -> str:
 
 def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
     own, (released, whole) = success["initial"], (success[kind] for kind in ("within_2.5", "within_2.8"))
-    published = assets.published_row("figure5", algo=run.partition("/")[0]).get("drop_percent", "-")
+    published = assets.published_row("figure4", algo=run.partition("/")[0]).get("drop_percent", "-")
     texts = [interval_text(*mean_interval(scores, rate=True)) for scores in (own, released, whole)]
     drops = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in relative_drop(own, other)))
              for other in (released, whole)]  # fmt: skip

@@ -15,7 +15,7 @@ class Naive(Method):
 
     Keep the task goal until it is reached or `episode_length` steps have passed, then draw the next one, no reset.
 
-    Source: Sharma et al. 2022, section 5.1. The text does not say that success also draws a new goal, but the published
+    Source: Sharma et al. 2022, section 6.1. The text does not say that success also draws a new goal, but the published
     reward rate of one reward in 30.7 steps on tabletop requires it.
     """
 
@@ -23,7 +23,7 @@ class Naive(Method):
     """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
 
     global_clock: bool = struct.field(pytree_node=False, default=False)
-    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, the letter of section 5.1,
+    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, the letter of section 6.1,
     instead of `episode_length` steps after the last goal."""
 
     name: ClassVar[str] = "naive"

@@ -9,7 +9,7 @@ from earl_jax.envs.state import State
 from earl_jax.errors import InputError
 
 STARTS = ("initial", "uniform", "wide")
-"""s0 ~ rho, uniform over the workspace (figure 5 of the paper), and the starts of `deployed/success_wide`."""
+"""s0 ~ rho, uniform over the workspace (figure 4 of the paper), and the starts of `deployed/success_wide`."""
 
 
 def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:

@@ -1,6 +1,6 @@
 """Tabletop organization: a gripper carries a mug to one of four coasters and returns home.
 
-Source: Sharma et al. 2022, section 4 and appendix; numbers and rewards follow the released `TabletopManipulation`.
+Source: Sharma et al. 2022, section 5 and appendix; numbers and rewards follow the released `TabletopManipulation`.
 The original writes positions and integrates no forces, so this task is plain arithmetic without a physics engine.
 """
 

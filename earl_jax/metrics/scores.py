@@ -1,6 +1,6 @@
 """The score of a run, which every command prints, and the paper's three scores of a whole lifetime.
 
-Source of the latter: Sharma et al. 2022, section 3.1: deployed and continuing policy evaluation.
+Source of the latter: Sharma et al. 2022, section 4.1: deployed and continuing policy evaluation.
 
 Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are of the same kind.
 """

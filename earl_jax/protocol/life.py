@@ -22,7 +22,7 @@ from earl_jax.options.values import COUNT, require
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
 
 ATTEMPT_STEPS = 1000
-"""Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 5.1)."""
+"""Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 6.1)."""
 EVALUATION_KEY = 2
 """Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
 DIRECTIONS = 2

@@ -1,6 +1,6 @@
 """The rules of the ARL formalism: when an environment is reset, when its goal changes, and how a step ends.
 
-Source: Sharma et al. 2022, section 3. docs/formalism.md has the equations.
+Source: Sharma et al. 2022, section 4. docs/formalism.md has the equations.
 """
 
 import dataclasses

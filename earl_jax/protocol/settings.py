@@ -1,6 +1,6 @@
 """The two settings of the paper, deployment and continuing, which determine interventions and goals.
 
-Source: Sharma et al. 2022, section 3; the numbers follow the released code.
+Source: Sharma et al. 2022, section 4; the numbers follow the released code.
 """
 
 import dataclasses
@@ -72,7 +72,7 @@ class Setting:
 class Deployment(Setting):
     """Deployment: the final policy is evaluated. Attempts draw their goals; hard interventions follow every H_T steps.
 
-    Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 3.1.1 of the paper).
+    Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 4.1.1 of the paper).
     """
 
     name: ClassVar[str] = "deployment"
@@ -82,7 +82,7 @@ class Deployment(Setting):
 class Continuing(Setting):
     """Continuing: the reward of the lifetime is evaluated. The environment sets its goals independently of the agent.
 
-    Evaluated by C(A), the reward averaged over the lifetime (section 3.1.2). Goals change as in the released code, and
+    Evaluated by C(A), the reward averaged over the lifetime (section 4.1.2). Goals change as in the released code, and
     H_T is that of its lifelong configuration. A goal change ends an attempt at the task as a time-out does; a return
     phase continues. The paper's Table 2 was made from deployment runs: its reward rates require that each success draws
     a new goal. So `earl-jax reproduce table2` reads C(A) from deployment runs.

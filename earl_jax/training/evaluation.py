@@ -70,7 +70,7 @@ def evaluate(
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
         engine: a physics engine to use instead of the run's own.
-        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 5 of the paper), or `wide` for those
+        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 4 of the paper), or `wide` for those
             of the column `deployed/success_wide`, if the task has them.
 
     Raises:

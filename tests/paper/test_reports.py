@@ -1,4 +1,4 @@
-"""Tables, curves and figures on runs written by hand, against numbers computed by hand. Figure 4 has its own tests."""
+"""Tables, curves and figures on runs written by hand, against numbers computed by hand. Figure 3 has its own tests."""
 
 import math
 
@@ -7,7 +7,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper import figure2, figure5
+from earl_jax.paper import figure2, figure4
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.protocol import Continuing, Deployment
 from earl_jax.report.published import INTERVAL_RULE, crossings_beside
@@ -28,7 +28,7 @@ def files(tmp_path_factory):
 
 
 TEXTS = {
-    "curves": [
+    "figure5": [
         "| tabletop_organization | fbrl | 2 | 200,000 | 0.20M | 0.86M | - | 2.07M | 0.550 (0.035) | "
         "0.0040 (0.0000) | 0.005 | 0.550 (0.035) | 0.94 |",
         "| - | - | - | - | 200.0 (0.0) | 0.0000 (0.0000) | - | 200.0 (0.0) | 1203.88 |",
@@ -62,7 +62,7 @@ TEXTS = {
         "| naive | budget | 10 | 2 | 20 | 15.0 (0.0) | 0.200 (0.071) | 0.200 (0.071) | 0.50 |",
     ],
 }
-ABSENT = {"table1": ["- minitaur_pen", "Claims of the paper"], "tradeoff": ["fbrl | epsilon | 5"], "curves": ["\n\n\n"]}
+ABSENT = {"table1": ["- minitaur_pen", "Claims of the paper"], "tradeoff": ["fbrl | epsilon | 5"], "figure5": ["\n\n\n"]}
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -74,7 +74,7 @@ def test_the_text_has_our_numbers_beside_the_published_ones(files, name):
 
 SHORTEST, LONGEST = (to_hex(colour) for colour in colormaps["viridis"]([0.0, 0.92]))
 PICTURES = {
-    "curves": (["fbrl"], ["r3l"]),
+    "figure5": (["fbrl"], ["r3l"]),
     "table1": (["naive", "oracle"], ["vaprl"]),
     "figure2": (["#D55E00", "#0072B2", SHORTEST, LONGEST], []),
     "tradeoff": (["naive", "fbrl"], ["r3l"]),
@@ -91,7 +91,7 @@ def test_the_picture_shows_what_was_run(files, name):
 
 
 def test_curves_hold_means_and_intervals(files):
-    rows = {(row["env"], row["metric"], int(row["step"])): row for row in read_csv(files["curves"][0])}
+    rows = {(row["env"], row["metric"], int(row["step"])): row for row in read_csv(files["figure5"][0])}
     assert numbers(rows[TABLETOP, "deployed/success", 200_000], "mean", "seeds") == pytest.approx([0.8, 2])
     assert rows[TABLETOP, "deployed/success", 200_000]["low"] == "nan", "two seeds have no interval"
     assert float(rows[TABLETOP, "deployed/success (trailing 10)", 200_000]["mean"]) == pytest.approx(0.55)
@@ -206,7 +206,7 @@ def seed_rows(algo, *successes):
 
 def test_drops_of_figure_5_are_compared_with_the_published_ones(tmp_path):
     rows = [row for algo in reversed(DROPS) for row in seed_rows(algo, *DROPS[algo][:2])]
-    csv_file, seeds_file, text_file, picture = figure5.report_of(rows).write("figure5", tmp_path)
+    csv_file, seeds_file, text_file, picture = figure4.report_of(rows).write("figure4", tmp_path)
     methods = {row["algo"]: row for row in read_csv(csv_file)}
     assert [(algo, row["verdict"]) for algo, row in methods.items()] == [
         (algo, part[2]) for algo, part in DROPS.items()
@@ -221,5 +221,5 @@ def test_drops_of_figure_5_are_compared_with_the_published_ones(tmp_path):
 
 @pytest.mark.parametrize(("success", "verdict"), [(([1.0, 1.0], [0.5, 0.7]), "within"), (([1.0], [0.6]), "-")])
 def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict(success, verdict):
-    [row] = figure5.report_of(seed_rows("oracle", *success)).tables[""]
+    [row] = figure4.report_of(seed_rows("oracle", *success)).tables[""]
     assert (row["verdict"], row["drop"]) == (verdict, pytest.approx(0.4))

@@ -135,7 +135,7 @@ class SAC(Learner):
         """Return the regression targets [K, B]: `scale r + (1 - terminal) gamma (min Q'(s', a') - alpha log pi(a'|s'))`.
 
         At a terminal transition, time-outs included, the target is the scaled reward alone: the biased TD update of the
-        EARL paper, section 5.1. The minimum is over a random `target_subset` of the ensemble (Chen et al. 2021, REDQ,
+        EARL paper, section 6.1. The minimum is over a random `target_subset` of the ensemble (Chen et al. 2021, REDQ,
         algorithm 1). Without `backup_entropy`, and for critics after the ensemble, there is no entropy term.
         """
         next_action, log_prob = self.act_with_log_prob(key, agent.actor, batch.next_obs)

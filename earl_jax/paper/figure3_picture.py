@@ -1,4 +1,4 @@
-"""The picture of figure 4: a map of visits for each method, and the thresholded difference of oracle and FBRL."""
+"""The picture of figure 3: a map of visits for each method, and the thresholded difference of oracle and FBRL."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

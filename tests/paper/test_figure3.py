@@ -1,12 +1,12 @@
-"""Figure 4 on small maps whose distances and spread are known."""
+"""Figure 3 on small maps whose distances and spread are known."""
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from earl_jax.envs import Map, make
-from earl_jax.paper.figure4 import VisitMap, report_of, seed_rows, verdicts
-from earl_jax.paper.figure4_picture import difference
+from earl_jax.paper.figure3 import VisitMap, report_of, seed_rows, verdicts
+from earl_jax.paper.figure3_picture import difference
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import count_pixels, read_csv
 
@@ -36,7 +36,7 @@ def claims_of(*maps):
 def test_visits_are_measured_and_compared_with_the_oracle(tmp_path):
     oracle, fbrl = pen_maps([(0, 3), (1, 3), (0, 3), (0, 2)], [(0, 0), (2, 0), (2, 0), (1, 0)])
     empty = VisitMap("tabletop_organization", task_map(), "fbrl", np.zeros((2, 4, 4), int))
-    csv_file, visits_file, text_file, picture = report_of([oracle, fbrl, empty]).write("figure4", tmp_path / "out")
+    csv_file, visits_file, text_file, picture = report_of([oracle, fbrl, empty]).write("figure3", tmp_path / "out")
     rows = read_csv(csv_file)
     names = [("tabletop_organization", "fbrl")] * 2 + [("minitaur_pen", "fbrl")] * 4 + [("minitaur_pen", "oracle")] * 4
     assert [(row["env"], row["algo"]) for row in rows] == names
@@ -92,7 +92,7 @@ def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
     visits = np.zeros((1, 4, 4), int)
     visits[0, 3, 0] = 9
     drawn = task_map([[0, 10], [4, 20]], unit="cm")
-    report_of([VisitMap("sawyer_peg", drawn, "fbrl", visits)]).write("figure4", tmp_path)
+    report_of([VisitMap("sawyer_peg", drawn, "fbrl", visits)]).write("figure3", tmp_path)
     axis = figures[0].axes[0]
     image = axis.images[0]
     assert image.get_extent() == [0, 4, 10, 20]
