@@ -118,5 +118,7 @@ def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
 
 
 def mean_text(values: np.ndarray, digits: int, style: str = "") -> str:
-    """Return the mean of `values [seeds]` with the standard error in brackets; `style` is "," for thousands."""
-    return f"{values.mean():{style}.{digits}f} ({stderr(values):{style}.{digits}f})"
+    """Return the mean of `values [seeds]`, of several with the standard error in brackets; `style` is "," for thousands."""
+    numbers = [values.mean(), stderr(values)] if len(values) > 1 else [values.mean()]
+    mean, *error = (f"{number:{style}.{digits}f}" for number in numbers)
+    return " ".join([mean, *(f"({text})" for text in error)])
