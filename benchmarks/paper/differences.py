@@ -133,7 +133,7 @@ def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
     return {
         "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
         "seeds": len(scores), "other_seeds": other.seeds, "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        "other_mean": other.mean, **comparison_columns(scores, other, permutation(scores, others)),
+        "other_mean": other.mean, **comparison_columns(Sample.of(scores), other, permutation(scores, others)),
         "mean_over": "episodes from such starts",
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from typing import Any
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
-from earl_jax.paper.claims import table2_claims
+from earl_jax.paper.claims import claims_text
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
 from earl_jax.report.runs import read_methods
@@ -36,14 +36,14 @@ def report(number: int, folders: Sequence[Path]) -> Report:
         "heading": HEADINGS[number],
         "description": DESCRIPTIONS[number],
         "cells": _table_by_task(rows, _comparison),
-        "claims": table2_claims(groups) if number == 2 else "",
+        "claims": claims_text(number, groups),
         "tests": _tests([row for row in rows if row["p"] is not None]),
         "rule": INTERVAL_RULE,
         "faults": _faults(number, trained),
         "runs": "\n".join(map(_run_note, trained)),
         "missing": _missing(rows),
     }
-    return Report(parts, _draw(number, rows), {"": rows})
+    return Report(parts, _draw(number, rows), {"": rows}, "tables")
 
 
 def _table_by_task(rows: Sequence[Row], text: Callable[[Row], str]) -> str:

@@ -69,7 +69,7 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     for row, scores in tested:
         other = Sample.of(scores)
         result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), other)
-        columns = comparison_columns(leader, other, result, "difference_")
+        columns = comparison_columns(Sample.of(leader), other, result, "difference_")
         row |= {name: value for name, value in columns.items() if name in row}
         row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
     for row in with_verdicts([row for row, _ in tested]):

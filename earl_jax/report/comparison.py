@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,11 +10,13 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import (
+    CANNOT_TELL,
     Comparison,
     Sample,
     detectable_difference,
     holm,
     permutation,
+    smallest_p,
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
@@ -63,8 +65,7 @@ COLUMNS: tuple[Column, ...] = (
     ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], ".3g")),
     ("p", lambda row: number_text(row["p"])),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
-    ("verdict", lambda row: row["verdict"]),
-    ("detectable", lambda row: number_text(row["detectable"])),
+    ("verdict", lambda row: verdict_text(row)),
 )
 
 
@@ -175,12 +176,12 @@ def _row(
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(scores, other, result), "age": 1.0, "mean_over": first.curves.window.text,
+        **comparison_columns(Sample.of(scores), other, result), "age": 1.0, "mean_over": first.curves.window.text,
     }  # fmt: skip
 
 
-def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, prefix: str = "") -> Row:
-    """Return the columns of `result`, the test of `scores [N]` against `other`, before `with_verdicts`.
+def comparison_columns(own: Sample, other: Sample, result: Comparison, prefix: str = "") -> Row:
+    """Return the columns of `result`, the test of the sample `own` against `other`, before `with_verdicts`.
 
     The names of the ends of its interval start with `prefix`.
     """
@@ -190,8 +191,21 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
         f"{prefix}high": result.high,
         "p": result.p,
         "verdict": "",
-        "detectable": detectable_difference(Sample.of(scores), other),
+        "detectable": detectable_difference(own, other),
     }
+
+
+def verdict_text(row: Row, number: Callable[[float], str] = number_text) -> str:
+    """Return the verdict of a row, with what its test would find, by `number`, or why it finds nothing, if it cannot tell."""
+    if row["verdict"] != CANNOT_TELL:
+        return row["verdict"]
+    if math.isnan(row["detectable"]):
+        return f"{CANNOT_TELL}: a test needs two seeds of each"
+    if row["detectable"] == 0:
+        return f"{CANNOT_TELL}: all seeds are equal" if row["difference"] == 0 else f"{CANNOT_TELL}: no spread"
+    if math.isclose(row["p"], smallest_p(row["seeds"], row["other_seeds"])):
+        return f"{CANNOT_TELL}: the seeds do not overlap, but so few can have no smaller p"
+    return f"{CANNOT_TELL}; {number(row['detectable'])} would be found"
 
 
 def table_text(rows: Sequence[Row], width: int | None = None) -> str:

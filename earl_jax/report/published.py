@@ -100,18 +100,22 @@ def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
     return PublishedScore(row["mean"], row["stderr"]) if row else None
 
 
-def released_beside(curves: Curves) -> Curves | None:
-    """Return the released runs of the paper to set beside a run, by the rule of `row_beside`; None if there are none."""
-    config = curves.config
-    runs = assets.released_runs(config.env, config.algo) if _is_comparable(curves) else {}
+def released_curves(env: str, algo: str) -> Curves | None:
+    """Return the released runs of the paper of a method on a task, or None if there are none."""
+    runs = assets.released_runs(env, algo)
     if not runs:
         return None
     steps = runs["steps"]
     schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[0]), checkpoint_every=int(steps[-1]))
-    names = {"deployed": curves.deployed_metric, "continuing": "continuing/reward"}
-    metrics = {names[name]: values for name, values in runs.items() if name in names}
-    released = RunConfig(config.env, {}, config.algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
-    return Curves(released, steps, metrics, window=curves.window)
+    config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
+    names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
+    return Curves(config, steps, {names[name]: values for name, values in runs.items() if name in names})
+
+
+def released_beside(curves: Curves) -> Curves | None:
+    """Return the released runs of the paper to set beside a run, by the rule of `row_beside`; None if there are none."""
+    released = released_curves(curves.config.env, curves.config.algo) if _is_comparable(curves) else None
+    return released and released._replace(window=curves.window)
 
 
 def row_beside(table: str, curves: Curves) -> dict[str, str]:

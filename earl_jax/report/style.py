@@ -12,6 +12,11 @@ from earl_jax.metrics.statistics import Estimate
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
 """The titles of tasks whose name does not tell how to write it."""
+METHODS = {
+    "naive": "Naive RL", "fbrl": "FBRL", "r3l": "R3L", "vaprl": "VaPRL", "oracle": "Oracle RL", "cfbrl": "CFBRL",
+    "medal": "MEDAL", "risc": "RISC", "rlpd": "RLPD", "bc": "Behaviour cloning",
+}  # fmt: skip
+"""The names of methods as people write them."""
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
@@ -124,3 +129,9 @@ def step_axis(axis: Any, label: str) -> None:
 def task_title(env: str) -> str:
     """Return the title of a task, or its name if it is not installed."""
     return TITLES.get(env, env.replace("_", " ").capitalize()) if env in list_envs() else env
+
+
+def method_title(label: str) -> str:
+    """Return the label of a method, such as `naive (reward_scale=1)`, with its name as people write it."""
+    name, bracket, options = label.partition(" (")
+    return f"{METHODS.get(name, name)}{bracket}{options}"

@@ -63,7 +63,7 @@ TEXTS = {
     ],
 }
 ABSENT = {
-    "table1": ["- minitaur_pen", "Claims of the paper"],
+    "table1": ["- minitaur_pen", "Two more claims"],
     "tradeoff": ["fbrl | epsilon | 5"],
     "figure5": ["\n\n\n"],
 }
