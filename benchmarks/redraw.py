@@ -1,10 +1,10 @@
-"""Redraw all tables, curves and figures from the committed data, and the tables of README, docs/results.md and the leaderboard.
+"""Redraw all tables and figures from the committed data, and the tables of the pages.
 
     python -m benchmarks.redraw [--out DIR]
 
 Tables, figures 2 and 5 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 3 of
-figure3_visits.npz and figure 4 of figure4_seeds.csv. With --out, only these are written, into another folder. The other files are those that
-the modules of benchmarks.paper and benchmarks.speed.method_cost write.
+figure3_visits.npz and figure 4 of figure4_seeds.csv. With --out, only these are written, into another folder. The other
+files are those that the modules of benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
 import argparse

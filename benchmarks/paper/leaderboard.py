@@ -16,7 +16,7 @@ from typing import Any
 
 from scipy import stats
 
-from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
+from benchmarks.output import RESULTS, ROOT, csv_text, pages_with, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
@@ -212,10 +212,10 @@ def _require(condition: bool, rule: str) -> None:
 
 def files() -> dict[Path, str]:
     """Return the page and the rows that ship, from the runs and the published scores."""
-    runs, page = entries(), DOCS / "leaderboard.md"
+    runs = entries()
     rows = rows_of(runs)
     tables = {"scores": scores_text(rows), "tests": tests_text(runs)}
-    return {page: with_tables(page.read_text(), tables), ROWS: rows_text(rows)}
+    return {**pages_with(tables), ROWS: rows_text(rows)}
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """TD3 beside SAC as the learner of oracle RL on tabletop: `python -m benchmarks.paper.learners`.
 
-Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/algorithms.md. A row is the
+Reads the runs of results/learners and writes results/learners/curves.png and the table `td3` of the pages. A row is the
 score of a run, with its interval over seeds and the permutation test.
 """
 
 from pathlib import Path
 
-from benchmarks.output import DOCS, RESULTS, with_tables, write_files
+from benchmarks.output import RESULTS, pages_with, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax.metrics.comparison import permutation
 from earl_jax.report.plots import plot_runs
@@ -39,9 +39,8 @@ def table() -> str:
 
 
 def files() -> dict[Path, str]:
-    """Return the page of algorithms with the table."""
-    page = DOCS / "algorithms.md"
-    return {page: with_tables(page.read_text(), {"td3": table()})}
+    """Return the page with the table."""
+    return pages_with({"td3": table()})
 
 
 def draw() -> None:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import DOCS, RESULTS, csv_text, read_csv, with_tables, write_files
+from benchmarks.output import RESULTS, csv_text, pages_with, read_csv, write_files
 from benchmarks.paper.cells import RUNS, TABLETOP, commit_of
 from earl_jax import assets
 from earl_jax.envs import Env, State
@@ -111,9 +111,8 @@ def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
 
 
 def files() -> dict[Path, str]:
-    """Return docs/results.md with the table of the kept successes."""
-    page = DOCS / "results.md"
-    return {page: with_tables(page.read_text(), {"starts": table(read_seeds())})}
+    """Return the page with the table of the kept successes."""
+    return pages_with({"starts": table(read_seeds())})
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from earl_jax import assets
 from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
 from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
-from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach
+from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import evaluate
@@ -106,14 +106,16 @@ def _draw(methods: Sequence[Row]) -> Any:
         colour = palette[row["algo"]]
         _draw_bar(axis, position - 0.2, estimate_of(row, "initial", "initial_"), color=colour)
         _draw_bar(axis, position + 0.2, estimate_of(row, "uniform", "uniform_"), color=colour, alpha=0.45, hatch="//")
-        text = f"drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
+        text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
         axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
-    axis.set_xticks(range(len(methods)), [row["algo"] for row in methods])
-    axis.set(ylim=(0, 1.25), xlim=(-0.6, len(methods) - 0.4), ylabel="success", yticks=np.linspace(0, 1, 6))
+    axis.set_xticks(range(len(methods)), [method_title(row["algo"]) for row in methods])
+    axis.set(
+        ylim=(0, 1.25), xlim=(-0.6, len(methods) - 0.4), ylabel=AXES["deployed/success"], yticks=np.linspace(0, 1, 6)
+    )
     axis.grid(axis="y", alpha=0.3)
     axis.set_axisbelow(True)
     initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")
-    legend_below(figure, {"from the published start": initial, "from uniform starts": uniform}, 2)
+    legend_below(figure, {"From the published start": initial, "From uniform starts": uniform}, 2)
     return figure
 
 

@@ -15,11 +15,13 @@ from earl_jax.report.published import LEVELS, crossings_beside, published_beside
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
+    AXES,
     LINE_STYLES,
     colours,
     draw_band,
     legend_below,
     legend_entries,
+    method_title,
     new_figure,
     step_axis,
     task_title,
@@ -106,7 +108,11 @@ def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) ->
         curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
         CONTINUING: curves.metrics[CONTINUING],
     }
-    style = {"linestyle": line_style, "label": group.label, "marker": "o" if len(curves.steps) == 1 else None}
+    style = {
+        "linestyle": line_style,
+        "label": method_title(group.label),
+        "marker": "o" if len(curves.steps) == 1 else None,
+    }
     for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
         draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, **style)
         if final := published_beside(table, curves):
@@ -119,12 +125,12 @@ def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) ->
 def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
     """Label the two axes of one task."""
     rates = of_task[0].curves.deployed_metric == SUCCESS
-    column[0].set(title=task_title(of_task[0].env), ylabel="deployed success" if rates else "deployed return")
+    column[0].set(title=task_title(of_task[0].env), ylabel=AXES[of_task[0].curves.deployed_metric])
     if rates:
         column[0].set_ylim(-0.04, 1.04)
-    column[1].set_ylabel("reward per step of the lifetime")
+    column[1].set_ylabel(AXES[CONTINUING])
     column[0].set_xlim(0, max(group.curves.steps[-1] for group in of_task))
-    step_axis(column[1], "steps of a seed")
+    step_axis(column[1])
     for axis in column:
         axis.grid(alpha=0.3)
 
@@ -133,8 +139,8 @@ def _add_legend(figure: Any, axes: Any) -> None:
     from matplotlib.lines import Line2D
 
     handles = legend_entries(axes[0])
-    handles["published: final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
-    handles["published: 0.5, 0.9 reached"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
+    handles["Published, final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
+    handles["Published mean reaches 0.5, 0.9"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
     legend_below(figure, handles, min(len(handles), 4 if axes.shape[1] < 3 else 8), fontsize="small")
 
 

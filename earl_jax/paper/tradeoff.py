@@ -20,10 +20,12 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.style import (
+    AXES,
     colours,
     legend_below,
     legend_entries,
     method_order,
+    method_title,
     new_figure,
     reach,
     task_order,
@@ -43,6 +45,8 @@ LINE = ("env", "algo", "kind")
 """The columns that name a line of the picture."""
 KINDS = {"epsilon": "o-", "budget": "s--"}
 """The two ways in which interventions are given, and their lines."""
+NAMES = {"epsilon": "at random", "budget": "on request"}
+"""What the picture calls them."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "help", "below": "hurt"}
@@ -170,10 +174,12 @@ def _draw(lines: Lines) -> Any:
     palette = colours(algo for _, algo, _ in lines)
     for (env, algo, kind), line in lines.items():
         for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
-            _draw_line(axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{algo}, {kind}")
+            _draw_line(
+                axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{method_title(algo)}, {NAMES[kind]}"
+            )
     for env, (above, below) in zip(envs, axes.T, strict=True):
-        above.set(title=task_title(env), ylabel="final deployed score")
-        below.set(xscale="symlog", xlabel="interventions spent", ylabel="area under the deployed curve, per step")
+        above.set(title=task_title(env), ylabel=AXES["deployed/success"])
+        below.set(xscale="symlog", xlabel="Interventions", ylabel="Mean success over training")
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     legend_below(figure, legend_entries(axes[0]), 4)

@@ -23,6 +23,7 @@ from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import (
+    FAMILY_RULE,
     RECONSTRUCTED,
     TEST_RULE,
     published_score,
@@ -32,7 +33,7 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import MethodRuns, common_steps, read_methods
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.style import PICTURES, new_figure, reach, save
+from earl_jax.report.style import PICTURES, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import (
     INTERVALS,
     Column,
@@ -52,8 +53,7 @@ AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
     f"The score of a seed is its mean over {{window}}, up to the same step. {INTERVALS} Those of differences are Welch's. p: the "
-    "permutation test between runs, adjusted by Holm over the comparisons of a task at an age. Detectable: the difference that "
-    f"Welch's test would find with a probability of 80 %. {TEST_RULE}"
+    f"permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')} {TEST_RULE}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -250,11 +250,11 @@ def _draw(rows: Sequence[Row]) -> Any:
             axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
         axis.set_yticks(range(len(chosen)), [_difference(row) for row in chosen], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)
-        axis.set(title=env, xlabel="difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
+        axis.set(title=task_title(env), xlabel="Difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
     return figure
 
 
 def _difference(row: Row) -> str:
     """Return what a row compares, with the steps if there are rows of several ages."""
-    text = f"{row['first']} − {row['second']}"
+    text = f"{method_title(row['first'])} − {method_title(row['second'])}"
     return text if row["age"] == 1.0 else f"{text}, {millions(row['steps'])}"

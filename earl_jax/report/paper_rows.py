@@ -3,7 +3,6 @@
 Source: Sharma et al. 2022, tables 1 and 2.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
 from earl_jax.report.published import (
     PublishedScore,
+    chosen_words,
     published_beside,
     published_score,
     published_steps,
@@ -49,8 +49,7 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
         for algo in method_order(algo for name, algo in names if name == env):
             runs = [group for group in groups if (group.env, group.algo) == (env, algo)]
             rows += [_row(number, env, algo, group) for group in runs or [None]]
-    for row in with_verdicts([row for row in rows if row["p"] is not None]):
-        row["p_holm"] = None if math.isnan(row["p_holm"]) else row["p_holm"]
+    with_verdicts([row for row in rows if row["p"] is not None])
     return rows
 
 
@@ -64,6 +63,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "algo": algo,
         "label": group.label if group else algo,
         "options": options_text(group.curves.options) if group else None,
+        "chosen": chosen_words(group.curves) if group else None,
         **_measured(number, group),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",

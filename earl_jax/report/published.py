@@ -11,6 +11,7 @@ from typing import NamedTuple
 from scipy import stats
 
 from earl_jax import assets
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.comparison import Sample, rate_interval
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.metrics.statistics import Estimate
@@ -26,13 +27,18 @@ TEST_RULE = (
     "Tests against the paper: the permutation test of our seeds and the five released ones, over the same steps, up to the last "
     "step that both have. Where no runs were released (Minitaur), Welch's test of runs of the published length against the "
     "printed mean and standard error, which divides by n and is converted; one printed as 0.00 counts as half a unit of its last "
-    "digit. The reward scale of 10 and VaPRL's defaults were chosen with a look at the released runs, which favours them."
+    "digit. Defaults that were chosen with a look at runs of the same tasks (the reward scale of 10, the phases of FBRL, the "
+    "subgoals of VaPRL) are favoured by them."
+)
+FAMILY_RULE = (
+    "p is adjusted by Holm over a family: the tests that answer one question on one task, here {family}. The verdict is above or "
+    "below if the adjusted p is under 0.05, else `cannot tell`, with the difference that Welch's test would find with a "
+    "probability of 80 % without the adjustment."
 )
 INTERVAL_RULE = (
-    f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}. p is adjusted by Holm over the methods of a "
-    "task. The verdict is above or below if the adjusted p is under 0.05, else `cannot tell`; detectable is the difference "
-    "that Welch's test would find with a probability of 80 %. It is `-` if nothing is published or nothing was run. Intervals "
-    "of 95 % are Student's, or Wilson's for rates."
+    f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}; the printed numbers are of the last "
+    f"evaluation. {FAMILY_RULE.format(family='the methods against the paper')} The verdict is `-` if nothing is published or "
+    "nothing was run. Intervals of 95 % are Student's, or Wilson's for rates."
 )
 
 RECONSTRUCTED = ("dhand_lightbulb",)
@@ -41,6 +47,26 @@ RECONSTRUCTED = ("dhand_lightbulb",)
 FEW = 10
 """Fewer seeds than this make a bootstrap interval unreliable."""
 FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
+
+
+CHOSEN = {
+    "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals"
+}  # fmt: skip
+"""Options whose defaults were chosen with a look at runs of the paper's tasks, and their words; the reward scale, of sparse ones."""
+OWN, UNREWARDED = "cfbrl", "bc"
+"""The method that was developed on these tasks, of which all options were chosen so, and one that learns from no reward."""
+
+
+def chosen_words(curves: Curves) -> str:
+    """Return which settings of a run were chosen with a look at runs of the same tasks, which favours them; `-` for none."""
+    config = curves.config
+    if config.algo in (OWN, UNREWARDED) or config.env not in PAPER_TASKS:
+        return "all options" if config.algo == OWN else "-"
+    method = config.build_method()
+    fields = {field.name for part in (method, method.learner) for field in dataclasses.fields(part)}
+    names = fields & CHOSEN.keys() - config.options.keys()
+    words = [CHOSEN[name] for name in CHOSEN if name in names and (name != "reward_scale" or make(config.env).sparse)]
+    return ", ".join(dict.fromkeys(words)) or "-"
 
 
 class PublishedScore(NamedTuple):

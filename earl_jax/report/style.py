@@ -17,6 +17,13 @@ METHODS = {
     "medal": "MEDAL", "risc": "RISC", "rlpd": "RLPD", "bc": "Behaviour cloning",
 }  # fmt: skip
 """The names of methods as people write them."""
+AXES = {
+    "deployed/success": "Success of the deployed policy",
+    "deployed/return": "Return of the deployed policy",
+    "continuing/reward": "Reward per step of the life",
+}
+"""What axes call metrics."""
+UNITS = ((1_000_000, "Steps (millions)"), (1_000, "Steps (thousands)"))
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
@@ -117,13 +124,14 @@ def shaded(colour: str, shade: int, count: int) -> str:
     return mixed(colour, "#000000" if position < 0 else "#FFFFFF", 0.55 * abs(position))
 
 
-def step_axis(axis: Any, label: str) -> None:
-    """Format the x axis of `axis` as steps, with few and short numbers."""
-    from matplotlib.ticker import EngFormatter
-
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+def step_axis(axis: Any, label: bool = True) -> None:
+    """Format the x axis of `axis`, whose limits are set, as steps in thousands or millions, with few numbers."""
+    last = axis.get_xlim()[1]
+    unit, name = next(((unit, name) for unit, name in UNITS if last >= unit / 5), (1, "Steps"))
+    axis.xaxis.set_major_formatter(lambda step, _: f"{step / unit:g}")
     axis.locator_params(axis="x", nbins=5)
-    axis.set_xlabel(label)
+    if label:
+        axis.set_xlabel(name)
 
 
 def task_title(env: str) -> str:
