@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.output import RESULTS, read_csv, write_files
+from benchmarks.output import RESULTS, read_csv, shrink, write_files
 from benchmarks.paper import cells, cfbrl, differences, leaderboard, learners, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.envs import make
@@ -40,7 +40,11 @@ def redraw(out: Path) -> list[Path]:
     written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
     rows = read_csv(KEPT / "figure4" / "figure4_seeds.csv")
     reports = {"figure3": visits(), "figure4": figure4.report_of(rows)}
-    return [*written, *(path for name, report in reports.items() for path in report.write(name, out / name))]
+    written += [path for name, report in reports.items() for path in report.write(name, out / name)]
+    for path in written:
+        if path.suffix == ".png":
+            shrink(path)
+    return written
 
 
 def visits() -> Report:

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.output import RESULTS, pages_with, write_files
-from earl_jax.metrics.comparison import band, holm, mean_interval, permutation
+from earl_jax.metrics.comparison import LEVEL, band, holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
@@ -116,17 +116,26 @@ def window_scores(curves: Curves, metric: str, window: int, end: int | None = No
 
 
 def options_text() -> str:
-    """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p."""
-    rows, values = [], []
+    """Return the table of the options of results/cfbrl beside the default, over the last 200,000 steps, with Holm's p.
+
+    A family has the measures of an option on a task.
+    """
+    rows, values = [], {}
     for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
         base = _option_scores(OPTIONS / env / "default")
         rows.append(_option_line(env, "default", base))
         for folder in sorted(path for path in (OPTIONS / env).iterdir() if path.name != "default"):
             scores = _option_scores(folder)
             rows.append(_option_line(env, folder.name, scores))
-            values += [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
+            tests = [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
+            values[env, folder.name] = float(np.nanmin(holm(tests)))
     header = ("task", "options", *MEASURES.values())
-    smallest = f"The smallest of the {len(values)} adjusted p against the default is {min(holm(values)):.2g}."
+    clear = [f"{name} on {env} ({p:.2g})" for (env, name), p in values.items() if p < LEVEL]
+    smallest = (
+        "Against the default, with the permutation test and p adjusted by Holm over the measures of an option on a task, the "
+        f"seeds tell {' and '.join(clear) or 'no option'} apart; the smallest of the {len(values)} adjusted p is "
+        f"{min(values.values()):.2g}."
+    )
     return f"{markdown_table(header, rows)}\n\n{smallest}"
 
 

@@ -13,7 +13,6 @@ from earl_jax.report.plots import AXES, RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, released_beside, share_text
 from earl_jax.report.runs import MethodRuns
 from earl_jax.report.style import (
-    COLOURS,
     legend_below,
     matplotlib,
     method_title,
@@ -29,11 +28,12 @@ WHOLE = 0.95
 """Share of its steps from which on a run counts as whole."""
 LEGEND = (
     "Our score, the published one over the same steps below it, and the verdict of the permutation test of seeds (adjusted p "
-    "over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of the steps stands where our run is "
-    "shorter than the paper's. The first three tasks have success, the others return. Nothing was released of the Minitaur: the "
-    "printed score of the whole length stands there. The lightbulb is our reconstruction, which is not compared."
+    "over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of the steps stands where our run "
+    "is shorter than the paper's. The first three tasks have success, the others return. Nothing was released of the Minitaur: "
+    "the printed score of the whole length stands there. The lightbulb is our reconstruction, which is not compared."
 )
 SMOOTH = 10
+OURS = {"color": "#0072B2"}
 Row = dict[str, Any]
 
 
@@ -73,7 +73,7 @@ def draw(groups: Sequence[MethodRuns], path: Path) -> Path:
         for env, line in zip(PAPER_TASKS, axes, strict=True):
             for algo, axis in zip(METHODS, line, strict=True):
                 if algo in methods_on(env):
-                    _draw_cell(axis, runs.get((env, algo)), COLOURS[algo])
+                    _draw_cell(axis, runs.get((env, algo)))
                 else:
                     axis.set_axis_off()
             metric = next(group.curves.deployed_metric for group in groups if group.env == env)
@@ -81,18 +81,18 @@ def draw(groups: Sequence[MethodRuns], path: Path) -> Path:
             line[0].set_xlim(0, training_steps(env))
         for algo, axis in zip(METHODS, axes[0], strict=True):
             axis.set_title(method_title(algo))
-        figure.supxlabel("Steps (millions)", fontsize=8)
+        step_axis(axes[-1, len(METHODS) // 2])
         _add_legend(figure)
         shrink(save(figure, path))
     return path
 
 
-def _draw_cell(axis: Any, group: MethodRuns | None, colour: str) -> None:
+def _draw_cell(axis: Any, group: MethodRuns | None) -> None:
     if group:
         curves, metric = group.curves, group.curves.deployed_metric
         if released := released_beside(curves):
             draw_curves(axis, released, metric, SMOOTH, RELEASED, each=True)
-        draw_curves(axis, curves, metric, SMOOTH, {"color": colour}, each=True)
+        draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)
     step_axis(axis, label=False)
     axis.grid(alpha=0.3)
 
@@ -100,7 +100,7 @@ def _draw_cell(axis: Any, group: MethodRuns | None, colour: str) -> None:
 def _add_legend(figure: Any) -> None:
     from matplotlib.lines import Line2D
 
-    lines = {"Ours, mean over seeds": (COLOURS["fbrl"], 1.4, 1.0), "Ours, each seed": (COLOURS["fbrl"], 0.8, 0.4)}
+    lines = {"Ours, mean over seeds": (OURS["color"], 1.4, 1.0), "Ours, each seed": (OURS["color"], 0.8, 0.4)}
     lines |= {
         "Published, mean": (RELEASED["color"], 1.4, 1.0),
         "Published, each of five seeds": (RELEASED["color"], 0.8, 0.4),

@@ -14,12 +14,12 @@ import numpy as np
 from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics import visitation
-from earl_jax.metrics.comparison import LEVEL, Sample, holm, welch
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, welch
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, mean_text, runs_of
 from earl_jax.paper.figure3_picture import THRESHOLD, draw
-from earl_jax.report.published import estimate_text
+from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.style import method_order, task_order
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_visits
 
@@ -38,7 +38,7 @@ stuck around the goal box, and lets the Minitaur go away from the goals."""
 GOAL_RADIUS = {"sawyer_peg": 0.12}
 """Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
 MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
-UNCLEAR, MISSING = "no clear difference", "-"
+MISSING = "-"
 
 
 class VisitMap(NamedTuple):
@@ -133,20 +133,18 @@ def verdicts(rows: Sequence[Row]) -> list[Row]:
     for env, measure in CLAIMS:
         if all((env, algo) in seeds for algo in METHODS):
             fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
-            test = welch(Sample.of(fbrl), Sample.of(oracle))._asdict()
-            means = {"fbrl": float(fbrl.mean()), "oracle": float(oracle.mean())}
-            results.append({"env": env, "measure": measure, **means, **test})
-    for row, p in zip(results, holm([row["p"] for row in results]), strict=True):
-        row |= {"p_holm": p, "verdict": _word(row["difference"], p)}
-    return results
+            samples = Sample.of(fbrl), Sample.of(oracle)
+            means = {"fbrl": samples[0].mean, "oracle": samples[1].mean, "seeds": len(fbrl), "other_seeds": len(oracle)}
+            results.append({"env": env, "measure": measure, **means, **comparison_columns(*samples, welch(*samples))})
+    return with_verdicts(results, family=())
 
 
-def _word(difference: float, p: float) -> str:
-    """Return the verdict on a `difference` of FBRL minus the oracle at the corrected `p`."""
-    if difference == 0:
-        return UNCLEAR
-    sign = "as published" if difference > 0 else "opposite to published"
-    return f"{sign}, not tested" if math.isnan(p) else sign if p < LEVEL else UNCLEAR
+def word(row: Row) -> str:
+    """Return the verdict on the test of a claim, or the sign alone where it has no test."""
+    sign = "as published" if row["difference"] > 0 else "opposite to published"
+    if math.isnan(row["p_holm"]) and row["difference"] != 0:
+        return f"{sign}, not tested"
+    return sign if row["verdict"] != CANNOT_TELL else verdict_text(row)
 
 
 def _verdicts_table(results: Sequence[Row]) -> str:
@@ -155,9 +153,9 @@ def _verdicts_table(results: Sequence[Row]) -> str:
     for row in results:
         means = [f"{row[algo]:.3f}" for algo in METHODS]
         tests = [MISSING if math.isnan(row[name]) else f"{row[name]:.2g}" for name in ("p", "p_holm")]
-        difference = estimate_text(estimate_of(row, "difference"), 3)
+        difference = interval_text(*estimate_of(row, "difference"))
         names = row["env"], row["measure"].replace("_", " ")
-        lines.append([*names, *means, difference, *tests, row["verdict"]])
+        lines.append([*names, *means, difference, *tests, word(row)])
     return markdown_table(header, lines)
 
 

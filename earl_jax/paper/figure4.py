@@ -13,9 +13,9 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
-from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
+from earl_jax.report.published import FEW, FEW_SEEDS
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import evaluate
 
@@ -79,9 +79,9 @@ def _parts(methods: Sequence[Row]) -> dict[str, str]:
         [
             row["algo"],
             row["seeds"],
-            estimate_text(estimate_of(row, "initial", "initial_"), 3),
-            estimate_text(estimate_of(row, "uniform", "uniform_"), 3),
-            estimate_text(estimate_of(row, "drop", "drop_"), 1, 100),
+            interval_text(*estimate_of(row, "initial", "initial_")),
+            interval_text(*estimate_of(row, "uniform", "uniform_")),
+            interval_text(*(100 * end for end in estimate_of(row, "drop", "drop_")), ".1f"),
             _percent(row["published_drop"]),
             row["verdict"],
         ]

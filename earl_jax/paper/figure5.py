@@ -11,8 +11,9 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.scores import deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
-from earl_jax.report.published import LEVELS, crossings_beside, published_beside
-from earl_jax.report.runs import MethodRuns, options_text, read_methods
+from earl_jax.report.paper_rows import table_scores
+from earl_jax.report.published import LEVELS, crossings_beside, published_beside, released_beside
+from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text, read_methods
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
     AXES,
@@ -70,8 +71,8 @@ def _line(group: MethodRuns) -> list[str]:
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():
         crossings += [step_interval(estimate), millions(published.get(level))]
-    deployed, continuing = (published_beside(table, curves) for table in ("table1", "table2"))
-    digits = 3 if curves.deployed_metric == SUCCESS else 1
+    released, digits = released_beside(curves), 3 if curves.deployed_metric == SUCCESS else 1
+    texts = [_released_text(number, curves, released, places) for number, places in ((1, digits), (2, 4))]
     return [
         group.env,
         group.label,
@@ -80,10 +81,18 @@ def _line(group: MethodRuns) -> list[str]:
         *crossings,
         mean_text(deployed_area(curves.steps, scores), digits),
         mean_text(rewards[:, -1], 4),
-        continuing.mean if continuing else "-",
+        texts[1],
         mean_text(seed_scores(curves), digits),
-        deployed.mean if deployed else "-",
+        texts[0],
     ]
+
+
+def _released_text(number: int, curves: Curves, released: Curves | None, digits: int) -> str:
+    """Return the mean score of the released runs over the steps of `curves`, as in table `number`; `-` without any."""
+    first, step = common_steps(curves, released) if released else (1, 0)
+    if released is None or first > step or (number == 2 and CONTINUING not in released.metrics):
+        return "-"
+    return f"{table_scores(number, released, step).mean():.{digits}f}"
 
 
 def _draw(groups: Sequence[MethodRuns]) -> Any:

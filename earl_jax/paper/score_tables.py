@@ -15,7 +15,7 @@ from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of,
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import verdict_text
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
-from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
+from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
 from earl_jax.report.style import (
     AXES,
@@ -27,7 +27,7 @@ from earl_jax.report.style import (
     reach,
     task_title,
 )
-from earl_jax.report.tables import markdown_table, millions, number_text, seeds_text
+from earl_jax.report.tables import interval_text, markdown_table, millions, number_text, seeds_text
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
@@ -98,7 +98,7 @@ def _tests(tested: Sequence[Row]) -> str:
     for row in tested:
         digits = DIGITS.get(row["metric"], 4)
         means = [f"{row[name]:.{digits}f}" for name in ("tested_mean", "other_mean")]
-        difference = estimate_text(estimate_of(row, "difference", "difference_"), digits)
+        difference = interval_text(*estimate_of(row, "difference", "difference_"), f".{digits}f")
         numbers = [number_text(row[name]) for name in ("p", "p_holm")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
         lines.append([*names, *means, difference, *numbers, verdict_text(row), row["chosen"]])
@@ -160,7 +160,7 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
     if row["published_low"] is not None:
         low, high = row["published_low"], row["published_high"]
         axis.bar(position, high - low, 0.7, low, color="0.6", alpha=0.45, linewidth=0)
-        middle = (low + high) / 2
+        middle = PublishedScore(row["published_mean"], "-").value
         axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
     if row["mean"] is not None:
         interval = reach(estimate_of(row, "mean"))

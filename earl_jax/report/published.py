@@ -14,7 +14,6 @@ from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.comparison import Sample, rate_interval
 from earl_jax.metrics.scores import DEFAULT
-from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
@@ -52,7 +51,8 @@ FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a tru
 CHOSEN = {
     "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals"
 }  # fmt: skip
-"""Options whose defaults were chosen with a look at runs of the paper's tasks, and their words; the reward scale, of sparse ones."""
+"""Options whose defaults were chosen with a look at runs of the paper's tasks, and their words. Of the reward scale it is that
+of sparse tasks."""
 OWN, UNREWARDED = "cfbrl", "bc"
 """The method that was developed on these tasks, of which all options were chosen so, and one that learns from no reward."""
 
@@ -193,14 +193,3 @@ def published_fault(table: str, env: str) -> str | None:
     """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
     rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
     return " ".join(row["fault"] for row in rows) or None
-
-
-def word_by_sign(estimate: Estimate, positive: str, negative: str, unclear: str) -> str:
-    """Return `positive` or `negative` if the whole interval lies on that side of 0, else `unclear`."""
-    return positive if estimate.low > 0 else negative if estimate.high < 0 else unclear
-
-
-def estimate_text(estimate: Estimate, digits: int, factor: float = 1.0) -> str:
-    """Return an estimate as `value [low, high]`, each times `factor`; `-` stands for a number that is not finite."""
-    value, low, high = (f"{factor * number:.{digits}f}" if math.isfinite(number) else "-" for number in estimate)
-    return f"{value} [{low}, {high}]" if low != "-" else value
