@@ -167,7 +167,8 @@ def scores_text(rows: list[Row]) -> str:
 def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
     """Return the tests of two questions a task, each a family of Holm's adjustment.
 
-    Which methods differ from naive RL, by the longest run of each, and which further runs of a method from its longest.
+    Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which further
+    runs of a method from its longest.
     """
     rows = []
     for first, second in _pairs([group for group, _ in runs]):
@@ -180,7 +181,7 @@ def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
 def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
     """Yield the pairs of runs that the questions compare."""
     longest: dict[tuple[str, str], MethodRuns] = {}
-    for group in sorted(groups, key=lambda group: -group.curves.steps[-1]):
+    for group in sorted(groups, key=lambda group: (-group.curves.steps[-1], len(group.curves.options))):
         longest.setdefault((group.env, group.algo), group)
     for group in groups:
         own, naive = longest[group.env, group.algo], longest.get((group.env, "naive"))

@@ -134,8 +134,8 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
     given = labels(runs)
     distinct = list(dict.fromkeys(given))
-    titles = [method_title(name) for name in distinct]
-    renamed = dict(zip(distinct, checked_labels(names, titles), strict=True))
+    titles = checked_labels(names, distinct) if names else map(method_title, distinct)
+    renamed = dict(zip(distinct, titles, strict=True))
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 

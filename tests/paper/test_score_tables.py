@@ -42,7 +42,7 @@ def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(
     assert [row["verdict"] for row in (naive, vaprl, pen)] == ["above", "below", "above"]
     text = text_file.read_text()
     assert "/ 0.32 (0.17) / above |" in text
-    assert "| tabletop_organization | vaprl | 2.50M | -0.462 [" in text
+    assert "| tabletop_organization | vaprl | 2.50M | 0.500 | 0.962 | -0.462 [" in text
 
 
 def test_table_2_compares_lifetime_rewards_at_equal_steps(tmp_path):
