@@ -167,8 +167,8 @@ def scores_text(rows: list[Row]) -> str:
 def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
     """Return the tests of two questions a task, each a family of Holm's adjustment.
 
-    Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which further
-    runs of a method from its longest.
+    Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which
+    further runs of a method from its longest.
     """
     rows = []
     for first, second in _pairs([group for group, _ in runs]):

@@ -119,7 +119,7 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
         return {}
     scores = table_scores(claim.number, first, step)
     others = table_scores(claim.number, second, step) if claim.second else _beginning(first)
-    return {"steps": step, **_columns(scores, Sample.of(others), permutation(scores, others))}
+    return {"steps": step, **_columns(Sample.of(scores), Sample.of(others), permutation(scores, others))}
 
 
 def _beginning(curves: Curves) -> np.ndarray:
@@ -130,15 +130,14 @@ def _beginning(curves: Curves) -> np.ndarray:
 def _printed(claim: Claim) -> Row:
     """Return the columns of the test by the printed means and standard errors; {} where they are not printed."""
     scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
-    samples = [score.sample for score in scores if score]
-    if len(samples) < 2 or not all(samples):
+    samples = [sample for score in scores if score and (sample := score.sample)]
+    if len(samples) < 2:
         return {}
     first, second = samples
     return _columns(first, second, welch(first, second))
 
 
-def _columns(scores: "np.ndarray | Sample", other: Sample, result: Comparison) -> Row:
-    own = scores if isinstance(scores, Sample) else Sample.of(scores)
+def _columns(own: Sample, other: Sample, result: Comparison) -> Row:
     return {"seeds": own.seeds, "other_seeds": other.seeds, **comparison_columns(own, other, result)}
 
 

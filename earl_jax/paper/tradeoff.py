@@ -150,7 +150,7 @@ def _findings_table(lines: Lines) -> str:
     adjusted = np.array([p for _, p in results])
     for task in {env for env, _, _ in lines}:
         own = [env == task for env, _, _ in lines]
-        adjusted[own] = holm(adjusted[own])
+        adjusted[own] = holm(adjusted[own].tolist())
     rows = []
     for (name, line), (correlation, own_p), p in zip(lines.items(), results, adjusted, strict=True):
         ends = [
