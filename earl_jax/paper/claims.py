@@ -11,15 +11,15 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.comparison import Comparison, Sample, permutation, welch
+from earl_jax.metrics.comparison import CANNOT_TELL, Comparison, Sample, permutation, welch
 from earl_jax.paper.artefact import METHODS, Row, methods_on
-from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import RECONSTRUCTED, published_score, released_curves
 from earl_jax.report.runs import Curves, MethodRuns, common_steps
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.style import method_title, task_order, task_title
-from earl_jax.report.tables import interval_text, markdown_table, millions, number_text
+from earl_jax.report.tables import markdown_table, millions
 
 EPISODIC = "oracle"
 """The method that resets, which is no autonomous one and which table 2 lacks."""
@@ -58,6 +58,9 @@ CLAIMS = (
     Claim(2, "R3L does better than naive RL with the Minitaur", "minitaur_pen", "r3l", "naive"),
 )
 """The comparisons of the text, but for those of `counted` and one that contradicts table 1 (assets/published/faults.csv)."""
+NOT_RUN = "not run"
+WORDS = {"above": "as the text says", "below": "opposite to the text"}
+PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
 CLAIM_RULE = (
     "Permutation tests of seeds over the same steps, the published ones of the released seeds (where none were released, "
     "Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
@@ -103,9 +106,7 @@ def claim_rows(number: int, groups: Sequence[MethodRuns] | None = None) -> list[
             tested = _test(claim, found) if all(found) else _printed(claim)
         else:
             tested = _test(claim, [curves.get(name) for name in names])
-        rows.append(
-            {**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": "not run", **tested}
-        )
+        rows.append({**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": NOT_RUN, **tested})
     return with_verdicts(rows, family=("text", "env"))
 
 
@@ -149,17 +150,15 @@ def _names(row: Row) -> list[str]:
 
 def _tests(row: Row, steps: bool = False) -> list[str]:
     """Return the difference, the steps if asked, the adjusted p and the verdict of a row."""
-    difference = interval_text(row["difference"], row["low"], row["high"], ".3g") if "low" in row else "-"
-    p = number_text(row["p_holm"]) if "p_holm" in row else "-"
+    if row["verdict"] == NOT_RUN:
+        return ["-"] * (3 if steps else 2) + [NOT_RUN]
+    difference, _, p, _ = compared_texts(row)
     return [difference, *([millions(row["steps"])] if steps else []), p, word(row)]
 
 
 def word(row: Row) -> str:
     """Return whether the test of a claim agrees with the text, or what it would find."""
-    if row["second"] is None:
-        words = {"above": "progress", "below": "decline"}
-        return words.get(row["verdict"]) or verdict_text(row).replace("cannot tell", "no progress found")
-    return {"above": "as the text says", "below": "opposite to the text"}.get(row["verdict"]) or verdict_text(row)
+    return verdict_text(row, words=WORDS if row["second"] else PROGRESS)
 
 
 def counted(groups: Sequence[MethodRuns]) -> str:

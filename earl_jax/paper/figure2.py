@@ -18,10 +18,10 @@ from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval, welc
 from earl_jax.metrics.scores import final_scores
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
-from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.style import ordered
-from earl_jax.report.tables import interval_text, markdown_table, number_text
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.config import RunConfig
 
 TASKS = ("cheetah_run", "fish_swim")
@@ -39,6 +39,7 @@ FINDINGS = {
 }
 """The paper's finding on the return as H_T grows, by task and `timeout_bootstrap`."""
 MISSING = "-"
+TESTED = ("p", "adjusted p")
 
 
 class Point(NamedTuple):
@@ -204,29 +205,23 @@ def _returns(arms: Arms) -> str:
 
 
 def _findings(arms: Arms) -> str:
-    tested = {(row["env"], row["update"]): row for row in findings(arms)}
     effect = {row["env"]: row["verdict"] for row in effects(arms)}
     lines = []
-    for (env, update), row in tested.items():
-        published = FINDINGS.get((env, update))
-        words = [published or MISSING, verdict(row["verdict"], effect.get(env, MISSING), published)]
+    for row in findings(arms):
+        published = FINDINGS.get((row["env"], row["update"]))
+        words = [published or MISSING, verdict(row["verdict"], effect.get(row["env"], MISSING), published)]
         horizons = "{:,} and {:,}".format(*row["horizons"])
-        lines.append([env, UPDATES[update], horizons, *_texts(row, above="degrades", below="improves"), *words])
-    header = ["task", "update", "H_T", "shortest minus longest [95 %]", "adjusted p", "finding", "published", "verdict"]
+        tests = compared_texts(row, ".1f", above="degrades", below="improves")
+        lines.append([row["env"], UPDATES[row["update"]], horizons, *tests, *words])
+    header = ["task", "update", "H_T", "shortest minus longest [95 %]", *TESTED, "finding", "published", "verdict"]
     return markdown_table(header, lines)
 
 
 def _effects(arms: Arms) -> str:
-    lines = [[row["env"], f"{row['horizon']:,}", *_texts(row, above="helps", below="hurts")] for row in effects(arms)]
-    header = ["task", "H_T", "return with minus without the biased update [95 %]", "adjusted p", "the biased update"]
+    tests = [(row, compared_texts(row, ".1f", above="helps", below="hurts")) for row in effects(arms)]
+    lines = [[row["env"], f"{row['horizon']:,}", *texts] for row, texts in tests]
+    header = ["task", "H_T", "return with minus without the biased update [95 %]", *TESTED, "the biased update"]
     return markdown_table(header, lines)
-
-
-def _texts(row: Row, **words: str) -> list[str]:
-    """Return the difference, its adjusted p, and the word for its verdict."""
-    difference = interval_text(row["difference"], row["low"], row["high"], ".1f")
-    verdict_word = words.get(row["verdict"]) or verdict_text(row, lambda value: f"{value:.0f}")
-    return [difference, number_text(row["p_holm"]), verdict_word]
 
 
 def _missing(arms: Arms) -> str:

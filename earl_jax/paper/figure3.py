@@ -14,12 +14,12 @@ import numpy as np
 from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics import visitation
-from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, welch
-from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, mean_text, runs_of
+from earl_jax.metrics.comparison import LEVEL, Sample, welch
+from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, mean_text, runs_of
 from earl_jax.paper.figure3_picture import THRESHOLD, draw
-from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.style import method_order, task_order
-from earl_jax.report.tables import interval_text, markdown_table
+from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_visits
 
@@ -39,6 +39,7 @@ GOAL_RADIUS = {"sawyer_peg": 0.12}
 """Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
 MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
 MISSING = "-"
+WORDS = {"above": "as published", "below": "opposite to published"}
 
 
 class VisitMap(NamedTuple):
@@ -141,10 +142,9 @@ def verdicts(rows: Sequence[Row]) -> list[Row]:
 
 def word(row: Row) -> str:
     """Return the verdict on the test of a claim, or the sign alone where it has no test."""
-    sign = "as published" if row["difference"] > 0 else "opposite to published"
     if math.isnan(row["p_holm"]) and row["difference"] != 0:
-        return f"{sign}, not tested"
-    return sign if row["verdict"] != CANNOT_TELL else verdict_text(row)
+        return f"{WORDS['above' if row['difference'] > 0 else 'below']}, not tested"
+    return verdict_text(row, words=WORDS)
 
 
 def _verdicts_table(results: Sequence[Row]) -> str:
@@ -152,10 +152,9 @@ def _verdicts_table(results: Sequence[Row]) -> str:
     lines = []
     for row in results:
         means = [f"{row[algo]:.3f}" for algo in METHODS]
-        tests = [MISSING if math.isnan(row[name]) else f"{row[name]:.2g}" for name in ("p", "p_holm")]
-        difference = interval_text(*estimate_of(row, "difference"))
-        names = row["env"], row["measure"].replace("_", " ")
-        lines.append([*names, *means, difference, *tests, word(row)])
+        lines.append(
+            [row["env"], row["measure"].replace("_", " "), *means, *compared_texts(row, ".3f")[:-1], word(row)]
+        )
     return markdown_table(header, lines)
 
 

@@ -13,7 +13,7 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
 from earl_jax.paper.claims import claims_text
-from earl_jax.report.comparison import verdict_text
+from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
@@ -27,7 +27,7 @@ from earl_jax.report.style import (
     reach,
     task_title,
 )
-from earl_jax.report.tables import interval_text, markdown_table, millions, number_text, seeds_text
+from earl_jax.report.tables import markdown_table, millions, seeds_text
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
@@ -96,12 +96,10 @@ def _tests(tested: Sequence[Row]) -> str:
     ]
     lines = []
     for row in tested:
-        digits = DIGITS.get(row["metric"], 4)
-        means = [f"{row[name]:.{digits}f}" for name in ("tested_mean", "other_mean")]
-        difference = interval_text(*estimate_of(row, "difference", "difference_"), f".{digits}f")
-        numbers = [number_text(row[name]) for name in ("p", "p_holm")]
+        style = f".{DIGITS.get(row['metric'], 4)}f"
+        means = [format(row[name], style) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
-        lines.append([*names, *means, difference, *numbers, verdict_text(row), row["chosen"]])
+        lines.append([*names, *means, *compared_texts(row, style, "difference_"), row["chosen"]])
     return f"{markdown_table(header, lines)}\n\n{CHOSEN_RULE}"
 
 

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -195,17 +195,27 @@ def comparison_columns(own: Sample, other: Sample, result: Comparison, prefix: s
     }
 
 
-def verdict_text(row: Row, number: Callable[[float], str] = number_text) -> str:
-    """Return the verdict of a row, with what its test would find, by `number`, or why it finds nothing, if it cannot tell."""
+def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: Mapping[str, str] | None = None) -> str:
+    """Return the verdict of a row, or the one of `words` for it; where it cannot tell, with the cause or what would be found.
+
+    That is the difference that its test finds with a probability of 80 %, by `number`.
+    """
+    text = str((words or {}).get(row["verdict"]) or row["verdict"])
     if row["verdict"] != CANNOT_TELL:
-        return row["verdict"]
+        return text
     if math.isnan(row["detectable"]):
-        return f"{CANNOT_TELL}: a test needs two seeds of each"
+        return f"{text}: a test needs two seeds of each"
     if row["detectable"] == 0:
-        return f"{CANNOT_TELL}: all seeds are equal" if row["difference"] == 0 else f"{CANNOT_TELL}: no spread"
+        return f"{text}: all seeds are equal" if row["difference"] == 0 else f"{text}: no spread"
     if math.isclose(row["p"], smallest_p(row["seeds"], row["other_seeds"])):
-        return f"{CANNOT_TELL}: the seeds do not overlap, but so few can have no smaller p"
-    return f"{CANNOT_TELL}; {number(row['detectable'])} would be found"
+        return f"{text}: the seeds do not overlap, but so few can have no smaller p"
+    return f"{text}; {number(row['detectable'])} would be found"
+
+
+def compared_texts(row: Row, style: str = ".3g", prefix: str = "", **words: str) -> list[str]:
+    """Return the difference of a row with its interval, p, adjusted p and `verdict_text`; `prefix` as in `comparison_columns`."""
+    difference = interval_text(row["difference"], row[f"{prefix}low"], row[f"{prefix}high"], style)
+    return [difference, number_text(row["p"]), number_text(row["p_holm"]), verdict_text(row, words=words)]
 
 
 def table_text(rows: Sequence[Row], width: int | None = None) -> str:

@@ -139,42 +139,29 @@ def released_curves(env: str, algo: str) -> Curves | None:
 
 
 def released_beside(curves: Curves) -> Curves | None:
-    """Return the released runs of the paper to set beside a run, by the rule of `row_beside`; None if there are none."""
+    """Return the released runs of the paper to set beside a run; None if there are none, or it is not comparable."""
     released = released_curves(curves.config.env, curves.config.algo) if _is_comparable(curves) else None
     return released and released._replace(window=curves.window)
 
 
-def row_beside(table: str, curves: Curves) -> dict[str, str]:
-    """Return the published row to set beside a run, in `table1`, `table2` or `crossings`.
-
-    It is empty if the paper has none, if the run's reward or setting differ from the paper's, or if the task is our
-    reconstruction.
-    """
-    config = curves.config
-    return assets.published_row(table, env=config.env, algo=config.algo) if _is_comparable(curves) else {}
-
-
 def _is_comparable(curves: Curves) -> bool:
+    """Return whether published numbers may stand beside a run: its task, kind of reward and setting are the paper's."""
     return curves.config.env not in RECONSTRUCTED and curves.comparable
 
 
 def published_beside(table: str, curves: Curves) -> PublishedScore | None:
-    """Return the score to set beside a run in `table1` or `table2`, by `row_beside`."""
-    row = row_beside(table, curves)
-    return PublishedScore(row["mean"], row["stderr"]) if row else None
+    """Return the score to set beside a run in `table1` or `table2`, None if there is none or it is not comparable."""
+    return published_score(table, curves.config.env, curves.config.algo) if _is_comparable(curves) else None
 
 
 def crossings_beside(curves: Curves) -> dict[float, int]:
-    """Return the published crossings to set beside a run, by `row_beside`."""
-    return _crossings(row_beside("crossings", curves))
+    """Return the published crossings to set beside a run, none if it is not comparable."""
+    return published_crossings(curves.config.env, curves.config.algo) if _is_comparable(curves) else {}
 
 
 def published_crossings(env: str, algo: str) -> dict[float, int]:
     """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
-    return _crossings(assets.published_row("crossings", env=env, algo=algo))
-
-
-def _crossings(row: dict[str, str]) -> dict[float, int]:
+    row = assets.published_row("crossings", env=env, algo=algo)
     return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
 
 

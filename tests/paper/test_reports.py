@@ -49,8 +49,8 @@ TEXTS = {
         "changes its order on 1 of 1. The oracle is left out",
     ],
     "figure2": [
-        "biased update | 1,000 and 100,000 | 400.0 [339.2, 460.8] | 0.0025 | degrades | degrades | agrees |",
-        "| 0.874 | cannot tell; 408 would be found | restored | agrees |",
+        "biased update | 1,000 and 100,000 | 400.0 [339.2, 460.8] | 0.00125 | 0.0025 | degrades | degrades | agrees |",
+        "| 0.874 | 0.874 | cannot tell; 408 would be found | restored | agrees |",
         "| cheetah_run | 100,000 | 395.0 [",
         "- cheetah_run, with the biased update: 2,000; 5,000; 10,000; 20,000; 200,000",
         "- cheetah_run: 20 steps, one goal, temperature learnt from 1, reward scale 10",
