@@ -10,7 +10,7 @@ import argparse
 import math
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,8 @@ SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
 LEFT_OUT = ("alive", "to 0.9")
 """Columns of the rows that ship which the page has no room for."""
+WHOLE = ("method", "deployed [95 %]")
+"""Columns of the page that keep what stands in brackets."""
 TESTS = RESULTS / "leaderboard" / "tests.csv"
 FILES = ("config.json", "metrics.csv")
 COMMIT = re.compile(r"[0-9a-f]{7,40}")
@@ -154,14 +156,18 @@ def rows_text(rows: list[Row]) -> str:
 
 
 def scores_text(rows: list[Row]) -> str:
-    """Return a table for each task."""
-    shown = [HEADER.index(name) for name in HEADER if name not in LEFT_OUT]
+    """Return a table for each task, with intervals of the deployed score alone."""
     parts = []
     for env, of_task in ranked(rows).items():
-        lines = [[row.texts[column] for column in shown] for row in of_task]
-        table = markdown_table([HEADER[column] for column in shown], lines)
-        parts.append(f"### {env}\n\n{folded(f'{len(lines)} rows', table)}")
+        header, *lines = [_shown(texts) for texts in (HEADER, *(row.texts for row in of_task))]
+        parts.append(f"### {env}\n\n{folded(f'{len(lines)} rows', markdown_table(header, lines))}")
     return "\n\n".join(parts)
+
+
+def _shown(texts: Sequence[str]) -> list[str]:
+    """Return the texts of the columns that the page has room for."""
+    named = [(name, text) for name, text in zip(HEADER, texts, strict=True) if name not in LEFT_OUT]
+    return [text if name in WHOLE else text.partition(" [")[0] for name, text in named]
 
 
 def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
