@@ -123,6 +123,17 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     assert line[-2] == "0.0022"
 
 
+def test_a_family_has_the_tests_of_a_difference_on_a_task(tmp_path, no_starts):
+    for env, algos in ((DOOR, ("", "/no_unmet_goals")), (differences.TABLETOP, ("",))):
+        for name in (*algos, f"/{cells.FORMER_VAPRL}"):
+            options = FORMER if name.endswith(cells.FORMER_VAPRL) else {"unmet_goals": False} if name else {}
+            write_run(tmp_path / f"{env}/vaprl{name}", env, "vaprl", constant(*RNG.random(5)), **options)
+    *door, tabletop = differences.comparisons(tmp_path, no_starts)
+    assert [row["p_holm"] for row in door] == pytest.approx(holm([row["p"] for row in door]))
+    assert len(door) == 2
+    assert tabletop["p_holm"] == tabletop["p"]
+
+
 @pytest.mark.parametrize(
     ("own", "others", "settled"),
     [

@@ -31,6 +31,8 @@ DOOR, CHEETAH = "sawyer_door", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
+FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
+
 Row = dict[str, Any]
 
 
@@ -212,7 +214,7 @@ def files() -> dict[Path, str]:
     rows = comparisons()
     return {
         RUNS / "pairs.csv": csv_text(rows),
-        RUNS / "pairs.md": f"{table_text(rows)}\n",
+        RUNS / "pairs.md": f"{table_text(rows)}\n\n{FAMILY}\n",
         **pages_with({"differences": table(rows, cells())}),
     }
 
@@ -220,7 +222,7 @@ def files() -> dict[Path, str]:
 def draw() -> None:
     """Draw the return of seeds 5 to 9 of difference 2, which trained longer than the first five, over their steps."""
     folders = [RUNS / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
-    names = [f"H_T = {horizon:,}{update}" for update in ("", ", biased") for horizon in HORIZONS]
+    names = [f"Reset every {horizon:,} steps{update}" for update in ("", ", biased update") for horizon in HORIZONS]
     plot_runs(folders, RUNS / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
 
 

@@ -45,7 +45,7 @@ def files() -> dict[Path, str]:
 
 def draw() -> None:
     """Write the curves of both learners."""
-    plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=NAMES)
+    plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=[name.upper() for name in NAMES])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,16 @@ from typing import Any
 
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Row, column
-from earl_jax.report.style import AXES, draw_band, legend_below, new_figure, reach, step_axis, task_title
+from earl_jax.report.style import (
+    AXES,
+    draw_band,
+    legend_below,
+    legend_entries,
+    new_figure,
+    reach,
+    step_axis,
+    task_title,
+)
 from earl_jax.report.tables import steps_text
 
 PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
@@ -79,5 +88,5 @@ def _add_legend(figure: Any, axes: Any, horizons: Sequence[int]) -> None:
     lines = {
         f"Reset every {steps_text(horizon)}": Line2D([], [], color=_colour(horizon, horizons)) for horizon in horizons
     }
-    updates = dict(zip(*axes[0, -1].get_legend_handles_labels()[::-1], strict=True))
-    legend_below(figure, lines | updates, len(horizons) + 2)
+    updates = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
+    legend_below(figure, lines | updates, -(-(len(horizons) + 2) // 2))
