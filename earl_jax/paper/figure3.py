@@ -137,7 +137,7 @@ def verdicts(rows: Sequence[Row]) -> list[Row]:
             samples = Sample.of(fbrl), Sample.of(oracle)
             means = {"fbrl": samples[0].mean, "oracle": samples[1].mean, "seeds": len(fbrl), "other_seeds": len(oracle)}
             results.append({"env": env, "measure": measure, **means, **comparison_columns(*samples, welch(*samples))})
-    return with_verdicts(results, family=())
+    return with_verdicts(results, family=("env",))
 
 
 def word(row: Row) -> str:
