@@ -14,6 +14,8 @@ from earl_jax.runs.provenance import provenance
 RESULTS = Path(__file__).parent / "results"
 ROOT = RESULTS.parents[1]
 DOCS = ROOT / "docs"
+MARKS = "<!-- {} -->", "<!-- end of {} -->"
+"""The comments before and after a table in a page."""
 
 
 def emit(report: dict[str, Any], path: Path | None, command: str | None = None) -> None:
@@ -62,14 +64,42 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(handle))
 
 
+def pages_with(tables: Mapping[str, str], optional: Sequence[str] = ()) -> dict[Path, str]:
+    """Return the pages that have the marks of one of `tables`, as texts with the tables between their marks.
+
+    Raises:
+        ValueError: no page has the marks of a table that is not `optional`, or one has the first mark of a table alone.
+    """
+    pages = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(ROOT.glob("examples/*/README.md"))]
+    texts, missing = {}, set(tables) - set(optional)
+    for path in pages:
+        text = path.read_text()
+        names = [name for name in tables if MARKS[0].format(name) in text]
+        if names:
+            texts[path] = with_tables(text, {name: tables[name] for name in names})
+            missing -= set(names)
+    if missing:
+        raise ValueError(
+            f"no page has the marks of {', '.join(sorted(missing))}, such as {MARKS[0].format(min(missing))}"
+        )
+    return texts
+
+
 def with_tables(page: str, tables: Mapping[str, str]) -> str:
     """Return the text of `page` with each table between the comments `NAME` and `end of NAME` that mark its place."""
     for name, table in tables.items():
-        start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, _, rest = page.partition(start)
-        _, _, after = rest.partition(end)
+        start, end = (mark.format(name) for mark in MARKS)
+        before, first, rest = page.partition(start)
+        _, last, after = rest.partition(end)
+        if not (first and last):
+            raise ValueError(f"the page lacks {start} or {end}")
         page = f"{before}{start}\n\n{table}\n\n{end}{after}"
     return page
+
+
+def folded(summary: str, table: str) -> str:
+    """Return a table that opens at a click on its summary."""
+    return f"<details markdown><summary>{summary}</summary>\n\n{table}\n\n</details>"
 
 
 def write_files(files: Mapping[Path, str]) -> None:

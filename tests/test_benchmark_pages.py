@@ -8,9 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks import redraw
+from benchmarks import output, redraw
 from benchmarks.output import RESULTS, read_csv, with_tables
-from benchmarks.paper import cells, differences, uniform_starts
+from benchmarks.paper import cells, differences, grid, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
 from tests.report.run_files import DOOR, constant, rising, write_run
@@ -31,12 +31,50 @@ def test_the_pages_are_those_of_the_kept_runs(module):
 def test_a_table_stands_between_its_comments():
     page = "A <!-- x -->old<!-- end of x --> B <!-- y -->"
     assert with_tables(page, {"x": "new"}) == "A <!-- x -->\n\nnew\n\n<!-- end of x --> B <!-- y -->"
+    with pytest.raises(ValueError, match="lacks <!-- y --> or <!-- end of y -->"):
+        with_tables(page, {"y": "new"})
+
+
+def test_a_table_goes_to_every_page_with_its_marks_and_one_without_a_page_is_an_error(tmp_path, monkeypatch):
+    for name, text in (("README.md", "<!-- x --><!-- end of x -->"), ("docs/a.md", "<!-- x --> <!-- end of x -->")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(output, "ROOT", tmp_path)
+    monkeypatch.setattr(output, "DOCS", tmp_path / "docs")
+    pages = output.pages_with({"x": "new", "y": "-"}, optional=["y"])
+    assert {path.relative_to(tmp_path).as_posix() for path in pages} == {"README.md", "docs/a.md"}
+    assert set(pages.values()) == {"<!-- x -->\n\nnew\n\n<!-- end of x -->"}
+    with pytest.raises(ValueError, match="no page has the marks of y"):
+        output.pages_with({"x": "new", "y": "-"})
+
+
+def cell(env, algo, verdict="cannot tell", steps=1.0, mean=0.5, other=0.25):
+    """Return the row of a cell that has a share of its steps."""
+    row = {"env": env, "algo": algo, "seeds": 5, "steps": 1e6 * steps, "of": 1e6, "mean": mean, "other_mean": other}
+    return row | {"printed": "-41.50 (3.40)", "verdict": verdict}
+
+
+def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the_share_of_steps():
+    rows = [
+        cell(DOOR, "naive", "above"),
+        cell(DOOR, "fbrl", steps=0.24),
+        cell("minitaur_pen", "oracle", "not compared at 80 % of the published steps", 0.8, -2895.4),
+        cell("dhand_lightbulb", "fbrl", "not compared: the task is our reconstruction", 0.044, -330.9),
+        {"env": "sawyer_peg", "algo": "naive", "seeds": None},
+    ]
+    lines = {
+        line.split(" | ")[0].strip("| "): line.split(" | ")[1:] for line in grid.text(rows).splitlines() if "|" in line
+    }
+    assert lines["Sawyer door"][:2] == ["**0.50**<br>0.25<br>▲ above", "**0.50**<br>0.25<br>? cannot tell at 24 %"]
+    assert lines["Minitaur pen"][-1] == "**-2,895**<br>-42<br>not compared at 80 % |"
+    assert lines["DHand lightbulb"][1] == "**-331**<br>not compared at 4.4 %"
+    assert lines["Sawyer peg"][0] == "not run"
 
 
 def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
-    """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figure 5."""
+    """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figures 3 and 4."""
     tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
-    assert len(tables) == 6
+    assert len(tables) == 7
     for path in tables:
         assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path
 
@@ -100,11 +138,22 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     assert line[-2] == "0.0022"
 
 
+def test_a_family_has_the_tests_of_a_difference_on_a_task(tmp_path, no_starts):
+    for env, algos in ((DOOR, ("", "/no_unmet_goals")), (differences.TABLETOP, ("",))):
+        for name in (*algos, f"/{cells.FORMER_VAPRL}"):
+            options = FORMER if name.endswith(cells.FORMER_VAPRL) else {"unmet_goals": False} if name else {}
+            write_run(tmp_path / f"{env}/vaprl{name}", env, "vaprl", constant(*RNG.random(5)), **options)
+    *door, tabletop = differences.comparisons(tmp_path, no_starts)
+    assert [row["p_holm"] for row in door] == pytest.approx(holm([row["p"] for row in door]))
+    assert len(door) == 2
+    assert tabletop["p_holm"] == tabletop["p"]
+
+
 @pytest.mark.parametrize(
     ("own", "others", "settled"),
     [
         ((0.1, 0.2, 0.3), (0.6, 0.7, 0.8), "the seeds do not overlap, but so few can have no smaller p"),
-        ((0, 0), (0, 0, 0), "every seed of both sides has 0.000"),
+        ((0, 0), (0, 0, 0), "all seeds are equal"),
     ],
 )
 def test_what_the_seeds_cannot_tell_is_said(tmp_path, no_starts, own, others, settled):

@@ -49,7 +49,7 @@ def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[:4] == ["naive", "earl_jax", "5", "0.10M"]
     assert cells[4].startswith("0.740 [")
-    assert cells[5] == "0.250 [0.053, 0.664]"
+    assert cells[5] == "0.250"
     assert cells[-1] == "012345678"
     rows = text.split("### sawyer_door")[0].splitlines()
     assert rows.index(row) > next(number for number, line in enumerate(rows) if "| RISC |" in line)
@@ -68,11 +68,44 @@ def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
     for name, top in (("better", 0.5), ("same", 0.001)):
         other = written(tmp_path / name, SCORES + top, layer_norm=True, reward_scale=1.0 + top)
         leaderboard.add(other, root)
-    text = leaderboard.tests_text(leaderboard.entries(root))
-    assert text.startswith("2 of 3 pairs differ.")
-    assert text.count("| naive (layer_norm=True, reward_scale=1.5) |") == 2
-    assert "+" not in text
+    rows = leaderboard.tests(leaderboard.entries(root))
+    text = leaderboard.tests_text(rows)
+    assert text.startswith("1 of 2 differ. Of the others the seeds cannot tell: on sparse tasks they would find 0.0")
+    assert text.count("| naive (layer_norm=True, reward_scale=1.5) |") == 1
     assert "0.500 [" in text
+    assert {row["question"] for row in rows} == {"runs of naive"}
+    least = min(row["p"] for row in rows)
+    assert min(row["p_holm"] for row in rows) == pytest.approx(2 * least)
+
+
+def test_methods_are_compared_with_naive_rl_by_the_longest_run_of_each(tmp_path):
+    for name, algo, scores, options in (
+        ("naive", "naive", SCORES, {}),
+        ("whole", "fbrl", np.hstack([SCORES + 0.5] * 2), {}),
+        ("half", "fbrl", SCORES, {"layer_norm": True}),
+    ):
+        written(tmp_path / "leaderboard" / "tabletop_organization" / name, scores, algo, **options)
+    rows = leaderboard.tests(leaderboard.entries(tmp_path))
+    pairs = {(row["first"], row["second"], row["question"]) for row in rows}
+    names = "fbrl (layer_norm=True)", "fbrl"
+    assert pairs == {(names[1], "naive", "methods"), (*names, "runs of fbrl")}
+
+
+def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(tmp_path):
+    for number, (algo, options) in enumerate(
+        [("vaprl", {}), ("vaprl", {"reward_scale": 1.0, "unmet_goals": False, "nearest_fallback": False}), ("fbrl", {}),
+         ("fbrl", {"fixed_phases": True}), ("cfbrl", {})]
+    ):  # fmt: skip
+        written(tmp_path / "leaderboard" / DOOR / str(number), SCORES, algo, env=DOOR, **options)
+    rows = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path)) if row.source == "earl_jax"]
+    chosen = sorted((row.method.partition(" ")[0], row.chosen) for row in rows)
+    assert chosen == [
+        ("cfbrl", "all options"),
+        ("fbrl", "reward scale"),
+        ("fbrl", "reward scale, phases"),
+        ("vaprl", "-"),
+        ("vaprl", "reward scale, subgoals"),
+    ]
 
 
 def test_only_runs_with_scripted_corrections_say_so(tmp_path):

@@ -1,8 +1,8 @@
 """The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper.cells`.
 
 A cell is a task and a method, trained at the paper's settings. It is tested against the paper's five seeds as `earl-jax
-compare --against published` does. Writes cells.csv, cells.md, curves.png and lives.png in the folders of tasks, and the tables
-between comments in docs/results.md and README.md.
+compare --against published` does. Writes cells.csv, cells.md, cells.png, curves.png and lives.png in the folders of tasks, and
+the tables `grid`, `cells` and, where a page has its marks, `claims` of the pages.
 """
 
 import json
@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, shrink, with_tables, write_files
-from earl_jax.envs import PAPER_TASKS
+from benchmarks.output import RESULTS, csv_text, pages_with, shrink, write_files
+from benchmarks.paper import grid
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.paper.artefact import methods_on, training_steps
-from earl_jax.report.comparison import published_rows, table_text, with_verdicts
+from earl_jax.paper.claims import claims_text
+from earl_jax.report.comparison import published_rows, table_text, verdict_text, with_verdicts
 from earl_jax.report.plots import plot_runs
-from earl_jax.report.published import RECONSTRUCTED, published_score
+from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.tables import interval_text, markdown_table, millions
 from earl_jax.runs.folder import RunFolder
@@ -30,13 +32,13 @@ FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 NOT_RUN = "not run"
 HEADER = (
     "task", "method", "seeds", "steps", "of", "mean [95 %]", "published", "difference [95 %]", "adjusted p", "verdict",
-    "detectable", "printed (s.e.)", "largest critic loss", "commit",
+    "chosen", "printed (s.e.)", "largest critic loss", "commit",
 )  # fmt: skip
-WHOLE = 0.95
-"""Share of its steps from which on a cell is shown in README.md."""
+SHOWN = len(HEADER) - 3
+"""Columns of the table in the pages; cells.md has all."""
 COLUMNS = (
-    "env", "algo", "run", "of", "printed", "seeds", "steps", "mean", "other_mean", "low", "high", "difference", "difference_low",
-    "difference_high", "p", "p_holm", "detectable", "largest_critic_loss", "commit", "verdict",
+    "env", "algo", "run", "of", "printed", "seeds", "other_seeds", "steps", "mean", "other_mean", "low", "high", "difference",
+    "difference_low", "difference_high", "p", "p_holm", "detectable", "chosen", "largest_critic_loss", "commit", "verdict",
 )  # fmt: skip
 Row = dict[str, Any]
 
@@ -55,6 +57,7 @@ def cells(root: Path = RUNS) -> list[Row]:
             **test,
             **{name: test[end] for name, end in ends.items()},
             "run": folder.relative_to(root / run.env).as_posix(),
+            "chosen": chosen_words(run.curves),
             "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
             "commit": short_commit(commit_of(folder)),
         }
@@ -97,34 +100,40 @@ def _line(row: Row) -> list[str]:
     printed, of = row["printed"] or "-", millions(row["of"])
     if row["seeds"] is None:
         return [*names, *"--", of, *"----", row["verdict"], "-", printed, *"--"]
-    tests = [*"---", row["verdict"], "-"]
+    style, tests = ".3f" if make(row["env"]).sparse else ".0f", [*"---"]
     if _tested(row):
-        difference = interval_text(row["difference"], row["difference_low"], row["difference_high"])
-        p_holm, detectable = f"{row['p_holm']:.2g}", f"{row['detectable']:.2g}"
-        tests = [f"{row['other_mean']:.3f}", difference, p_holm, row["verdict"], detectable]
+        difference = interval_text(row["difference"], row["difference_low"], row["difference_high"], style)
+        tests = [format(row["other_mean"], style), difference, f"{row['p_holm']:.2g}"]
     return [
-        *names, str(row["seeds"]), millions(row["steps"]), of, interval_text(row["mean"], row["low"], row["high"]), *tests,
-        printed, f"{row['largest_critic_loss']:.2g}", row["commit"],
+        *names, str(row["seeds"]), millions(row["steps"]), of, interval_text(row["mean"], row["low"], row["high"], style),
+        *tests, verdict_text(row, lambda value: format(value, style)), row["chosen"], printed,
+        f"{row['largest_critic_loss']:.2g}", row["commit"],
     ]  # fmt: skip
 
 
 def files() -> dict[Path, str]:
-    """Return the tables as files: whole ones, with the columns that docs/results.md has room for, and README.md's."""
-    rows, results, readme = cells(), DOCS / "results.md", ROOT / "README.md"
-    runs = [RUNS / row["env"] / row["run"] for row in rows if row["seeds"]]
-    lines = [_line(row)[:-4] for row in rows]
-    whole = [line for row, line in zip(rows, lines, strict=True) if _tested(row) and row["steps"] >= WHOLE * row["of"]]
+    """Return the tables as files, and the pages that show some of them."""
+    rows = cells()
+    groups = read_methods(run_folders(rows))
+    claims = "\n\n".join(claims_text(number, groups) for number in (1, 2))
+    short = markdown_table(HEADER[:SHOWN], [_line(row)[:SHOWN] for row in rows])
     return {
         RUNS / "cells.csv": csv_text(rows),
-        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(read_methods(runs)))}\n",
-        results: with_tables(results.read_text(), {"cells": markdown_table(HEADER[:-4], lines)}),
-        readme: with_tables(readme.read_text(), {"cells": markdown_table(HEADER[:-4], whole)}),
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(groups))}\n",
+        RUNS / "claims.md": f"{claims}\n",
+        **pages_with({"grid": grid.text(rows), "cells": short, "claims": claims}, optional=["claims"]),
     }
 
 
+def run_folders(rows: list[Row]) -> list[Path]:
+    """Return the folders of the runs of cells."""
+    return [RUNS / row["env"] / row["run"] for row in rows if row["seeds"]]
+
+
 def draw() -> None:
-    """Draw the deployed scores of each task, and the rewards of the life of some, over the released ones."""
+    """Draw all cells, the deployed scores of each task, and the rewards of the life of some, over the released ones."""
     rows = [row for row in cells() if row["seeds"]]
+    grid.draw(read_methods(run_folders(rows)), RUNS / "cells.png")
     for env in dict.fromkeys(row["env"] for row in rows):
         folders = [RUNS / env / row["run"] for row in rows if row["env"] == env]
         pictures = {"curves": RunFolder.open(folders[0]).config.deployed_metric}

@@ -12,13 +12,14 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.output import RESULTS, ROOT, with_tables, write_files
+from benchmarks.output import RESULTS, pages_with, write_files
 from earl_jax.metrics.comparison import LEVEL, Sample, band, detectable_difference, holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import Curves, read
 from earl_jax.report.scores import interval_of, seed_scores
+from earl_jax.report.style import AXES, task_title
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
@@ -245,9 +246,9 @@ def draw() -> None:
         for axes, metrics in zip(column, ((DEPLOYED, WIDE), (FORWARD, BACK)), strict=True):
             for style, name in zip(("-", "--"), names, strict=False):
                 _draw_lines(axes, read(LONG / env / name), metrics, style)
-        column[0].set_title(env)
-        column[1].set_xlabel("steps (millions)")
-    for axes, text in zip(grid[:, 0], ("deployed success", "success of phases"), strict=True):
+        column[0].set_title(task_title(env))
+        column[1].set_xlabel("Steps (millions)")
+    for axes, text in zip(grid[:, 0], (AXES[DEPLOYED], "Success of phases"), strict=True):
         axes.set_ylabel(text)
         axes.legend(loc="lower right", fontsize=8)
     figure.savefig(OPTIONS / "curves.png", dpi=120)
@@ -275,12 +276,8 @@ def files() -> dict[Path, str]:
         "Dense tasks": dense_text(),
     }
     about = f"# All tables of CFBRL\n\n{ABOUT}"
-    page = ROOT / "examples" / "cfbrl" / "README.md"
-    return {
-        OPTIONS / "tables.md": "\n\n".join([about, *(f"## {title}\n\n{table}" for title, table in tables.items())])
-        + "\n",
-        page: with_tables(page.read_text(), {"goals": goals_text(SHOWN)}),
-    }
+    sections = [about, *(f"## {title}\n\n{table}" for title, table in tables.items())]
+    return {OPTIONS / "tables.md": "\n\n".join(sections) + "\n", **pages_with({"goals": goals_text(SHOWN)})}
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
 """What cloning alone earns, deployed and in its life: `python -m benchmarks.paper.cloning`.
 
-Reads the runs of results/cloning and writes results/cloning/table.csv and the table of docs/formalism.md.
+Reads the runs of results/cloning and writes results/cloning/table.csv and the table `cloning` of the pages.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.output import DOCS, RESULTS, csv_text, read_csv, with_tables, write_files
+from benchmarks.output import RESULTS, csv_text, pages_with, read_csv, write_files
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import read
@@ -40,10 +40,10 @@ def rows() -> list[dict[str, str]]:
 
 
 def files() -> dict[Path, str]:
-    """Return the page of the formalism with the table, and its rows as csv."""
-    page, table = DOCS / "formalism.md", rows()
+    """Return the page with the table, and its rows as csv."""
+    table = rows()
     text = markdown_table(list(table[0]), [list(row.values()) for row in table])
-    return {RUNS / "table.csv": csv_text(table), page: with_tables(page.read_text(), {"cloning": text})}
+    return {RUNS / "table.csv": csv_text(table), **pages_with({"cloning": text})}
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""The ten differences that could separate our runs from the published ones, and how each is settled by the runs at hand.
+"""The differences that could separate our runs from the published ones, and how each is settled by the runs at hand.
 
     python -m benchmarks.paper.differences
 
 Each difference has tests of two sets of runs in results/paper: `earl-jax compare`'s permutation test at the last step that
-both have, p adjusted by Holm over the tests of a difference. A test without its runs is not made, and the table says `not run`.
-Writes results/paper/{pairs.csv,pairs.md}, the figure of the cheetah and the table between comments in docs/results.md.
+both have. A family for Holm's adjustment has the tests of a difference on a task, at all ages. A test without its runs is not
+made, and the table says `not run`. Writes results/paper/{pairs.csv,pairs.md}, the figure of the cheetah and the table
+`differences` of the pages.
 """
 
 import dataclasses
@@ -15,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.output import DOCS, csv_text, with_tables, write_files
+from benchmarks.output import csv_text, pages_with, write_files
 from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells
 from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import Sample, mean_interval, permutation, smallest_p
+from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval, permutation
 from earl_jax.paper.artefact import training_steps
-from earl_jax.report.comparison import comparison_columns, pair_row, table_text, with_verdicts
+from earl_jax.report.comparison import comparison_columns, pair_row, table_text, verdict_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
 from earl_jax.report.tables import interval_text, markdown_table, millions
@@ -29,6 +30,8 @@ from earl_jax.report.tables import interval_text, markdown_table, millions
 DOOR, CHEETAH = "sawyer_door", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
+
+FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
 
 Row = dict[str, Any]
 
@@ -113,7 +116,7 @@ def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
     rows = [{"number": "1", **row} for row in starts_rows(read_seeds(seeds))]
     for entry in DIFFERENCES:
         rows += [{"number": entry.number, **row} for pair in entry.pairs if (row := _pair_row(root, pair))]
-    return with_verdicts(rows, family=("number",))
+    return with_verdicts(rows, family=("number", "env"))
 
 
 def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
@@ -133,7 +136,7 @@ def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
     return {
         "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
         "seeds": len(scores), "other_seeds": other.seeds, "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        "other_mean": other.mean, **comparison_columns(scores, other, permutation(scores, others)),
+        "other_mean": other.mean, **comparison_columns(Sample.of(scores), other, permutation(scores, others)),
         "mean_over": "episodes from such starts",
     }  # fmt: skip
 
@@ -171,22 +174,13 @@ def table(rows: list[Row], own_cells: list[Row]) -> str:
 
 
 def _line(row: Row) -> list[str]:
-    adjusted, smallest = row["p_holm"], smallest_p(row["seeds"], row["other_seeds"])
-    if math.isnan(adjusted):
-        settled = "no test: no spread"
-    elif math.isnan(row["low"]) and row["difference"] == 0:
-        settled = f"cannot tell: every seed of both sides has {_number(row, row['mean'])}"
-    elif row["verdict"] == "cannot tell" and math.isclose(row["p"], smallest):
-        settled = "cannot tell: the seeds do not overlap, but so few can have no smaller p"
-    elif row["verdict"] == "cannot tell":
-        settled = f"cannot tell; {_number(row, row['detectable'])} would be found"
-    else:
-        settled = f"the first is {row['verdict']}"
+    verdict = verdict_text(row, lambda value: _number(row, value))
+    settled = verdict if verdict.startswith(CANNOT_TELL) else f"the first is {verdict}"
     first, second = (_short(row[side]) for side in ("first", "second"))
     return [
         f"{row['env']} {first}, {row['seeds']} seeds", f"{second}, {row['other_seeds']} seeds",
         millions(row["steps"]), _interval(row, "mean", "mean_low", "mean_high"), _number(row, row["other_mean"]),
-        _interval(row, "difference", "low", "high"), _number(row, row["p"], 2), _number(row, adjusted, 2), settled,
+        _interval(row, "difference", "low", "high"), _number(row, row["p"], 2), _number(row, row["p_holm"], 2), settled,
     ]  # fmt: skip
 
 
@@ -198,7 +192,7 @@ def _short(name: str) -> str:
 def _cell_line(row: Row) -> list[str]:
     mean = interval_text(row["mean"], row["low"], row["high"])
     names = f"{row['env']} {row['algo']}, {row['seeds']} seeds", f"published, {millions(row['of'])} steps, 5 seeds"
-    return [*names, millions(row["steps"]), mean, f"{row['other_mean']:.3f}", *"---", f"run; {row['verdict']}"]
+    return [*names, millions(row["steps"]), mean, f"{row['other_mean']:.3f}", *"---", f"run; {verdict_text(row)}"]
 
 
 def _number(row: Row, value: float, digits: int = 3) -> str:
@@ -217,18 +211,18 @@ def _interval(row: Row, *names: str) -> str:
 
 def files() -> dict[Path, str]:
     """Return the tests as files, and docs/results.md with the table."""
-    rows, page = comparisons(), DOCS / "results.md"
+    rows = comparisons()
     return {
         RUNS / "pairs.csv": csv_text(rows),
-        RUNS / "pairs.md": f"{table_text(rows)}\n",
-        page: with_tables(page.read_text(), {"differences": table(rows, cells())}),
+        RUNS / "pairs.md": f"{table_text(rows)}\n\n{FAMILY}\n",
+        **pages_with({"differences": table(rows, cells())}),
     }
 
 
 def draw() -> None:
     """Draw the return of seeds 5 to 9 of difference 2, which trained longer than the first five, over their steps."""
     folders = [RUNS / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
-    names = [f"H_T = {horizon:,}{update}" for update in ("", ", biased") for horizon in HORIZONS]
+    names = [f"Reset every {horizon:,} steps{update}" for update in ("", ", biased update") for horizon in HORIZONS]
     plot_runs(folders, RUNS / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
 
 

@@ -1,28 +1,29 @@
 """The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.paper.leaderboard`.
 
-Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published. The rows are also written to
+Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published, scored over the same window where
+seeds were released. The rows are also written to
 assets/published/leaderboard.csv, from which `earl-jax report` shows them beside a user's runs. `--add RUN` checks a run
 folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows again.
 """
 
 import argparse
-import itertools
 import math
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from scipy import stats
 
-from benchmarks.output import DOCS, RESULTS, ROOT, csv_text, with_tables, write_files
+from benchmarks.output import RESULTS, ROOT, csv_text, folded, pages_with, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import rate_interval
+from earl_jax.metrics.comparison import CANNOT_TELL, rate_interval
 from earl_jax.metrics.crossings import CROSSING_WINDOW
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, score_text, values_of
@@ -33,19 +34,27 @@ from earl_jax.report.published import (
     published_crossings,
     published_score,
     published_steps,
+    released_curves,
 )
 from earl_jax.report.runs import MethodRuns, by_method, options_text, pooling_key, read
-from earl_jax.report.tables import markdown_table, millions
+from earl_jax.report.scores import interval_of, seed_scores
+from earl_jax.report.tables import markdown_table, millions, number_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
+SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
 CORRECTED = "cfbrl", "sawyer_peg", "corrected"
 """The method and the task whose runs have scripted corrections, unless this option is 0."""
 SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
+LEFT_OUT = ("alive", "to 0.9")
+"""Columns of the rows that ship which the page has no room for."""
+WHOLE = ("method", "deployed [95 %]")
+"""Columns of the page that keep what stands in brackets."""
+TESTS = RESULTS / "leaderboard" / "tests.csv"
 FILES = ("config.json", "metrics.csv")
 COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
@@ -97,21 +106,24 @@ def published_rows() -> list[Row]:
 def _paper_row(env: str, algo: str) -> Row:
     score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
     assert score is not None
-    crossings = published_crossings(env, algo)
-    low, high = score.interval or (math.nan, math.nan)
+    crossings, length = published_crossings(env, algo), (published_steps(env) or (0, 0))[0]
+    deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
+    if released := released_curves(env, algo):
+        deployed = interval_of(released, seed_scores(released, step=length))
     return Row(
         env=env,
         method=algo,
         source=PAPER,
         seeds=SEEDS,
-        steps=(published_steps(env) or (0, 0))[0],
-        deployed=score_text(env, score.value, low, high),
+        steps=length,
+        deployed=score_text(env, *deployed),
         wide="-",
         continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
         alive="-",
         crossings=tuple(millions(crossings.get(level)) for level in LEVELS),
+        chosen="-",
         commit="-",
-        score=score.value,
+        score=float(deployed.value),
     )
 
 
@@ -132,6 +144,7 @@ def _newer_row(row: dict[str, str]) -> Row:
         continuing="-",
         alive="-",
         crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS),
+        chosen="-",
         commit="-",
         score=mean,
     )
@@ -143,35 +156,65 @@ def rows_text(rows: list[Row]) -> str:
 
 
 def scores_text(rows: list[Row]) -> str:
-    """Return a table for each task."""
-    tables = {env: markdown_table(HEADER, [row.texts for row in of_task]) for env, of_task in ranked(rows).items()}
-    return "\n\n".join(f"### {env}\n\n{table}" for env, table in tables.items())
+    """Return a table for each task, with intervals of the deployed score alone."""
+    parts = []
+    for env, of_task in ranked(rows).items():
+        header, *lines = [_shown(texts) for texts in (HEADER, *(row.texts for row in of_task))]
+        parts.append(f"### {env}\n\n{folded(f'{len(lines)} rows', markdown_table(header, lines))}")
+    return "\n\n".join(parts)
 
 
-def tests_text(runs: list[tuple[MethodRuns, str]]) -> str:
-    """Return what can be told apart: the pairs of our runs on a task, by deployed score, with an adjusted p under 0.05."""
-    pairs = list(_pairs([group for group, _ in runs]))
-    tested = with_verdicts([pair_row(first, second) for first, second in pairs])
-    clear = [row for row in tested if row["verdict"] in ("above", "below")]
-    lines = [_test_line(row) for row in clear]
-    header = ("task", "higher", "lower", "at step", "difference [95 %]", "adjusted p")
-    return f"{len(clear)} of {len(tested)} pairs differ.\n\n{markdown_table(header, lines)}"
+def _shown(texts: Sequence[str]) -> list[str]:
+    """Return the texts of the columns that the page has room for."""
+    named = [(name, text) for name, text in zip(HEADER, texts, strict=True) if name not in LEFT_OUT]
+    return [text if name in WHOLE else text.partition(" [")[0] for name, text in named]
+
+
+def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
+    """Return the tests of two questions a task, each a family of Holm's adjustment.
+
+    Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which
+    further runs of a method from its longest.
+    """
+    rows = []
+    for first, second in _pairs([group for group, _ in runs]):
+        question = "methods" if first.algo != second.algo else f"runs of {first.algo}"
+        if min(first.curves.seeds, second.curves.seeds) >= FEWEST_SEEDS:
+            rows.append({"question": question, **pair_row(first, second)})
+    return with_verdicts([row for row in rows if row["steps"] >= CROSSING_WINDOW], family=("env", "question"))
 
 
 def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
-    for first, second in itertools.combinations(groups, 2):
-        seeds = min(first.curves.seeds, second.curves.seeds)
-        steps = min(first.curves.steps[-1], second.curves.steps[-1])
-        if second.env == first.env and seeds >= FEWEST_SEEDS and steps >= CROSSING_WINDOW:
-            yield first, second
+    """Yield the pairs of runs that the questions compare."""
+    longest: dict[tuple[str, str], MethodRuns] = {}
+    for group in sorted(groups, key=lambda group: (-group.curves.steps[-1], len(group.curves.options))):
+        longest.setdefault((group.env, group.algo), group)
+    for group in groups:
+        own, naive = longest[group.env, group.algo], longest.get((group.env, "naive"))
+        if group is not own:
+            yield group, own
+        elif naive and group is not naive:
+            yield group, naive
+
+
+def tests_text(rows: list[dict[str, Any]]) -> str:
+    """Return a table of the `tests` that tell runs apart, and what the others would find."""
+    clear = [row for row in rows if row["verdict"] != CANNOT_TELL]
+    found = [
+        row["detectable"]
+        for row in rows
+        if row["env"] in SPARSE and row["verdict"] == CANNOT_TELL and row["detectable"] > 0
+    ]
+    text = f"{len(clear)} of {len(rows)} differ."
+    if found:
+        text += f" Of the others the seeds cannot tell: on sparse tasks they would find {min(found):.2f} to {max(found):.2f}."
+    header = ("task", "run", "against", "at step", "difference [95 %]", "adjusted p")
+    return f"{text}\n\n{markdown_table(header, [_test_line(row) for row in clear])}"
 
 
 def _test_line(row: dict[str, Any]) -> list[str]:
-    above = row["verdict"] == "above"
-    names = (row["first"], row["second"]) if above else (row["second"], row["first"])
-    sign, ends = (1, ("low", "high")) if above else (-1, ("high", "low"))
-    difference = score_text(row["env"], sign * row["difference"], *(sign * row[end] for end in ends))
-    return [row["env"], *names, f"{row['steps']:,}", difference, f"{row['p_holm']:.2g}"]
+    difference = score_text(row["env"], row["difference"], row["low"], row["high"])
+    return [row["env"], row["first"], row["second"], millions(row["steps"]), difference, number_text(row["p_holm"])]
 
 
 def add(run: Path, root: Path = RESULTS) -> Path:
@@ -212,10 +255,10 @@ def _require(condition: bool, rule: str) -> None:
 
 def files() -> dict[Path, str]:
     """Return the page and the rows that ship, from the runs and the published scores."""
-    runs, page = entries(), DOCS / "leaderboard.md"
-    rows = rows_of(runs)
-    tables = {"scores": scores_text(rows), "tests": tests_text(runs)}
-    return {page: with_tables(page.read_text(), tables), ROWS: rows_text(rows)}
+    runs = entries()
+    rows, tested = rows_of(runs), tests(runs)
+    tables = {"scores": scores_text(rows), "tests": tests_text(tested)}
+    return {**pages_with(tables), ROWS: rows_text(rows), TESTS: csv_text(tested)}
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """TD3 beside SAC as the learner of oracle RL on tabletop: `python -m benchmarks.paper.learners`.
 
-Reads the runs of results/learners and writes results/learners/curves.png and the table of docs/methods.md. A row is the
+Reads the runs of results/learners and writes results/learners/curves.png and the table `td3` of the pages. A row is the
 score of a run, with its interval over seeds and the permutation test.
 """
 
 from pathlib import Path
 
-from benchmarks.output import DOCS, RESULTS, with_tables, write_files
+from benchmarks.output import RESULTS, pages_with, write_files
 from earl_jax.metrics.comparison import permutation
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
@@ -34,14 +34,13 @@ def table() -> str:
 
 
 def files() -> dict[Path, str]:
-    """Return the page of methods with the table."""
-    page = DOCS / "methods.md"
-    return {page: with_tables(page.read_text(), {"td3": table()})}
+    """Return the page with the table."""
+    return pages_with({"td3": table()})
 
 
 def draw() -> None:
     """Write the curves of both learners."""
-    plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=NAMES)
+    plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=[name.upper() for name in NAMES])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Figure 5 from the runs of tabletop in results/paper: success of final policies from uniform starts.
+"""Figure 4 from the runs of tabletop in results/paper: success of final policies from uniform starts.
 
     python -m benchmarks.paper.uniform_starts [--evaluate]
 
@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.output import DOCS, RESULTS, csv_text, read_csv, with_tables, write_files
+from benchmarks.output import RESULTS, csv_text, pages_with, read_csv, write_files
 from benchmarks.paper.cells import RUNS, TABLETOP, commit_of
 from earl_jax import assets
 from earl_jax.envs import Env, State
@@ -103,7 +103,7 @@ def table(runs: dict[str, dict[str, np.ndarray]]) -> str:
 
 def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
     own, (released, whole) = success["initial"], (success[kind] for kind in ("within_2.5", "within_2.8"))
-    published = assets.published_row("figure5", algo=run.partition("/")[0]).get("drop_percent", "-")
+    published = assets.published_row("figure4", algo=run.partition("/")[0]).get("drop_percent", "-")
     texts = [interval_text(*mean_interval(scores, rate=True)) for scores in (own, released, whole)]
     drops = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in relative_drop(own, other)))
              for other in (released, whole)]  # fmt: skip
@@ -111,9 +111,8 @@ def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
 
 
 def files() -> dict[Path, str]:
-    """Return docs/results.md with the table of the kept successes."""
-    page = DOCS / "results.md"
-    return {page: with_tables(page.read_text(), {"starts": table(read_seeds())})}
+    """Return the page with the table of the kept successes."""
+    return pages_with({"starts": table(read_seeds())})
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 import tyro
 
-from benchmarks.output import DOCS, RESULTS, read_csv, save_rows, with_tables, write_files
+from benchmarks.output import RESULTS, pages_with, read_csv, save_rows, write_files
 from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.cli.xla_flags import set_flags
@@ -169,9 +169,8 @@ def _line(row: dict[str, str]) -> list[str]:
 
 
 def files() -> dict[Path, str]:
-    """Return docs/methods.md with the tables of the kept files."""
-    page = DOCS / "methods.md"
-    return {page: with_tables(page.read_text(), {"method cost": tables()})}
+    """Return the page with the tables of the kept files."""
+    return pages_with({"method cost": tables()})
 
 
 def main(options: Options) -> None:

@@ -16,7 +16,7 @@ from earl_jax.cli.arguments import (
 
 
 def reproduce(
-    name: Positional[Literal["table1", "table2", "curves", "figure2", "figure4", "figure5", "tradeoff"]],
+    name: Positional[Literal["table1", "table2", "figure2", "figure3", "figure4", "figure5", "tradeoff"]],
     scale: Literal["smoke", "short", "full"] = "smoke",
     out: Path | None = None,
     tasks: tuple[str, ...] = (),

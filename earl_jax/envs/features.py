@@ -27,7 +27,7 @@ class Map(NamedTuple):
 class Starts(NamedTuple):
     """Distributions of starts beside s0 ~ rho, functions like `reset`; None for a task without.
 
-    `uniform(key)` draws over the whole workspace (figure 5 of the paper). `wide(key)` is that of `deployed/success_wide`:
+    `uniform(key)` draws over the whole workspace (figure 4 of the paper). `wide(key)` is that of `deployed/success_wide`:
     about half of its starts or more lie where no demonstration begins, in places that the agent could reach by itself.
     A task whose reward is dense has no wide starts, because its score is a return. A task whose rho is uniform over `count`
     starts has `numbered(key, number)`, which returns the one with that number; evaluations can balance them.

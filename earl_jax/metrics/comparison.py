@@ -17,6 +17,8 @@ from earl_jax.metrics.statistics import Estimate
 
 LEVEL = 0.05
 POWER = 0.8
+CANNOT_TELL = "cannot tell"
+"""The verdict where p is not under `LEVEL`."""
 SAME = 1e-12
 """Variance up to which the scores of seeds count as equal."""
 FEWEST_SEEDS = 3
@@ -50,14 +52,14 @@ class Comparison(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """`above` or `below` if p is under 5 %, else `cannot tell`."""
+        """`above` or `below` if p is under 5 %, else `CANNOT_TELL`."""
         return verdict(self.difference, self.p)
 
 
 def verdict(difference: float, p: float, level: float = LEVEL) -> str:
-    """Return `above` or `below`, by the sign of `difference`, if `p` is under `level`, else `cannot tell`."""
+    """Return `above` or `below`, by the sign of `difference`, if `p` is under `level`, else `CANNOT_TELL`."""
     if not p < level:
-        return "cannot tell"
+        return CANNOT_TELL
     return "above" if difference > 0 else "below"
 
 

@@ -116,7 +116,7 @@ def relative_drop(before: Any, after: Any) -> Estimate:
     """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
 
     Seeds are resampled in pairs. Resamples whose mean of `before` is 0 are left out. The result is nan if `before` is 0.
-    Source: Sharma et al. 2022, figure 5, the loss of success from starts that differ from those of training.
+    Source: Sharma et al. 2022, figure 4, the loss of success from starts that differ from those of training.
     """
     xp = namespace_of(before, after)
     before, after = xp.asarray(before, float), xp.asarray(after, float)

@@ -1,6 +1,6 @@
 """Measures of a map of visited positions: its spread, its distance to given places, and the shares near these and in corners.
 
-Source: Sharma et al. 2022, figure 4, whose text says that resets keep an agent near the initial and goal distributions
+Source: Sharma et al. 2022, figure 3, whose text says that resets keep an agent near the initial and goal distributions
 and that without them it goes further away, into the corners. The paper prints no measure; these are ours. All functions
 take NumPy or JAX arrays and can be traced by `jit`.
 """

@@ -42,17 +42,19 @@ class Report(NamedTuple):
     parts: dict[str, str]
     figure: Any
     tables: dict[str, list[Row]]
+    page: str | None = None
+    """The name of the page's text in the folder pages, by default that of the artefact."""
 
     def write(self, name: str, out: Path) -> list[Path]:
         """Write `name`*.csv, `name`.md and `name`.png into the folder `out`, and return them.
 
-        The page is pages/`name`.md with the parts in their places; paragraphs without text are left out.
+        The page is pages/`page`.md with the parts in their places; paragraphs without text are left out.
         """
         out.mkdir(parents=True, exist_ok=True)
         tables = {out / f"{name}{end}.csv": rows for end, rows in self.tables.items()}
         for path, rows in tables.items():
             write(rows, path)
-        page = (PAGES / f"{name}.md").read_text().format(**self.parts)
+        page = (PAGES / f"{self.page or name}.md").read_text().format(**self.parts)
         text = out / f"{name}.md"
         text.write_text(re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n")
         return [*tables, text, save(self.figure, out / f"{name}.png")]
@@ -118,5 +120,7 @@ def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
 
 
 def mean_text(values: np.ndarray, digits: int, style: str = "") -> str:
-    """Return the mean of `values [seeds]` with the standard error in brackets; `style` is "," for thousands."""
-    return f"{values.mean():{style}.{digits}f} ({stderr(values):{style}.{digits}f})"
+    """Return the mean of `values [seeds]`, of several with the standard error in brackets; `style` is "," for thousands."""
+    numbers = [values.mean(), stderr(values)] if len(values) > 1 else [values.mean()]
+    mean, *error = (f"{number:{style}.{digits}f}" for number in numbers)
+    return " ".join([mean, *(f"({text})" for text in error)])

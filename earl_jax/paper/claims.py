@@ -1,16 +1,25 @@
-"""Claims of the paper's text about tables 1 and 2, checked with its own numbers and with ours.
+"""Claims of the paper's text about tables 1 and 2, tested with its own seeds and with ours.
 
-Source: Sharma et al. 2022, section 6.
+Source: Sharma et al. 2022, section 6.2.
 """
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from earl_jax import assets
-from earl_jax.report.published import published_score
-from earl_jax.report.runs import MethodRuns
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.metrics.comparison import CANNOT_TELL, Comparison, Sample, permutation, welch
+from earl_jax.paper.artefact import METHODS, Row, methods_on
+from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.paper_rows import table_scores
+from earl_jax.report.published import RECONSTRUCTED, published_score, released_curves
+from earl_jax.report.runs import Curves, MethodRuns, common_steps
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.style import task_order
+from earl_jax.report.style import method_title, task_order, task_title
+from earl_jax.report.tables import markdown_table, millions
 
 EPISODIC = "oracle"
 """The method that resets, which is no autonomous one and which table 2 lacks."""
@@ -18,12 +27,147 @@ NAIVE_BEST = 2
 """The number of tasks on which naive RL is the best method in table 2, in the paper's words."""
 
 
-def table2_claims(groups: Sequence[MethodRuns]) -> str:
-    """Return the claims about table 2, and whether they hold for the published scores and for the runs `groups`."""
+class Claim(NamedTuple):
+    """A claim `text` about table `number`, by one comparison that it makes on a task.
+
+    The method `first` scores above `second`, or where that is None, no higher at the end of its life than at the beginning.
+    """
+
+    number: int
+    text: str
+    env: str
+    first: str
+    second: str | None
+
+
+AUTONOMOUS = tuple(algo for algo in METHODS if algo != EPISODIC)
+STUCK = "sawyer_peg", "franka_kitchen"
+NO_PROGRESS = "autonomous methods make no progress on the peg and in the kitchen"
+BEST_WITH_DEMOS = "VaPRL is the best autonomous method where demonstrations are given"
+CLAIMS = (
+    Claim(1, "VaPRL outperforms the oracle on tabletop", "tabletop_organization", "vaprl", EPISODIC),
+    *(Claim(1, NO_PROGRESS, env, algo, None) for env in STUCK for algo in methods_on(env, AUTONOMOUS)),
+    *(
+        Claim(1, BEST_WITH_DEMOS, env, "vaprl", algo)
+        for env in PAPER_TASKS
+        if "vaprl" in methods_on(env)
+        for algo in AUTONOMOUS
+        if algo != "vaprl"
+    ),
+    Claim(2, "VaPRL does better than naive RL on the door", "sawyer_door", "vaprl", "naive"),
+    Claim(2, "R3L does better than naive RL with the Minitaur", "minitaur_pen", "r3l", "naive"),
+)
+"""The comparisons of the text, but for those of `counted` and one that contradicts table 1 (assets/published/faults.csv)."""
+NOT_RUN = "not run"
+WORDS = {"above": "as the text says", "below": "opposite to the text"}
+PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
+CLAIM_RULE = (
+    "Permutation tests of seeds over the same steps, the published ones of the released seeds (where none were released, "
+    "Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
+    "at the end of a life minus that at its beginning, of as many evaluations. What a test `would find` is the difference "
+    "that Welch's finds with a probability of 80 %."
+)
+
+
+def claims_text(number: int, groups: Sequence[MethodRuns]) -> str:
+    """Return a table of the tests of the claims about table `number`, and for table 2 what can be counted."""
+    header = [
+        "claim",
+        "task",
+        "comparison",
+        "published",
+        "adjusted p",
+        "verdict",
+        "ours",
+        "steps",
+        "adjusted p",
+        "verdict",
+    ]
+    published, ours = claim_rows(number), claim_rows(number, groups)
+    pairs = zip(published, ours, strict=True)
+    lines = [[*_names(first), *_tests(first), *_tests(second, steps=True)] for first, second in pairs]
+    for previous, line in reversed(list(itertools.pairwise(lines))):
+        line[0] = "the same" if previous[0] == line[0] else line[0]
+    table = f"Claims of the paper's text:\n\n{markdown_table(header, lines)}\n\n{CLAIM_RULE}"
+    return f"{table}\n\n{counted(groups)}" if number == 2 else table
+
+
+def claim_rows(number: int, groups: Sequence[MethodRuns] | None = None) -> list[Row]:
+    """Return a row for each of `CLAIMS` about a table, tested with the first runs of each method, or with the published ones."""
+    curves: dict[tuple[str, str], Curves] = {}
+    for group in groups or ():
+        if group.curves.comparable and group.env not in RECONSTRUCTED:
+            curves.setdefault((group.env, group.algo), group.curves)
+    rows = []
+    for claim in (claim for claim in CLAIMS if claim.number == number):
+        names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
+        if groups is None:
+            found = [released_curves(*name) for name in names]
+            tested = _test(claim, found) if all(found) else _printed(claim)
+        else:
+            tested = _test(claim, [curves.get(name) for name in names])
+        rows.append({**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": NOT_RUN, **tested})
+    return with_verdicts(rows, family=("text", "env"))
+
+
+def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
+    """Return the columns of the test of a claim by the runs of its methods; {} without one of them."""
+    first, second = curves[0], curves[-1]
+    if first is None or second is None:
+        return {}
+    start, step = common_steps(first, second)
+    if start > step:
+        return {}
+    scores = table_scores(claim.number, first, step)
+    others = table_scores(claim.number, second, step) if claim.second else _beginning(first)
+    return {"steps": step, **_columns(Sample.of(scores), Sample.of(others), permutation(scores, others))}
+
+
+def _beginning(curves: Curves) -> np.ndarray:
+    """Return the mean [N] of the first evaluations of a run, as many as its score has at the end."""
+    return curves.metrics[curves.deployed_metric][:, : curves.window.count(curves.steps)].mean(axis=1)
+
+
+def _printed(claim: Claim) -> Row:
+    """Return the columns of the test by the printed means and standard errors; {} where they are not printed."""
+    scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
+    samples = [sample for score in scores if score and (sample := score.sample)]
+    if len(samples) < 2:
+        return {}
+    first, second = samples
+    return _columns(first, second, welch(first, second))
+
+
+def _columns(own: Sample, other: Sample, result: Comparison) -> Row:
+    return {"seeds": own.seeds, "other_seeds": other.seeds, **comparison_columns(own, other, result)}
+
+
+def _names(row: Row) -> list[str]:
+    first = method_title(row["first"])
+    pair = f"{first} minus {method_title(row['second'])}" if row["second"] else f"{first}, end minus beginning"
+    return [row["text"], task_title(row["env"]), pair]
+
+
+def _tests(row: Row, steps: bool = False) -> list[str]:
+    """Return the difference, the steps if asked, the adjusted p and the verdict of a row."""
+    if row["verdict"] == NOT_RUN:
+        return ["-"] * (3 if steps else 2) + [NOT_RUN]
+    difference, _, p, _ = compared_texts(row)
+    return [difference, *([millions(row["steps"])] if steps else []), p, word(row)]
+
+
+def word(row: Row) -> str:
+    """Return whether the test of a claim agrees with the text, or what it would find."""
+    return verdict_text(row, words=WORDS if row["second"] else PROGRESS)
+
+
+def counted(groups: Sequence[MethodRuns]) -> str:
+    """Return the claims that count tasks of table 2, and whether they hold for the published scores and for the runs `groups`."""
     return (
-        f"Claims of the paper's text: naive RL is the best method on {NAIVE_BEST} tasks of table 2, and the ranks of the two "
+        f"Two more claims count tasks: naive RL is the best method on {NAIVE_BEST} tasks of table 2, and the ranks of the two "
         f"settings disagree. In the published tables {_counts(_published())}. In our runs {_counts(_ours(groups))}. "
-        "The oracle is left out; a task counts if at least two methods have both scores."
+        "The oracle is left out; a task counts if at least two methods have both scores. These are counts of means, without a "
+        "test."
     )
 
 
@@ -59,17 +203,16 @@ def changes_order(methods: Mapping[str, tuple[float, float]]) -> bool:
     return any((first[0] - second[0]) * (first[1] - second[1]) < 0 for first, second in pairs)
 
 
-def _published() -> Iterable[tuple[str, str, float, float]]:
+def _published() -> Iterator[tuple[str, str, float, float]]:
     for row in assets.published("table2"):
         scores = [published_score(table, row["env"], row["algo"]) for table in ("table1", "table2")]
         if scores[0] and scores[1]:
             yield row["env"], row["algo"], scores[0].value, scores[1].value
 
 
-def _ours(groups: Sequence[MethodRuns]) -> Iterable[tuple[str, str, float, float]]:
+def _ours(groups: Sequence[MethodRuns]) -> Iterator[tuple[str, str, float, float]]:
     """Yield the mean scores of the runs that can be compared with the paper's."""
     for group in groups:
-        curves = group.curves
-        if curves.comparable:
-            continuing = curves.metrics["continuing/reward"][:, -1]
-            yield group.env, group.algo, float(seed_scores(curves).mean()), float(continuing.mean())
+        if group.curves.comparable:
+            continuing = float(table_scores(2, group.curves).mean())
+            yield group.env, group.algo, float(seed_scores(group.curves).mean()), continuing

@@ -4,7 +4,6 @@ Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as
 the first version of SAC, ours the second.
 """
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,14 +14,14 @@ from earl_jax.algos import SAC
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval, welch
 from earl_jax.metrics.scores import final_scores
-from earl_jax.metrics.statistics import Estimate, difference, mean_of
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
-from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text, word_by_sign
+from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.style import ordered
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.config import RunConfig
 
 TASKS = ("cheetah_run", "fish_swim")
@@ -39,8 +38,8 @@ FINDINGS = {
     ("fish_swim", False): "degrades",
 }
 """The paper's finding on the return as H_T grows, by task and `timeout_bootstrap`."""
-UNCLEAR, INCONCLUSIVE, MISSING = "no clear difference", "inconclusive", "-"
-NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan)
+MISSING = "-"
+TESTED = ("p", "adjusted p")
 
 
 class Point(NamedTuple):
@@ -60,7 +59,7 @@ class Point(NamedTuple):
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""
         key = {"env": self.env, "timeout_bootstrap": self.bootstrap, "train_horizon": self.horizon}
-        return {**key, **columns, **interval_columns(mean_of(scores), "return")}
+        return {**key, **columns, **interval_columns(mean_interval(scores), "return")}
 
 
 Arms = dict[tuple[str, bool], list[Point]]
@@ -140,31 +139,44 @@ def _goals_text(config: RunConfig) -> str:
     return f"another target every {drawn:,} steps, with and without a reset"
 
 
-def finding(arm: Sequence[Point]) -> tuple[Estimate, str]:
-    """Return the return at the shortest minus that at the longest horizon of one arm, and the word for it."""
-    if len(arm) < 2:
-        return NO_ESTIMATE, MISSING
-    estimate = difference(arm[0].scores, arm[-1].scores)
-    return estimate, word_by_sign(estimate, "degrades", "improves", UNCLEAR)
+def findings(arms: Arms) -> list[Row]:
+    """Return for each arm with several horizons the test of the return at the shortest minus that at the longest."""
+    rows = [
+        {"env": env, "update": update, "horizons": (arm[0].horizon, arm[-1].horizon), **_test(arm[0], arm[-1])}
+        for (env, update), arm in arms.items()
+        if len(arm) > 1
+    ]
+    return with_verdicts(rows, family=("env",))
 
 
-def effect(without: Sequence[Point], biased: Sequence[Point]) -> tuple[int | None, Estimate, str]:
-    """Return the longest horizon of both arms, the return with minus without the biased update there, and its word."""
-    before, after = ({point.horizon: point.scores for point in arm} for arm in (without, biased))
-    horizon = max(before.keys() & after.keys(), default=None)
-    if horizon is None:
-        return None, NO_ESTIMATE, MISSING
-    estimate = difference(after[horizon], before[horizon])
-    return horizon, estimate, word_by_sign(estimate, "helps", "hurts", UNCLEAR)
+def effects(arms: Arms) -> list[Row]:
+    """Return for each task the test of the return with minus without the biased update, at the longest horizon of both."""
+    rows = []
+    for env in dict.fromkeys(env for env, _ in arms):
+        without, biased = ({point.horizon: point for point in arms[env, update]} for update in UPDATES)
+        if common := without.keys() & biased.keys():
+            horizon = max(common)
+            rows.append({"env": env, "horizon": horizon, **_test(biased[horizon], without[horizon])})
+    return with_verdicts(rows, family=("env",))
+
+
+def _test(first: Point, second: Point) -> Row:
+    """Return the columns of Welch's test of the scores of two points; three seeds have no significant permutation."""
+    samples = Sample.of(first.scores), Sample.of(second.scores)
+    seeds = {"seeds": samples[0].seeds, "other_seeds": samples[1].seeds}
+    return {**seeds, **comparison_columns(*samples, welch(*samples))}
 
 
 def verdict(finding: str, effect: str, published: str | None) -> str:
-    """Return whether a finding and the biased update's `effect` agree with the `published` finding, by the rules of the page."""
+    """Return whether the verdicts on the fall of the return and on the biased `effect` agree with the `published` finding.
+
+    Both are `above`, `below`, `cannot tell`, or `-` without a test. The rules are on the page.
+    """
     if published is None or finding == MISSING:
         return MISSING
     if published == "restored":
-        return "differs" if finding == "degrades" else "agrees" if effect == "helps" else INCONCLUSIVE
-    return {"degrades": "agrees", "improves": "differs"}.get(finding, INCONCLUSIVE)
+        return "differs" if finding == "above" else "agrees" if effect == "above" else CANNOT_TELL
+    return {"above": "agrees", "below": "differs"}.get(finding, CANNOT_TELL)
 
 
 def _parts(points: Sequence[Point]) -> dict[str, str]:
@@ -177,7 +189,6 @@ def _parts(points: Sequence[Point]) -> dict[str, str]:
         "effects": _effects(arms),
         "missing": _missing(arms),
         "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
-        "few_seeds": FEW_SEEDS if any(len(point.scores) < FEW for point in points) else "",
     }
 
 
@@ -185,30 +196,32 @@ def _returns(arms: Arms) -> str:
     horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
     lines = []
     for (env, update), arm in arms.items():
-        texts = {point.horizon: f"{estimate_text(mean_of(point.scores), 1)} ({len(point.scores)})" for point in arm}
+        texts = {
+            point.horizon: f"{interval_text(*mean_interval(point.scores), '.1f')} ({len(point.scores)})"
+            for point in arm
+        }
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
     return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
 
 
 def _findings(arms: Arms) -> str:
+    effect = {row["env"]: row["verdict"] for row in effects(arms)}
     lines = []
-    for (env, update), arm in arms.items():
-        estimate, ours = finding(arm)
-        published = FINDINGS.get((env, update))
-        _, _, update_effect = effect(arms[env, True], arms[env, False])
-        horizons = f"{arm[0].horizon:,} and {arm[-1].horizon:,}" if len(arm) > 1 else MISSING
-        words = [ours, published or MISSING, verdict(ours, update_effect, published)]
-        lines.append([env, UPDATES[update], horizons, estimate_text(estimate, 1), *words])
-    header = ["task", "update", "H_T", "shortest minus longest", "finding", "published", "verdict"]
+    for row in findings(arms):
+        published = FINDINGS.get((row["env"], row["update"]))
+        words = [published or MISSING, verdict(row["verdict"], effect.get(row["env"], MISSING), published)]
+        horizons = "{:,} and {:,}".format(*row["horizons"])
+        tests = compared_texts(row, ".1f", above="degrades", below="improves")
+        lines.append([row["env"], UPDATES[row["update"]], horizons, *tests, *words])
+    header = ["task", "update", "H_T", "shortest minus longest [95 %]", *TESTED, "finding", "published", "verdict"]
     return markdown_table(header, lines)
 
 
 def _effects(arms: Arms) -> str:
-    lines = []
-    for env in dict.fromkeys(env for env, _ in arms):
-        horizon, estimate, word = effect(arms[env, True], arms[env, False])
-        lines.append([env, f"{horizon:,}" if horizon else MISSING, estimate_text(estimate, 1), word])
-    return markdown_table(["task", "H_T", "return with minus without the biased update", "the biased update"], lines)
+    tests = [(row, compared_texts(row, ".1f", above="helps", below="hurts")) for row in effects(arms)]
+    lines = [[row["env"], f"{row['horizon']:,}", *texts] for row, texts in tests]
+    header = ["task", "H_T", "return with minus without the biased update [95 %]", *TESTED, "the biased update"]
+    return markdown_table(header, lines)
 
 
 def _missing(arms: Arms) -> str:

@@ -5,7 +5,16 @@ from typing import Any
 
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Row, column
-from earl_jax.report.style import draw_band, legend_below, new_figure, reach, step_axis, task_title
+from earl_jax.report.style import (
+    AXES,
+    draw_band,
+    legend_below,
+    legend_entries,
+    new_figure,
+    reach,
+    step_axis,
+    task_title,
+)
 from earl_jax.report.tables import steps_text
 
 PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
@@ -30,10 +39,10 @@ def draw(points: Sequence[Row], curves: Sequence[Row], updates: Mapping[bool, st
             for horizon in horizons:
                 part = _chosen(curves, env=env, timeout_bootstrap=update, train_horizon=horizon)
                 draw_band(axis, column(part, "step"), _estimates(part), _colour(horizon, horizons))
-            axis.set(title=f"{task_title(env)}, {updates[update]}", ylabel="return")
+            axis.set(title=f"{task_title(env)}, {updates[update]}", ylabel=AXES["deployed/return"])
             axis.sharey(line[0])
             axis.grid(alpha=0.3)
-            step_axis(axis, "training steps")
+            step_axis(axis)
         for update, name in updates.items():
             _draw_final(line[-1], _chosen(points, env=env, timeout_bootstrap=update), update, name)
         _format_final(line[-1], _chosen(points, env=env))
@@ -66,7 +75,7 @@ def _draw_final(axis: Any, rows: Sequence[Row], update: bool, name: str) -> None
 
 def _format_final(axis: Any, rows: Sequence[Row]) -> None:
     title = f"{task_title(rows[0]['env'])}, final"
-    axis.set(title=title, xscale="log", xlabel="H_T, steps between resets", ylabel="final return")
+    axis.set(title=title, xscale="log", xlabel="Steps between resets", ylabel="Final return")
     ticks = sorted({row["train_horizon"] for row in rows})
     axis.set_xticks(ticks, [steps_text(horizon) for horizon in ticks])
     axis.set_xticks([], minor=True)
@@ -76,6 +85,8 @@ def _format_final(axis: Any, rows: Sequence[Row]) -> None:
 def _add_legend(figure: Any, axes: Any, horizons: Sequence[int]) -> None:
     from matplotlib.lines import Line2D
 
-    lines = {f"H_T {steps_text(horizon)}": Line2D([], [], color=_colour(horizon, horizons)) for horizon in horizons}
-    updates = dict(zip(*axes[0, -1].get_legend_handles_labels()[::-1], strict=True))
-    legend_below(figure, lines | updates, len(horizons) + 2)
+    lines = {
+        f"Reset every {steps_text(horizon)}": Line2D([], [], color=_colour(horizon, horizons)) for horizon in horizons
+    }
+    updates = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
+    legend_below(figure, lines | updates, -(-(len(horizons) + 2) // 2))

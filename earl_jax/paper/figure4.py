@@ -1,179 +1,129 @@
-"""Figure 4 of the paper: positions of the gripper, peg or robot during training, by task and method.
+"""Figure 4 of the paper: final policies on tabletop from the usual start and from starts all over the table.
 
-Source: Sharma et al. 2022, figure 4 and section 6: where the oracle and FBRL spend their steps. The paper shows a
-thresholded map of the difference; the measures and tests of its claims are ours.
+Source: Sharma et al. 2022, figure 4.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from earl_jax.envs import Map
-from earl_jax.errors import InputError
-from earl_jax.metrics import visitation
-from earl_jax.metrics.comparison import LEVEL, Sample, holm, welch
-from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, mean_text, runs_of
-from earl_jax.paper.figure4_picture import THRESHOLD, draw
-from earl_jax.report.published import estimate_text
-from earl_jax.report.style import method_order, task_order
-from earl_jax.report.tables import markdown_table
+from earl_jax import assets
+from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
+from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
+from earl_jax.report.published import FEW, FEW_SEEDS
+from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
+from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import load_visits
+from earl_jax.training import evaluate
 
-TASKS = ("tabletop_organization", "sawyer_peg", "minitaur_pen")
-METHODS = ("fbrl", "oracle")
-LARGER = {
-    ("tabletop_organization", "distance"): "fbrl",
-    ("tabletop_organization", "corners"): "fbrl",
-    ("sawyer_peg", "distance"): "fbrl",
-    ("sawyer_peg", "near_goal"): "oracle",
-    ("minitaur_pen", "distance"): "fbrl",
-}
-"""The method with the larger value in the paper, by task and measure of visits. In its words the oracle stays around the
-initial and goal distributions, the other agent goes further away and into the corners, and the oracle's peg is stuck
-around the goal box."""
-GOAL_RADIUS = {"sawyer_peg": 0.12}
-"""Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
-MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
-UNCLEAR, MISSING = "no clear difference", "-"
-
-
-class VisitMap(NamedTuple):
-    """Visits on the map of a task with one method: int `visits [N, B, B]` of N seeds, first axis x."""
-
-    env: str
-    map: Map
-    algo: str
-    visits: np.ndarray
-
-    @property
-    def shares(self) -> np.ndarray:
-        """Share of the visits of all seeds in each bin, [B, B]."""
-        return self.visits.sum(axis=0) / max(self.visits.sum(), 1)
+METHODS = ("fbrl", "vaprl", "oracle")
+EPISODES = 100
+COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 
 
 def report(folders: Sequence[Path]) -> Report:
-    """Return figure 4 from the maps of visited positions of run folders, which need no checkpoints.
+    """Return figure 4 from run folders, whose final policies are evaluated.
 
     Raises:
-        ValueError: as `report_of`, or a folder is no run.
+        ValueError: a folder holds no run with policies, or matplotlib is not installed.
     """
-    read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
-    return report_of(
-        [
-            VisitMap(env.name, env.map, algo, visits)
-            for algo, env, visits in read
-            if env.map is not None and visits is not None
-        ]
-    )
+    rows = []
+    for folder in folders:
+        config = RunFolder.open(folder).config
+        successes = [evaluate(folder, EPISODES, starts=starts)["deployed/success"] for starts in ("initial", "uniform")]
+        for seed, *success in zip(config.seeds, *(values.tolist() for values in successes), strict=True):
+            rows.append(dict(zip(COLUMNS, (config.algo, seed, *success), strict=True)))
+    return report_of(rows)
 
 
-def report_of(maps: Sequence[VisitMap]) -> Report:
-    """Return figure 4 from `maps`, with rows of the measures of every seed and of its visits.
+def report_of(rows: Sequence[Mapping[str, Any]]) -> Report:
+    """Return figure 4 from a row per seed of algo, seed, success_initial, success_uniform; numbers can be texts."""
+    rows = [{**row, **{name: float(row[name]) for name in COLUMNS[2:]}} for row in rows]
+    by_method = grouped(rows, "algo")
+    methods = [_row(algo, by_method[algo,]) for algo in method_order(algo for (algo,) in by_method)]
+    return Report(_parts(methods), _draw(methods), {"": methods, "_seeds": rows})
 
-    Raises:
-        ValueError: there are no maps, a task and method come twice, or matplotlib is not installed.
-    """
-    by_name = {(part.env, part.algo): part for part in maps}
-    if not maps or len(by_name) < len(maps):
-        raise InputError(f"figure 4 needs one map of visits for each task and method, got {list(by_name)}")
-    envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
-    maps = [by_name[name] for env in envs for algo in algos if (name := (env, algo)) in by_name]
-    rows = [row for part in maps for row in seed_rows(part)]
-    parts = {
-        "radii": ", ".join(f"{radius} m ({env})" for env, radius in GOAL_RADIUS.items()),
-        "measures": _measures_table(rows),
-        "level": str(LEVEL),
-        "verdicts": _verdicts_table(verdicts(rows)),
-        "missing": "\n\n".join(filter(None, (_missing(rows, env) for env in envs))),
-        "threshold": str(THRESHOLD),
+
+def _row(algo: str, seeds: Sequence[Row]) -> Row:
+    """Return a method's row: successes and drop with intervals, published drop, verdict."""
+    initial, uniform = (column(seeds, name) for name in COLUMNS[2:])
+    drop, published = relative_drop(initial, uniform), assets.published_row("figure4", algo=algo)
+    published_drop = float(published["drop_percent"]) / 100 if published else None
+    return {
+        "algo": algo,
+        "seeds": len(initial),
+        **interval_columns(mean_of(initial), "initial", "initial_"),
+        **interval_columns(mean_of(uniform), "uniform", "uniform_"),
+        **interval_columns(drop, "drop", "drop_"),
+        "published_drop": published_drop,
+        "verdict": verdict(drop, published_drop),
     }
-    figure = draw({part.env: part.map for part in maps}, {name: part.shares for name, part in by_name.items()})
-    return Report(parts, figure, {"": rows, "_visits": [row for part in maps for row in _visit_rows(part)]})
 
 
-def seed_rows(part: VisitMap) -> list[Row]:
-    """Return a row per seed with the `MEASURES` of its map, None for a distance that its task has no places for."""
-    visits, bounds, starts, goals = part.visits, part.map.bounds, part.map.starts, part.map.goals
-    rows = [{"env": part.env, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
-    distances = {name: [None] * len(rows) for name in ("distance", "near_goal")}
-    if starts is not None and goals is not None:
-        distances["distance"] = visitation.mean_distance(visits, bounds, np.concatenate([starts, goals]))
-    if goals is not None and part.env in GOAL_RADIUS:
-        distances["near_goal"] = visitation.share_near(visits, bounds, goals, GOAL_RADIUS[part.env])
-    measures = {**distances, "corners": visitation.share_in_corners(visits)}
-    (x_low, y_low), (x_high, y_high) = bounds.tolist()
-    grid = {"bins": visits.shape[1], "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
-    for row, own in zip(rows, visits, strict=True):
-        scores = {name: values[row["seed"]] for name, values in measures.items()} | visitation.measure(own)
-        row |= {name: scores[name] for name in MEASURES} | grid
-    return rows
+def verdict(drop: Estimate, published: float | None) -> str:
+    """Return how our `drop` compares with the `published` one: within, larger, smaller, or `-`."""
+    if published is None or not math.isfinite(drop.low):
+        return "-"
+    return "larger" if drop.low > published else "smaller" if drop.high < published else "within"
 
 
-def _visit_rows(part: VisitMap) -> list[Row]:
-    key = {"env": part.env, "algo": part.algo}
-    places = np.argwhere(part.visits).tolist()
-    return [{**key, "seed": n, "x_bin": x, "y_bin": y, "visits": part.visits[n, x, y]} for n, x, y in places]
+def _percent(share: float | None) -> str:
+    return "-" if share is None or not math.isfinite(share) else f"{100 * share:.1f} %"
 
 
-def _measures_table(rows: Sequence[Row]) -> str:
-    lines = []
-    for name, seeds in grouped(rows, "env", "algo").items():
-        texts = [MISSING if seeds[0][each] is None else mean_text(column(seeds, each), 3) for each in MEASURES]
-        lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
-    return markdown_table(["task", "method", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
-
-
-def verdicts(rows: Sequence[Row]) -> list[Row]:
-    """Return a row per published claim about a task that `seed_rows` of both methods are about: means, test and verdict."""
-    seeds, results = grouped(rows, "env", "algo"), []
-    for (env, measure), larger in LARGER.items():
-        if all((env, algo) in seeds for algo in METHODS):
-            fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
-            test = welch(Sample.of(fbrl), Sample.of(oracle))._asdict()
-            means = {"fbrl": float(fbrl.mean()), "oracle": float(oracle.mean())}
-            results.append({"env": env, "measure": measure, "larger": larger, **means, **test})
-    for row, p in zip(results, holm([row["p"] for row in results]), strict=True):
-        row |= {"p_holm": p, "verdict": _word(row["difference"], row["larger"], p)}
-    return results
-
-
-def _word(difference: float, larger: str, p: float) -> str:
-    """Return the verdict on a `difference` of FBRL minus the oracle at the corrected `p`."""
-    if difference == 0:
-        return UNCLEAR
-    sign = "as published" if (difference > 0) == (larger == "fbrl") else "opposite to published"
-    return f"{sign}, not tested" if math.isnan(p) else sign if p < LEVEL else UNCLEAR
-
-
-def _verdicts_table(results: Sequence[Row]) -> str:
-    header = [
-        "env",
-        "measure",
-        "FBRL",
-        "oracle",
-        "FBRL minus oracle",
-        "p",
-        "p (Holm)",
-        "larger in the paper",
-        "verdict",
+def _parts(methods: Sequence[Row]) -> dict[str, str]:
+    lines = [
+        [
+            row["algo"],
+            row["seeds"],
+            interval_text(*estimate_of(row, "initial", "initial_")),
+            interval_text(*estimate_of(row, "uniform", "uniform_")),
+            interval_text(*Estimate(*(100 * end for end in estimate_of(row, "drop", "drop_"))), ".1f"),
+            _percent(row["published_drop"]),
+            row["verdict"],
+        ]
+        for row in methods
     ]
-    lines = []
-    for row in results:
-        means = [f"{row[algo]:.3f}" for algo in METHODS]
-        tests = [MISSING if math.isnan(row[name]) else f"{row[name]:.2g}" for name in ("p", "p_holm")]
-        difference = estimate_text(estimate_of(row, "difference"), 3)
-        names = row["env"], row["measure"].replace("_", " ")
-        lines.append([*names, *means, difference, *tests, row["larger"], row["verdict"]])
-    return markdown_table(header, lines)
+    header = ["method", "seeds", "from s0", "from uniform starts", "drop, %", "published drop", "verdict"]
+    missing = [name for row in assets.published("figure4") if (name := row["algo"]) not in {m["algo"] for m in methods}]
+    return {
+        "drops": markdown_table(header, lines),
+        "missing": f"Published, but not run: {', '.join(missing)}." if missing else "",
+        "few_seeds": FEW_SEEDS if any(row["seeds"] < FEW for row in methods) else "",
+    }
 
 
-def _missing(rows: Sequence[Row], env: str) -> str:
-    missing = [algo for algo in METHODS if (env, algo) not in grouped(rows, "env", "algo")]
-    return f"No test on {env}: no map of {' or '.join(missing)}." if missing else ""
+def _draw(methods: Sequence[Row]) -> Any:
+    """Return a figure with two bars per method, and the drops above them."""
+    figure, axes = new_figure(1, 1, (max(1.7 * len(methods) + 1.5, 5.2), 4.4))
+    from matplotlib.patches import Patch
+
+    axis, palette = axes[0, 0], colours(row["algo"] for row in methods)
+    for position, row in enumerate(methods):
+        colour = palette[row["algo"]]
+        _draw_bar(axis, position - 0.2, estimate_of(row, "initial", "initial_"), color=colour)
+        _draw_bar(axis, position + 0.2, estimate_of(row, "uniform", "uniform_"), color=colour, alpha=0.45, hatch="//")
+        text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
+        axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
+    axis.set_xticks(range(len(methods)), [method_title(row["algo"]) for row in methods])
+    axis.set(
+        ylim=(0, 1.25), xlim=(-0.6, len(methods) - 0.4), ylabel=AXES["deployed/success"], yticks=np.linspace(0, 1, 6)
+    )
+    axis.grid(axis="y", alpha=0.3)
+    axis.set_axisbelow(True)
+    initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")
+    legend_below(figure, {"From the published start": initial, "From uniform starts": uniform}, 2)
+    return figure
 
 
-FIGURE4 = Artefact("figure4", TASKS, runs_of(*METHODS), report)
+def _draw_bar(axis: Any, x: float, estimate: Estimate, **bar_style: Any) -> None:
+    """Draw a bar with its interval, black on a white outline."""
+    axis.bar(x, estimate.value, 0.36, **bar_style)
+    for colour, width in (("white", 2.6), ("black", 1.2)):
+        axis.errorbar(x, estimate.value, reach(estimate), fmt="none", color=colour, capsize=3, linewidth=width)
+
+
+FIGURE4 = Artefact("figure4", ("tabletop_organization",), runs_of(*METHODS), report)

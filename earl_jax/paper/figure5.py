@@ -1,127 +1,156 @@
-"""Figure 5 of the paper: final policies on tabletop from the usual start and from starts all over the table.
+"""Figure 5 of the paper: learning curves, deployed and continuing, one column per task.
 
 Source: Sharma et al. 2022, figure 5.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from earl_jax.envs import PAPER_TASKS
+from earl_jax.metrics.scores import deployed_area
+from earl_jax.metrics.statistics import Estimate
+from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
+from earl_jax.report.paper_rows import table_scores
+from earl_jax.report.published import LEVELS, crossings_beside, published_beside, released_beside
+from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text, read_methods
+from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
+from earl_jax.report.style import (
+    AXES,
+    LINE_STYLES,
+    colours,
+    draw_band,
+    legend_below,
+    legend_entries,
+    method_title,
+    new_figure,
+    step_axis,
+    task_title,
+)
+from earl_jax.report.tables import markdown_table, millions, step_interval
 
-from earl_jax import assets
-from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
-from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
-from earl_jax.report.published import FEW, FEW_SEEDS, estimate_text
-from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach
-from earl_jax.report.tables import markdown_table
-from earl_jax.runs.folder import RunFolder
-from earl_jax.training import evaluate
-
-METHODS = ("fbrl", "vaprl", "oracle")
-EPISODES = 100
-COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
+CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
+SMOOTH = " (trailing 10)"
 
 
 def report(folders: Sequence[Path]) -> Report:
-    """Return figure 5 from run folders, whose final policies are evaluated.
+    """Return the learning curves of run folders, with rows of the mean and its interval at every evaluation.
 
     Raises:
-        ValueError: a folder holds no run with policies, or matplotlib is not installed.
+        ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
     """
-    rows = []
-    for folder in folders:
-        config = RunFolder.open(folder).config
-        successes = [evaluate(folder, EPISODES, starts=starts)["deployed/success"] for starts in ("initial", "uniform")]
-        for seed, *success in zip(config.seeds, *(values.tolist() for values in successes), strict=True):
-            rows.append(dict(zip(COLUMNS, (config.algo, seed, *success), strict=True)))
-    return report_of(rows)
+    groups = read_methods(folders)
+    options = [f"- {group.env}, {group.label}: {options_text(group.curves.options)}" for group in groups]
+    parts = {"scores": _scores_table(groups), "options": "\n".join(options)}
+    return Report(parts, _draw(groups), {"": list(_points(groups))})
 
 
-def report_of(rows: Sequence[Mapping[str, Any]]) -> Report:
-    """Return figure 5 from a row per seed of algo, seed, success_initial, success_uniform; numbers can be texts."""
-    rows = [{**row, **{name: float(row[name]) for name in COLUMNS[2:]}} for row in rows]
-    by_method = grouped(rows, "algo")
-    methods = [_row(algo, by_method[algo,]) for algo in method_order(algo for (algo,) in by_method)]
-    return Report(_parts(methods), _draw(methods), {"": methods, "_seeds": rows})
+def _points(groups: Sequence[MethodRuns]) -> Iterator[Row]:
+    for group in groups:
+        metrics, deployed = group.curves.metrics, group.curves.deployed_metric
+        series = {
+            deployed: metrics[deployed], deployed + SMOOTH: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]
+        }  # fmt: skip
+        for metric, values in series.items():
+            band = interval_of(group.curves, values, metric.removesuffix(SMOOTH))
+            for step, *ends in zip(group.curves.steps.tolist(), *band, strict=True):
+                key = {"env": group.env, "algo": group.label, "step": step, "metric": metric}
+                yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": group.curves.seeds}
 
 
-def _row(algo: str, seeds: Sequence[Row]) -> Row:
-    """Return a method's row: successes and drop with intervals, published drop, verdict."""
-    initial, uniform = (column(seeds, name) for name in COLUMNS[2:])
-    drop, published = relative_drop(initial, uniform), assets.published_row("figure5", algo=algo)
-    published_drop = float(published["drop_percent"]) / 100 if published else None
-    return {
-        "algo": algo,
-        "seeds": len(initial),
-        **interval_columns(mean_of(initial), "initial", "initial_"),
-        **interval_columns(mean_of(uniform), "uniform", "uniform_"),
-        **interval_columns(drop, "drop", "drop_"),
-        "published_drop": published_drop,
-        "verdict": verdict(drop, published_drop),
-    }
+def _scores_table(groups: Sequence[MethodRuns]) -> str:
+    header = ["task", "method", "seeds", "steps"]
+    header += [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]
+    header += ["D(A)", "C(A)", "published C(A)", "J_D", "published J_D"]
+    return markdown_table(header, [_line(group) for group in groups])
 
 
-def verdict(drop: Estimate, published: float | None) -> str:
-    """Return how our `drop` compares with the `published` one: within, larger, smaller, or `-`."""
-    if published is None or not math.isfinite(drop.low):
-        return "-"
-    return "larger" if drop.low > published else "smaller" if drop.high < published else "within"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None or not math.isfinite(share) else f"{100 * share:.1f} %"
-
-
-def _parts(methods: Sequence[Row]) -> dict[str, str]:
-    lines = [
-        [
-            row["algo"],
-            row["seeds"],
-            estimate_text(estimate_of(row, "initial", "initial_"), 3),
-            estimate_text(estimate_of(row, "uniform", "uniform_"), 3),
-            estimate_text(estimate_of(row, "drop", "drop_"), 1, 100),
-            _percent(row["published_drop"]),
-            row["verdict"],
-        ]
-        for row in methods
+def _line(group: MethodRuns) -> list[str]:
+    curves = group.curves
+    scores, rewards = curves.metrics[curves.deployed_metric], curves.metrics[CONTINUING]
+    crossings, published = [], crossings_beside(curves)
+    for level, estimate in level_crossings(curves).items():
+        crossings += [step_interval(estimate), millions(published.get(level))]
+    released, digits = released_beside(curves), 3 if curves.deployed_metric == SUCCESS else 1
+    texts = [_released_text(number, curves, released, places) for number, places in ((1, digits), (2, 4))]
+    return [
+        group.env,
+        group.label,
+        str(curves.seeds),
+        f"{curves.steps[-1]:,}",
+        *crossings,
+        mean_text(deployed_area(curves.steps, scores), digits),
+        mean_text(rewards[:, -1], 4),
+        texts[1],
+        mean_text(seed_scores(curves), digits),
+        texts[0],
     ]
-    header = ["method", "seeds", "from s0", "from uniform starts", "drop, %", "published drop", "verdict"]
-    missing = [name for row in assets.published("figure5") if (name := row["algo"]) not in {m["algo"] for m in methods}]
-    return {
-        "drops": markdown_table(header, lines),
-        "missing": f"Published, but not run: {', '.join(missing)}." if missing else "",
-        "few_seeds": FEW_SEEDS if any(row["seeds"] < FEW for row in methods) else "",
-    }
 
 
-def _draw(methods: Sequence[Row]) -> Any:
-    """Return a figure with two bars per method, and the drops above them."""
-    figure, axes = new_figure(1, 1, (max(1.7 * len(methods) + 1.5, 5.2), 4.4))
-    from matplotlib.patches import Patch
+def _released_text(number: int, curves: Curves, released: Curves | None, digits: int) -> str:
+    """Return the mean score of the released runs over the steps of `curves`, as in table `number`; `-` without any."""
+    first, step = common_steps(curves, released) if released else (1, 0)
+    if released is None or first > step or (number == 2 and CONTINUING not in released.metrics):
+        return "-"
+    return f"{table_scores(number, released, step).mean():.{digits}f}"
 
-    axis, palette = axes[0, 0], colours(row["algo"] for row in methods)
-    for position, row in enumerate(methods):
-        colour = palette[row["algo"]]
-        _draw_bar(axis, position - 0.2, estimate_of(row, "initial", "initial_"), color=colour)
-        _draw_bar(axis, position + 0.2, estimate_of(row, "uniform", "uniform_"), color=colour, alpha=0.45, hatch="//")
-        text = f"drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
-        axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
-    axis.set_xticks(range(len(methods)), [row["algo"] for row in methods])
-    axis.set(ylim=(0, 1.25), xlim=(-0.6, len(methods) - 0.4), ylabel="success", yticks=np.linspace(0, 1, 6))
-    axis.grid(axis="y", alpha=0.3)
-    axis.set_axisbelow(True)
-    initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")
-    legend_below(figure, {"from the published start": initial, "from uniform starts": uniform}, 2)
+
+def _draw(groups: Sequence[MethodRuns]) -> Any:
+    envs = list(dict.fromkeys(group.env for group in groups))
+    figure, axes = new_figure(2, len(envs), (max(4.4 * len(envs), 7.0), 6.6), sharex="col")
+    palette = colours(group.algo for group in groups)
+    for env, column in zip(envs, axes.T, strict=True):
+        of_task = [group for group in groups if group.env == env]
+        for group in of_task:
+            peers = [other.label for other in of_task if other.algo == group.algo]
+            line_style = LINE_STYLES[peers.index(group.label) % len(LINE_STYLES)]
+            _draw_group(column, group, palette[group.algo], line_style)
+        _format_column(column, of_task)
+    _add_legend(figure, axes)
     return figure
 
 
-def _draw_bar(axis: Any, x: float, estimate: Estimate, **bar_style: Any) -> None:
-    """Draw a bar with its interval, black on a white outline."""
-    axis.bar(x, estimate.value, 0.36, **bar_style)
-    for colour, width in (("white", 2.6), ("black", 1.2)):
-        axis.errorbar(x, estimate.value, reach(estimate), fmt="none", color=colour, capsize=3, linewidth=width)
+def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) -> None:
+    """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
+    curves = group.curves
+    drawn = {
+        curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
+        CONTINUING: curves.metrics[CONTINUING],
+    }
+    style = {
+        "linestyle": line_style,
+        "label": method_title(group.label),
+        "marker": "o" if len(curves.steps) == 1 else None,
+    }
+    for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
+        draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, **style)
+        if final := published_beside(table, curves):
+            edge = axis.get_yaxis_transform()
+            axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
+    for level, step in crossings_beside(curves).items():
+        column[0].plot(step, level, "X", color=colour, markersize=8, markeredgecolor="white", zorder=5)
 
 
-FIGURE5 = Artefact("figure5", ("tabletop_organization",), runs_of(*METHODS), report)
+def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
+    """Label the two axes of one task."""
+    rates = of_task[0].curves.deployed_metric == SUCCESS
+    column[0].set(title=task_title(of_task[0].env), ylabel=AXES[of_task[0].curves.deployed_metric])
+    if rates:
+        column[0].set_ylim(-0.04, 1.04)
+    column[1].set_ylabel(AXES[CONTINUING])
+    column[0].set_xlim(0, max(group.curves.steps[-1] for group in of_task))
+    step_axis(column[1])
+    for axis in column:
+        axis.grid(alpha=0.3)
+
+
+def _add_legend(figure: Any, axes: Any) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = legend_entries(axes[0])
+    handles["Published, final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
+    handles["Published mean reaches 0.5, 0.9"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
+    legend_below(figure, handles, min(len(handles), 4 if axes.shape[1] < 3 else 8), fontsize="small")
+
+
+FIGURE5 = Artefact("figure5", PAPER_TASKS, runs_of(*METHODS), report)

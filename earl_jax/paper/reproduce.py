@@ -1,7 +1,7 @@
 """Every table and figure of the paper by name: its runs at a scale, trained, and the files made of them.
 
 The trade-off of the conclusion is one more, which the paper names and does not show. Runs of one folder are shared:
-both tables, the curves, and figures 4 and 5 read the same ones. The grid of the runs is written beside them, so that
+both tables and figures 3, 4 and 5 read the same ones. The grid of the runs is written beside them, so that
 `earl-jax sweep` can train the same ones.
 """
 
@@ -17,8 +17,8 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import COUNT, TimeLimit, require
 from earl_jax.paper.artefact import Block, Options
-from earl_jax.paper.curves import CURVES
 from earl_jax.paper.figure2 import FIGURE2
+from earl_jax.paper.figure3 import FIGURE3
 from earl_jax.paper.figure4 import FIGURE4
 from earl_jax.paper.figure5 import FIGURE5
 from earl_jax.paper.score_tables import TABLE1, TABLE2
@@ -28,7 +28,7 @@ from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
 from earl_jax.sweeps.slots import PerDevice
 
-ARTEFACTS = {made.name: made for made in (TABLE1, TABLE2, CURVES, FIGURE2, FIGURE4, FIGURE5, TRADEOFF)}
+ARTEFACTS = {made.name: made for made in (TABLE1, TABLE2, FIGURE2, FIGURE3, FIGURE4, FIGURE5, TRADEOFF)}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,15 +12,28 @@ from typing import Any
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
-from earl_jax.paper.claims import table2_claims
+from earl_jax.paper.claims import claims_text
+from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
-from earl_jax.report.published import INTERVAL_RULE, PublishedScore, estimate_text, published_fault
+from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
-from earl_jax.report.style import colours, legend_below, method_order, new_figure, reach, task_title
+from earl_jax.report.style import (
+    AXES,
+    colours,
+    legend_below,
+    method_order,
+    method_title,
+    new_figure,
+    reach,
+    task_title,
+)
 from earl_jax.report.tables import markdown_table, millions, seeds_text
 
+CHOSEN_RULE = (
+    "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
+    "of the same tasks, which favours them."
+)
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
-AXES = {"deployed/success": "success", "deployed/return": "return"}
 
 
 def report(number: int, folders: Sequence[Path]) -> Report:
@@ -36,14 +49,14 @@ def report(number: int, folders: Sequence[Path]) -> Report:
         "heading": HEADINGS[number],
         "description": DESCRIPTIONS[number],
         "cells": _table_by_task(rows, _comparison),
-        "claims": table2_claims(groups) if number == 2 else "",
+        "claims": claims_text(number, groups),
         "tests": _tests([row for row in rows if row["p"] is not None]),
         "rule": INTERVAL_RULE,
         "faults": _faults(number, trained),
         "runs": "\n".join(map(_run_note, trained)),
         "missing": _missing(rows),
     }
-    return Report(parts, _draw(number, rows), {"": rows})
+    return Report(parts, _draw(number, rows), {"": rows}, "tables")
 
 
 def _table_by_task(rows: Sequence[Row], text: Callable[[Row], str]) -> str:
@@ -69,14 +82,25 @@ def _tests(tested: Sequence[Row]) -> str:
     """Return a table of the tests against the published scores, or a line that there is none."""
     if not tested:
         return "No run can be tested against the paper."
-    header = ["task", "method", "steps", "ours minus published [95 %]", "p", "adjusted p", "verdict", "detectable"]
+    header = [
+        "task",
+        "method",
+        "steps",
+        "ours",
+        "published",
+        "difference [95 %]",
+        "p",
+        "adjusted p",
+        "verdict",
+        "chosen",
+    ]
     lines = []
     for row in tested:
-        numbers = [f"{row['p']:.2g}", "-" if row["p_holm"] is None else f"{row['p_holm']:.2g}"]
-        text = estimate_text(estimate_of(row, "difference", "difference_"), DIGITS.get(row["metric"], 4))
+        style = f".{DIGITS.get(row['metric'], 4)}f"
+        means = [format(row[name], style) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
-        lines.append([*names, text, *numbers, row["verdict"], f"{row['detectable']:.2g}"])
-    return markdown_table(header, lines)
+        lines.append([*names, *means, *compared_texts(row, style, "difference_"), row["chosen"]])
+    return f"{markdown_table(header, lines)}\n\n{CHOSEN_RULE}"
 
 
 def _faults(number: int, trained: Sequence[Row]) -> str:
@@ -121,12 +145,12 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
     axis.use_sticky_edges = False
     for position, row in enumerate(rows):
         _draw_row(axis, position, row, palette[row["algo"]])
-    names = [textwrap.shorten(row["label"], 40, placeholder=" …") for row in rows]
+    names = [textwrap.shorten(method_title(row["label"]), 40, placeholder=" …") for row in rows]
     slanted = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in rows) else {}
     axis.set_xticks(range(len(rows)), names, fontsize="small", **slanted)
     axis.set(title=task_title(rows[0]["env"]), xlim=(-0.6, len(rows) - 0.4))
     metric = next(row["metric"] for row in rows if row["metric"])
-    axis.set_ylabel(AXES.get(metric, "reward per step"))
+    axis.set_ylabel(AXES[metric])
     axis.grid(axis="y", alpha=0.3)
 
 
@@ -134,7 +158,7 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
     if row["published_low"] is not None:
         low, high = row["published_low"], row["published_high"]
         axis.bar(position, high - low, 0.7, low, color="0.6", alpha=0.45, linewidth=0)
-        middle = (low + high) / 2
+        middle = PublishedScore(row["published_mean"], "-").value
         axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
     if row["mean"] is not None:
         interval = reach(estimate_of(row, "mean"))
@@ -147,7 +171,7 @@ def _add_legend(figure: Any) -> None:
 
     ours = Line2D([], [], marker="o", color="black", linewidth=1.8)
     published = Patch(color="0.6", alpha=0.45)
-    handles = {"ours: mean, 95 % interval": ours, "published: mean, 95 % interval of five seeds": published}
+    handles = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
     legend_below(figure, handles, 2, fontsize="small")
 
 

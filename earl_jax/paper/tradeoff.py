@@ -14,16 +14,18 @@ import numpy as np
 from scipy import stats
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import LEVEL, holm, mean_interval, verdict
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, holm, mean_interval, verdict
 from earl_jax.metrics.scores import deployed_area, final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.runs import Curves, read_all
 from earl_jax.report.style import (
+    AXES,
     colours,
     legend_below,
     legend_entries,
     method_order,
+    method_title,
     new_figure,
     reach,
     task_order,
@@ -43,6 +45,8 @@ LINE = ("env", "algo", "kind")
 """The columns that name a line of the picture."""
 KINDS = {"epsilon": "o-", "budget": "s--"}
 """The two ways in which interventions are given, and their lines."""
+NAMES = {"epsilon": "at random", "budget": "on request"}
+"""What the picture calls them."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "help", "below": "hurt"}
@@ -143,8 +147,11 @@ def _findings_table(lines: Lines) -> str:
     if not lines:
         return "No method has runs with two values, so there is no finding."
     results = [finding(list(itertools.chain(*line))) for line in lines.values()]
+    adjusted = np.array([p for _, p in results])
+    for task in {env for env, _, _ in lines}:
+        own = [env == task for env, _, _ in lines]
+        adjusted[own] = holm(adjusted[own].tolist())
     rows = []
-    adjusted = holm([p for _, p in results])
     for (name, line), (correlation, own_p), p in zip(lines.items(), results, adjusted, strict=True):
         ends = [
             " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
@@ -152,9 +159,17 @@ def _findings_table(lines: Lines) -> str:
         ]
         numbers = [_number(correlation), *(_number(value, least=0.001) for value in (own_p, p))]
         word = verdict(correlation, p)
-        rows.append([*name, *ends, *numbers, WORDS.get(word, word)])
+        found = f"{CANNOT_TELL}; {_detectable(len(list(itertools.chain(*line)))):.2f} would be found"
+        rows.append([*name, *ends, *numbers, WORDS.get(word, found)])
     header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "more interventions"], rows)
+
+
+def _detectable(seeds: int) -> float:
+    """Return the rank correlation that so many seeds show with a probability of 80 %, by Fisher's transformation."""
+    if seeds < 4:
+        return math.nan
+    return math.tanh((stats.norm.ppf(1 - LEVEL / 2) + stats.norm.ppf(POWER)) / math.sqrt(seeds - 3))
 
 
 def _number(value: float, least: float = -math.inf) -> str:
@@ -170,10 +185,12 @@ def _draw(lines: Lines) -> Any:
     palette = colours(algo for _, algo, _ in lines)
     for (env, algo, kind), line in lines.items():
         for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
-            _draw_line(axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{algo}, {kind}")
+            _draw_line(
+                axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{method_title(algo)}, {NAMES[kind]}"
+            )
     for env, (above, below) in zip(envs, axes.T, strict=True):
-        above.set(title=task_title(env), ylabel="final deployed score")
-        below.set(xscale="symlog", xlabel="interventions spent", ylabel="area under the deployed curve, per step")
+        above.set(title=task_title(env), ylabel=AXES["deployed/success"])
+        below.set(xscale="symlog", xlabel="Interventions", ylabel="Mean success over training")
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     legend_below(figure, legend_entries(axes[0]), 4)

@@ -8,9 +8,10 @@ from typing import Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import LEVEL, Sample, permutation, smallest_p, welch
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, permutation, smallest_p, welch
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.report.comparison import comparison_columns, with_verdicts
+from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.published import FAMILY_RULE
 from earl_jax.report.runs import MethodRuns, options_text, read_methods
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import task_order
@@ -25,12 +26,12 @@ COLUMNS: tuple[Column, ...] = (
     ("score [95 %]", lambda row: interval_text(row["score"], row["low"], row["high"])),
     ("best minus this [95 %]", lambda row: interval_text(*(row[f"difference{end}"] for end in ("", "_low", "_high")))),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
-    ("verdict", lambda row: row["verdict"]),
+    ("verdict", lambda row: verdict_text(row)),
 )
 RULE = (
-    "Score: mean over seeds and over {window}. {intervals} Each run is compared with the best of its task by {test}, p adjusted "
-    "by Holm over the comparisons of the task. Runs that are shorter than the longest of the task are listed after the others "
-    "and not compared."
+    "Score: mean over seeds and over {window}. {intervals} Each run is compared with the best of its task by {test}. "
+    f"{FAMILY_RULE.format(family='the comparisons with the best')} Runs that are shorter than the longest of the task are listed "
+    "after the others and not compared."
 )
 TESTS = {"permutation": "the permutation test (interval: Welch's)", "welch": "Welch's test"}
 OPTIMISM = (
@@ -69,8 +70,8 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     for row, scores in tested:
         other = Sample.of(scores)
         result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), other)
-        columns = comparison_columns(leader, other, result, "difference_")
-        row |= {name: value for name, value in columns.items() if name in row}
+        columns = comparison_columns(Sample.of(leader), other, result, "difference_")
+        row |= {name: value for name, value in columns.items() if name in row} | {"other_seeds": len(leader)}
         row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
     for row in with_verdicts([row for row, _ in tested]):
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
@@ -94,7 +95,8 @@ def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
         "env": group.env, "rank": rank, "method": group.algo, "label": group.label, "options": options_text(curves.options),
         "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
         "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
-        **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p"), math.nan),
+        **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
+        "other_seeds": len(scores),
         "verdict": "shorter",
     }  # fmt: skip
 
@@ -108,7 +110,12 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
     notes = [
-        RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS),
+        RULE.format(
+            test=TESTS[test],
+            window=rows[0]["mean_over"],
+            intervals=INTERVALS,
+            family=FAMILY_RULE.format(family="the comparisons with the best"),
+        ),
         *([OPTIMISM] if len(rows) > 1 else []),
     ]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
@@ -117,7 +124,7 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
 def _verdict_text(rows: Sequence[Row]) -> str:
     """Return which of the runs of a task cannot be told from its best, and whether any of them could be."""
     tested = [row for row in rows if not math.isnan(row["difference"])]
-    unclear = [row for row in tested if row["verdict"] == "cannot tell"]
+    unclear = [row for row in tested if row["verdict"] == CANNOT_TELL]
     if not tested:
         return "There is no other run of the same length to compare with."
     text = f"Of {len(tested)} others of the same length, {len(unclear)} cannot be told from the best"

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,17 +10,20 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import (
+    CANNOT_TELL,
     Comparison,
     Sample,
     detectable_difference,
     holm,
     permutation,
+    smallest_p,
     welch,
 )
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.published import (
+    FAMILY_RULE,
     RECONSTRUCTED,
     TEST_RULE,
     published_score,
@@ -30,7 +33,7 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import MethodRuns, common_steps, read_methods
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.style import PICTURES, new_figure, reach, save
+from earl_jax.report.style import PICTURES, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import (
     INTERVALS,
     Column,
@@ -50,8 +53,7 @@ AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
     f"The score of a seed is its mean over {{window}}, up to the same step. {INTERVALS} Those of differences are Welch's. p: the "
-    "permutation test between runs, adjusted by Holm over the comparisons of a task at an age. Detectable: the difference that "
-    f"Welch's test would find with a probability of 80 %. {TEST_RULE}"
+    f"permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')} {TEST_RULE}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -63,8 +65,7 @@ COLUMNS: tuple[Column, ...] = (
     ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], ".3g")),
     ("p", lambda row: number_text(row["p"])),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
-    ("verdict", lambda row: row["verdict"]),
-    ("detectable", lambda row: number_text(row["detectable"])),
+    ("verdict", lambda row: verdict_text(row)),
 )
 
 
@@ -175,12 +176,12 @@ def _row(
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
         "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(scores, other, result), "age": 1.0, "mean_over": first.curves.window.text,
+        **comparison_columns(Sample.of(scores), other, result), "age": 1.0, "mean_over": first.curves.window.text,
     }  # fmt: skip
 
 
-def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, prefix: str = "") -> Row:
-    """Return the columns of `result`, the test of `scores [N]` against `other`, before `with_verdicts`.
+def comparison_columns(own: Sample, other: Sample, result: Comparison, prefix: str = "") -> Row:
+    """Return the columns of `result`, the test of the sample `own` against `other`, before `with_verdicts`.
 
     The names of the ends of its interval start with `prefix`.
     """
@@ -190,8 +191,31 @@ def comparison_columns(scores: np.ndarray, other: Sample, result: Comparison, pr
         f"{prefix}high": result.high,
         "p": result.p,
         "verdict": "",
-        "detectable": detectable_difference(Sample.of(scores), other),
+        "detectable": detectable_difference(own, other),
     }
+
+
+def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: Mapping[str, str] | None = None) -> str:
+    """Return the verdict of a row, or the one of `words` for it; where it cannot tell, with the cause or what would be found.
+
+    That is the difference that its test finds with a probability of 80 %, by `number`.
+    """
+    text = str((words or {}).get(row["verdict"]) or row["verdict"])
+    if row["verdict"] != CANNOT_TELL:
+        return text
+    if math.isnan(row["detectable"]):
+        return f"{text}: a test needs two seeds of each"
+    if row["detectable"] == 0:
+        return f"{text}: all seeds are equal" if row["difference"] == 0 else f"{text}: no spread"
+    if math.isclose(row["p"], smallest_p(row["seeds"], row["other_seeds"])):
+        return f"{text}: the seeds do not overlap, but so few can have no smaller p"
+    return f"{text}; {number(row['detectable'])} would be found"
+
+
+def compared_texts(row: Row, style: str = ".3g", prefix: str = "", **words: str) -> list[str]:
+    """Return the difference of a row with its interval, p, adjusted p and `verdict_text`; `prefix` as in `comparison_columns`."""
+    difference = interval_text(row["difference"], row[f"{prefix}low"], row[f"{prefix}high"], style)
+    return [difference, number_text(row["p"]), number_text(row["p_holm"]), verdict_text(row, words=words)]
 
 
 def table_text(rows: Sequence[Row], width: int | None = None) -> str:
@@ -236,11 +260,11 @@ def _draw(rows: Sequence[Row]) -> Any:
             axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
         axis.set_yticks(range(len(chosen)), [_difference(row) for row in chosen], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)
-        axis.set(title=env, xlabel="difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
+        axis.set(title=task_title(env), xlabel="Difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
     return figure
 
 
 def _difference(row: Row) -> str:
     """Return what a row compares, with the steps if there are rows of several ages."""
-    text = f"{row['first']} − {row['second']}"
+    text = f"{method_title(row['first'])} − {method_title(row['second'])}"
     return text if row["age"] == 1.0 else f"{text}, {millions(row['steps'])}"

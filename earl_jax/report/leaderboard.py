@@ -12,7 +12,7 @@ from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.metrics.scores import DEFAULT
-from earl_jax.report.published import LEVELS
+from earl_jax.report.published import LEVELS, chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import interval_text, millions, step_interval
@@ -22,7 +22,7 @@ TABLE = "leaderboard"
 OURS = "earl_jax"
 HEADER = (
     "method", "from", "seeds", "steps", "deployed [95 %]", "wide [95 %]", "C(A) [95 %]", "alive",
-    *(f"to {level}" for level in LEVELS), "commit",
+    *(f"to {level}" for level in LEVELS), "chosen", "commit",
 )  # fmt: skip
 
 
@@ -39,6 +39,7 @@ class Row(NamedTuple):
     continuing: str
     alive: str
     crossings: tuple[str, ...]
+    chosen: str
     commit: str
     score: float
 
@@ -46,7 +47,7 @@ class Row(NamedTuple):
     def texts(self) -> list[str]:
         """The cells of the table, in the order of `HEADER`."""
         texts = [self.method, self.source, str(self.seeds), millions(self.steps), self.deployed, self.wide]
-        return [*texts, self.continuing, self.alive, *self.crossings, self.commit]
+        return [*texts, self.continuing, self.alive, *self.crossings, self.chosen, self.commit]
 
 
 CROSSINGS = tuple(f"to_{level}" for level in LEVELS)
@@ -94,6 +95,7 @@ def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
         continuing=_continuing(curves),
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(map(step_interval, level_crossings(curves).values())),
+        chosen=chosen_words(curves),
         commit=short_commit(commit) or "-",
         score=float(seed_scores(curves).mean()),
     )

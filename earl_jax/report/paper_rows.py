@@ -3,7 +3,6 @@
 Source: Sharma et al. 2022, tables 1 and 2.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
 from earl_jax.report.published import (
     PublishedScore,
+    chosen_words,
     published_beside,
     published_score,
     published_steps,
@@ -49,8 +49,7 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
         for algo in method_order(algo for name, algo in names if name == env):
             runs = [group for group in groups if (group.env, group.algo) == (env, algo)]
             rows += [_row(number, env, algo, group) for group in runs or [None]]
-    for row in with_verdicts([row for row in rows if row["p"] is not None]):
-        row["p_holm"] = None if math.isnan(row["p_holm"]) else row["p_holm"]
+    with_verdicts([row for row in rows if row["p"] is not None])
     return rows
 
 
@@ -64,6 +63,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "algo": algo,
         "label": group.label if group else algo,
         "options": options_text(group.curves.options) if group else None,
+        "chosen": chosen_words(group.curves) if group else None,
         **_measured(number, group),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",
@@ -72,7 +72,18 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "published_steps_low": steps_low,
         "published_steps_high": steps_high,
         **dict.fromkeys(
-            ("tested_steps", "difference", "difference_low", "difference_high", "detectable", "p", "p_holm")
+            (
+                "tested_steps",
+                "tested_mean",
+                "other_mean",
+                "other_seeds",
+                "difference",
+                "difference_low",
+                "difference_high",
+                "detectable",
+                "p",
+                "p_holm",
+            )
         ),
         "verdict": "-",
     }
@@ -88,22 +99,25 @@ def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[
         step, other = int(curves.steps[-1]), score and score.sample
         if not other or step < (published_steps(group.env) or (0, 0))[0]:
             return {}
-        scores = _scores(number, curves, step)
+        scores = table_scores(number, curves, step)
         result = welch(Sample.of(scores), other)
     else:
         first, step = common_steps(curves, released)
         if first > step or (number == 2 and CONTINUING not in released.metrics):
             return {}
-        scores, others = (_scores(number, each, step) for each in (curves, released))
+        scores, others = (table_scores(number, each, step) for each in (curves, released))
         result, other = permutation(scores, others), Sample.of(others)
-    return {"tested_steps": step, **comparison_columns(scores, other, result, "difference_")}
+    own = Sample.of(scores)
+    test = comparison_columns(own, other, result, "difference_")
+    return {"tested_steps": step, "tested_mean": own.mean, "other_mean": other.mean, "other_seeds": other.seeds, **test}
 
 
-def _scores(number: int, curves: Curves, step: int) -> np.ndarray:
+def table_scores(number: int, curves: Curves, step: int | None = None) -> np.ndarray:
     """Return the scores [N] of seeds up to `step`: deployed ones for table 1, rewards over the life for table 2."""
     if number == 1:
         return seed_scores(curves, step=step)
-    return curves.metrics[CONTINUING][:, curves.steps <= step][:, -1]
+    until = curves.steps <= (curves.steps[-1] if step is None else step)
+    return curves.metrics[CONTINUING][:, until][:, -1]
 
 
 def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
@@ -113,7 +127,7 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
         return dict.fromkeys(names)
     curves = group.curves
     metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
-    scores = _scores(number, curves, step)
+    scores = table_scores(number, curves, step)
     mean, low, high = interval_of(curves, scores, metric)
     values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
     return dict(zip(names, values, strict=True))

@@ -13,19 +13,22 @@ from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels, read_all
 from earl_jax.report.scores import evenly_spaced, interval_of, trailing
 from earl_jax.report.style import (
+    AXES,
     LINE_STYLES,
     PICTURES,
     draw_band,
     legend_below,
     matplotlib,
+    method_title,
     new_figure,
     save,
+    step_axis,
     task_order,
+    task_title,
 )
-from earl_jax.report.tables import seeds_text, steps_text
+from earl_jax.report.tables import seeds_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
-AXES = {"deployed/success": "success", "deployed/return": "return", "continuing/reward": "reward per step"}
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
 COLOUR_COUNT = 10
@@ -117,12 +120,12 @@ def plot_runs(
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
             _draw_panel(axis, group, panel, smooth, published)
-            names = [group[0].env] * (len(tasks) > 1) + [group[0].name] * published
+            names = [task_title(group[0].env)] * (len(tasks) > 1) + [group[0].name] * published
             axis.set_title("\n".join(filter(None, (", ".join(names), PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
-            figure.suptitle(tasks[0])
+            figure.suptitle(task_title(tasks[0]))
         _add_legend(figure, lines, layout, published)
         return save(figure, out)
 
@@ -131,7 +134,8 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
     given = labels(runs)
     distinct = list(dict.fromkeys(given))
-    renamed = dict(zip(distinct, checked_labels(names, distinct), strict=True))
+    titles = checked_labels(names, distinct) if names else map(method_title, distinct)
+    renamed = dict(zip(distinct, titles, strict=True))
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
@@ -142,17 +146,16 @@ def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, publi
         name = line.curves.deployed_metric if panel == "deployed" else metric
         released = released_beside(line.curves) if published else None
         if released is not None and name in released.metrics:
-            _draw(axis, released, name, smooth, RELEASED, each=True)
-        _draw(axis, line.curves, name, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
-    axis.set(ylabel=AXES.get(metric, metric), xlabel="environment steps of a seed", xlim=(0, None))
+            draw_curves(axis, released, name, smooth, RELEASED, each=True)
+        draw_curves(axis, line.curves, name, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
+    axis.set(ylabel=AXES.get(metric, metric), xlim=(0, None))
     if metric in RATES:
         axis.set_ylim(-0.03, 1.03)
-    axis.xaxis.set_major_formatter(lambda step, _: steps_text(step))
-    axis.locator_params(axis="x", nbins=6)
+    step_axis(axis)
     axis.grid(alpha=0.3)
 
 
-def _draw(axis: Any, curves: Curves, metric: str, smooth: int, style: dict[str, Any], each: bool) -> None:
+def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict[str, Any], each: bool) -> None:
     """Draw the mean over seeds of a metric with its 95 % band, or with `each` seed."""
     shown = evenly_spaced(len(curves.steps), POINTS)
     steps, values = curves.steps[shown], trailing(curves.metrics[metric], smooth)[:, shown]
@@ -168,7 +171,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, published: boo
     from matplotlib.lines import Line2D
 
     entries = {name: line.style for name, line in _legend_entries(lines).items()}
-    entries |= {"published, five seeds": RELEASED} if published else {}
+    entries |= {"Published, five seeds": RELEASED} if published else {}
     columns = min(layout.columns, len(entries))
     letters = int(layout.width / (LETTER * layout.points * columns)) - 6
     handles = {textwrap.fill(name, letters): Line2D([], [], **style) for name, style in entries.items()}

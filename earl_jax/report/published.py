@@ -11,9 +11,9 @@ from typing import NamedTuple
 from scipy import stats
 
 from earl_jax import assets
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.comparison import Sample, rate_interval
 from earl_jax.metrics.scores import DEFAULT
-from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
@@ -26,13 +26,18 @@ TEST_RULE = (
     "Tests against the paper: the permutation test of our seeds and the five released ones, over the same steps, up to the last "
     "step that both have. Where no runs were released (Minitaur), Welch's test of runs of the published length against the "
     "printed mean and standard error, which divides by n and is converted; one printed as 0.00 counts as half a unit of its last "
-    "digit. The reward scale of 10 and VaPRL's defaults were chosen with a look at the released runs, which favours them."
+    "digit. Defaults that were chosen with a look at runs of the same tasks (the reward scale of 10, the phases of FBRL, the "
+    "subgoals of VaPRL) are favoured by them."
+)
+FAMILY_RULE = (
+    "p is adjusted by Holm over a family: the tests that answer one question on one task, here {family}. The verdict is above or "
+    "below if the adjusted p is under 0.05, else `cannot tell`, with the difference that Welch's test would find with a "
+    "probability of 80 % without the adjustment."
 )
 INTERVAL_RULE = (
-    f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}. p is adjusted by Holm over the methods of a "
-    "task. The verdict is above or below if the adjusted p is under 0.05, else `cannot tell`; detectable is the difference "
-    "that Welch's test would find with a probability of 80 %. It is `-` if nothing is published or nothing was run. Intervals "
-    "of 95 % are Student's, or Wilson's for rates."
+    f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}; the printed numbers are of the last "
+    f"evaluation. {FAMILY_RULE.format(family='the methods against the paper')} The verdict is `-` if nothing is published or "
+    "nothing was run. Intervals of 95 % are Student's, or Wilson's for rates."
 )
 
 RECONSTRUCTED = ("dhand_lightbulb",)
@@ -41,6 +46,27 @@ RECONSTRUCTED = ("dhand_lightbulb",)
 FEW = 10
 """Fewer seeds than this make a bootstrap interval unreliable."""
 FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
+
+
+CHOSEN = {
+    "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals"
+}  # fmt: skip
+"""Options whose defaults were chosen with a look at runs of the paper's tasks, and their words. Of the reward scale it is that
+of sparse tasks."""
+OWN, UNREWARDED = "cfbrl", "bc"
+"""The method that was developed on these tasks, of which all options were chosen so, and one that learns from no reward."""
+
+
+def chosen_words(curves: Curves) -> str:
+    """Return which settings of a run were chosen with a look at runs of the same tasks, which favours them; `-` for none."""
+    config = curves.config
+    if config.algo in (OWN, UNREWARDED) or config.env not in PAPER_TASKS:
+        return "all options" if config.algo == OWN else "-"
+    method = config.build_method()
+    fields = {field.name for part in (method, method.learner) for field in dataclasses.fields(part)}
+    names = fields & CHOSEN.keys() - config.options.keys()
+    words = [CHOSEN[name] for name in CHOSEN if name in names and (name != "reward_scale" or make(config.env).sparse)]
+    return ", ".join(dict.fromkeys(words)) or "-"
 
 
 class PublishedScore(NamedTuple):
@@ -100,51 +126,42 @@ def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
     return PublishedScore(row["mean"], row["stderr"]) if row else None
 
 
-def released_beside(curves: Curves) -> Curves | None:
-    """Return the released runs of the paper to set beside a run, by the rule of `row_beside`; None if there are none."""
-    config = curves.config
-    runs = assets.released_runs(config.env, config.algo) if _is_comparable(curves) else {}
+def released_curves(env: str, algo: str) -> Curves | None:
+    """Return the released runs of the paper of a method on a task, or None if there are none."""
+    runs = assets.released_runs(env, algo)
     if not runs:
         return None
     steps = runs["steps"]
     schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[0]), checkpoint_every=int(steps[-1]))
-    names = {"deployed": curves.deployed_metric, "continuing": "continuing/reward"}
-    metrics = {names[name]: values for name, values in runs.items() if name in names}
-    released = RunConfig(config.env, {}, config.algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
-    return Curves(released, steps, metrics, window=curves.window)
+    config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
+    names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
+    return Curves(config, steps, {names[name]: values for name, values in runs.items() if name in names})
 
 
-def row_beside(table: str, curves: Curves) -> dict[str, str]:
-    """Return the published row to set beside a run, in `table1`, `table2` or `crossings`.
-
-    It is empty if the paper has none, if the run's reward or setting differ from the paper's, or if the task is our
-    reconstruction.
-    """
-    config = curves.config
-    return assets.published_row(table, env=config.env, algo=config.algo) if _is_comparable(curves) else {}
+def released_beside(curves: Curves) -> Curves | None:
+    """Return the released runs of the paper to set beside a run; None if there are none, or it is not comparable."""
+    released = released_curves(curves.config.env, curves.config.algo) if _is_comparable(curves) else None
+    return released and released._replace(window=curves.window)
 
 
 def _is_comparable(curves: Curves) -> bool:
+    """Return whether published numbers may stand beside a run: its task, kind of reward and setting are the paper's."""
     return curves.config.env not in RECONSTRUCTED and curves.comparable
 
 
 def published_beside(table: str, curves: Curves) -> PublishedScore | None:
-    """Return the score to set beside a run in `table1` or `table2`, by `row_beside`."""
-    row = row_beside(table, curves)
-    return PublishedScore(row["mean"], row["stderr"]) if row else None
+    """Return the score to set beside a run in `table1` or `table2`, None if there is none or it is not comparable."""
+    return published_score(table, curves.config.env, curves.config.algo) if _is_comparable(curves) else None
 
 
 def crossings_beside(curves: Curves) -> dict[float, int]:
-    """Return the published crossings to set beside a run, by `row_beside`."""
-    return _crossings(row_beside("crossings", curves))
+    """Return the published crossings to set beside a run, none if it is not comparable."""
+    return published_crossings(curves.config.env, curves.config.algo) if _is_comparable(curves) else {}
 
 
 def published_crossings(env: str, algo: str) -> dict[float, int]:
     """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
-    return _crossings(assets.published_row("crossings", env=env, algo=algo))
-
-
-def _crossings(row: dict[str, str]) -> dict[float, int]:
+    row = assets.published_row("crossings", env=env, algo=algo)
     return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
 
 
@@ -163,14 +180,3 @@ def published_fault(table: str, env: str) -> str | None:
     """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
     rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
     return " ".join(row["fault"] for row in rows) or None
-
-
-def word_by_sign(estimate: Estimate, positive: str, negative: str, unclear: str) -> str:
-    """Return `positive` or `negative` if the whole interval lies on that side of 0, else `unclear`."""
-    return positive if estimate.low > 0 else negative if estimate.high < 0 else unclear
-
-
-def estimate_text(estimate: Estimate, digits: int, factor: float = 1.0) -> str:
-    """Return an estimate as `value [low, high]`, each times `factor`; `-` stands for a number that is not finite."""
-    value, low, high = (f"{factor * number:.{digits}f}" if math.isfinite(number) else "-" for number in estimate)
-    return f"{value} [{low}, {high}]" if low != "-" else value

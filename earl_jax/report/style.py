@@ -12,6 +12,18 @@ from earl_jax.metrics.statistics import Estimate
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
 """The titles of tasks whose name does not tell how to write it."""
+METHODS = {
+    "naive": "Naive RL", "fbrl": "FBRL", "r3l": "R3L", "vaprl": "VaPRL", "oracle": "Oracle RL", "cfbrl": "CFBRL",
+    "medal": "MEDAL", "risc": "RISC", "rlpd": "RLPD", "bc": "Behaviour cloning",
+}  # fmt: skip
+"""The names of methods as people write them."""
+AXES = {
+    "deployed/success": "Success of the deployed policy",
+    "deployed/return": "Return of the deployed policy",
+    "continuing/reward": "Reward per step of the life",
+}
+"""What axes call metrics."""
+UNITS = ((1_000_000, "Steps (millions)"), (1_000, "Steps (thousands)"))
 COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#7F7F7F", "#F0E442")
@@ -112,15 +124,22 @@ def shaded(colour: str, shade: int, count: int) -> str:
     return mixed(colour, "#000000" if position < 0 else "#FFFFFF", 0.55 * abs(position))
 
 
-def step_axis(axis: Any, label: str) -> None:
-    """Format the x axis of `axis` as steps, with few and short numbers."""
-    from matplotlib.ticker import EngFormatter
-
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+def step_axis(axis: Any, label: bool = True) -> None:
+    """Format the x axis of `axis`, whose limits are set, as steps in thousands or millions, with few numbers."""
+    last = axis.get_xlim()[1]
+    unit, name = next(((unit, name) for unit, name in UNITS if last >= unit / 5), (1, "Steps"))
+    axis.xaxis.set_major_formatter(lambda step, _: f"{step / unit:g}")
     axis.locator_params(axis="x", nbins=5)
-    axis.set_xlabel(label)
+    if label:
+        axis.set_xlabel(name)
 
 
 def task_title(env: str) -> str:
     """Return the title of a task, or its name if it is not installed."""
     return TITLES.get(env, env.replace("_", " ").capitalize()) if env in list_envs() else env
+
+
+def method_title(label: str) -> str:
+    """Return the label of a method, such as `naive (reward_scale=1)`, with its name as people write it."""
+    name, bracket, options = label.partition(" (")
+    return f"{METHODS.get(name, name)}{bracket}{options}"

@@ -219,8 +219,8 @@ def interval_text(value: float, low: float, high: float, style: str = ".3f") -> 
 
 
 def number_text(value: float) -> str:
-    """Return a number with three digits, `-` for nan."""
-    return "-" if math.isnan(value) else f"{value:.3g}"
+    """Return a number with three digits, or without a fraction if it is larger; `-` for nan."""
+    return "-" if math.isnan(value) else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
 
 
 def seeds_text(count: int) -> str:

@@ -15,12 +15,12 @@ from earl_jax.sweeps.worker import plan
 from tests.cli.process import ADDED
 from tests.report.run_files import read_csv
 
-NAMES = ("table1", "table2", "curves", "figure4", "figure5", "tradeoff", "figure2")
+NAMES = ("table1", "table2", "figure5", "figure3", "figure4", "tradeoff", "figure2")
 """In this order the runs of the first table serve all but figure 2 and the trade-off."""
-FURTHER = {"figure2": "curves", "figure4": "visits", "figure5": "seeds"}
+FURTHER = {"figure2": "curves", "figure3": "visits", "figure4": "seeds"}
 """The end of the name of a second csv."""
 PUBLISHED = {
-    "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "curves": "0.33M", "figure4": "oracle", "figure5": "37.4 %",
+    "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "figure5": "0.33M", "figure3": "oracle", "figure4": "37.4 %",
     "figure2": "200,000", "tradeoff": "The paper's conclusion",
 }  # fmt: skip
 """A text of each report that comes from the paper."""
@@ -88,7 +88,7 @@ def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, re
 
 
 @pytest.mark.usefixtures("in_process")
-@pytest.mark.parametrize("name", ["figure4", "figure5"])
+@pytest.mark.parametrize("name", ["figure3", "figure4"])
 def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
     """After the test above, which trains the runs."""
     for checkpoints in folder.glob("runs/*/*/*/checkpoints"):
@@ -111,7 +111,7 @@ def test_the_full_scale_of_the_tables_is_that_of_the_paper_and_figures_share_the
     assert all(
         run.options == {} and (run.schedule.eval_every, run.schedule.eval_episodes) == (10_000, 10) for run in runs
     )
-    for name in ("table2", "curves", "figure4", "figure5"):
+    for name in ("table2", "figure3", "figure4", "figure5"):
         assert set(map(repr, planned_runs(name, "full", tmp_path)[1])) <= set(map(repr, runs))
 
 
@@ -165,8 +165,8 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"name": "figure4", "tasks": ["sawyer_door"]}, "figure4 has no task 'sawyer_door'; choose from tabletop"),
-        ({"name": "figure3"}, "unknown experiment 'figure3'; choose from table1"),
+        ({"name": "figure3", "tasks": ["sawyer_door"]}, "figure3 has no task 'sawyer_door'; choose from tabletop"),
+        ({"name": "figure6"}, "unknown experiment 'figure6'; choose from table1"),
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),

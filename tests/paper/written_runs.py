@@ -22,7 +22,7 @@ def lifetimes(interventions, chance=0.0, budget=None, **helped):
 
 
 RUNS = {
-    "curves": [
+    "figure5": [
         (TABLETOP, "fbrl", SCORES, rewards(0.004, steps=(100_000, 200_000))),
         (KITCHEN, "oracle", [[100.0, 300.0]], rewards(steps=(20, 40))),
     ],

@@ -41,8 +41,10 @@ def texts(figure):
 
 def test_a_sweep_has_panels_for_each_task_and_one_colour_for_a_method(sweep, drawn):
     figure = drawn(sweep)
-    assert [axis.get_title() for axis in figure.axes][::2] == [f"{env}\nDeployed, from s0" for env in (TABLETOP, DOOR)]
-    assert texts(figure) == ["fbrl, 3 seeds", "naive, 3 seeds"]
+    assert [axis.get_title() for axis in figure.axes][::2] == [
+        f"{title}\nDeployed, from s0" for title in ("Tabletop organization", "Sawyer door")
+    ]
+    assert texts(figure) == ["FBRL, 3 seeds", "Naive RL, 3 seeds"]
     deployed, continuing = figure.axes[:2]
     np.testing.assert_allclose(deployed.lines[0].get_ydata(), [0, 0.45, 0.9])
     np.testing.assert_allclose(continuing.lines[1].get_ydata(), [0, 0.005, 0.01])
@@ -70,7 +72,7 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     figure = drawn(tmp_path, size="column")
     lines = figure.axes[0].lines
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
-    assert texts(figure)[0] == "naive (discount=0.9, learning_rate=0.001), 3\nseeds"
+    assert texts(figure)[0] == "Naive RL (discount=0.9, learning_rate=0.001),\n3 seeds"
     assert figure.get_size_inches()[0] == 3.35
 
 
@@ -106,10 +108,10 @@ def test_the_command_says_that_it_replaces_a_picture(sweep, tmp_path):
 
 def test_each_run_has_panels_over_the_released_seeds_of_the_paper(sweep, drawn):
     figure = drawn(sweep / TABLETOP, published=True)
-    assert [axis.get_title().splitlines()[0] for axis in figure.axes] == ["fbrl", "fbrl", "naive", "naive"]
+    assert [axis.get_title().splitlines()[0] for axis in figure.axes] == ["FBRL", "FBRL", "Naive RL", "Naive RL"]
     for axis in figure.axes:
         published = [line for line in axis.lines if line.get_color() == RELEASED["color"]]
         assert [len(line.get_xdata()) for line in published] == [250] * 6, "five seeds and their mean"
         assert len(axis.lines) == 6 + 4
-    assert texts(figure)[-1] == "published, five seeds"
+    assert texts(figure)[-1] == "Published, five seeds"
     assert "released seeds" in caption(published=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.report.comparison import COLUMNS, pair_row, with_verdicts
+from earl_jax.report.comparison import COLUMNS, pair_row, verdict_text, with_verdicts
 from earl_jax.report.html.curves import PANELS, Line
 from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
@@ -64,9 +64,9 @@ def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
 
 def _verdict(row: dict[str, Any]) -> str:
     share = share_of_steps(row)
-    if row["p_holm"] is None:
+    if row["p_holm"] is None or math.isnan(row["p_holm"]):
         return share
-    verdict = f"{ARROWS.get(row['verdict'], '')}{row['verdict']}, p = {row['p_holm']:.2g}"
+    verdict = f"{ARROWS.get(row['verdict'], '')}{verdict_text(row)}, p = {row['p_holm']:.2g}"
     return f"{verdict}, {share}" if share else verdict
 
 

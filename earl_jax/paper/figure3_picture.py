@@ -1,4 +1,4 @@
-"""The picture of figure 4: a map of visits for each method, and the thresholded difference of oracle and FBRL."""
+"""The picture of figure 3: a map of visits for each method, and the thresholded difference of oracle and FBRL."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import Map
-from earl_jax.report.style import COLOURS, method_order, new_figure, task_title
+from earl_jax.report.style import COLOURS, method_order, method_title, new_figure, task_title
 
 PLACES = "#D55E00"
 PAIR = ("oracle", "fbrl")
@@ -37,14 +37,14 @@ def draw(tasks: Mapping[str, Map], shares: Mapping[tuple[str, str], np.ndarray])
         own = {algo: shares[name, algo] for algo in algos if (name, algo) in shares}
         norm = _colour_norm(list(own.values()))
         for algo, values in own.items():
-            title = f"{task_title(name)}, {algo}"
+            title = f"{task_title(name)}, {method_title(algo)}"
             _draw_map(
                 line[algos.index(algo)], task_map, np.ma.masked_equal(values, 0), title, norm=norm, cmap="viridis"
             )
         if set(PAIR) <= own.keys():
             _draw_difference(line[-1], task_map, difference(*(own[algo] for algo in PAIR)))
-        figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="share of visits in a bin")
-    handles = [Patch(color=COLOURS[algo], label=f"more visits of {algo}") for algo in PAIR]
+        figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="Share of visits in a bin")
+    handles = [Patch(color=COLOURS[algo], label=f"More visits of {method_title(algo)}") for algo in PAIR]
     figure.legend(handles=handles, loc="outside lower right", ncols=2, frameon=False)
     return figure
 
@@ -74,7 +74,7 @@ def _draw_difference(axis: Any, task_map: Map, signs: np.ndarray) -> None:
     from matplotlib.colors import ListedColormap
 
     colour_map = ListedColormap([COLOURS[PAIR[1]], "white", COLOURS[PAIR[0]]])
-    _draw_map(axis, task_map, signs, f"{PAIR[0]} minus {PAIR[1]}", cmap=colour_map, vmin=-1, vmax=1)
+    _draw_map(axis, task_map, signs, " minus ".join(map(method_title, PAIR)), cmap=colour_map, vmin=-1, vmax=1)
 
 
 def _draw_map(axis: Any, task_map: Map, values: np.ndarray, title: str, **style: Any) -> None:

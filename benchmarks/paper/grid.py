@@ -1,0 +1,112 @@
+"""The grid of tasks by methods: the table of our scores above the published ones, and the picture of all curves."""
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.output import shrink
+from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.metrics.comparison import CANNOT_TELL
+from earl_jax.paper.artefact import METHODS, methods_on, training_steps
+from earl_jax.report.plots import AXES, RELEASED, draw_curves
+from earl_jax.report.published import RECONSTRUCTED, released_beside, share_text
+from earl_jax.report.runs import MethodRuns
+from earl_jax.report.style import (
+    legend_below,
+    matplotlib,
+    method_title,
+    new_figure,
+    save,
+    step_axis,
+    task_title,
+)
+from earl_jax.report.tables import markdown_table
+
+WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TELL}"}
+WHOLE = 0.95
+"""Share of its steps from which on a run counts as whole."""
+LEGEND = (
+    "Our score, the published one over the same steps below it, and the verdict of the permutation test of seeds (adjusted p "
+    "over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of the steps stands where our run "
+    "is shorter than the paper's. The first three tasks have success, the others return. Nothing was released of the Minitaur: "
+    "the printed score of the whole length stands there. The lightbulb is our reconstruction, which is not compared."
+)
+SMOOTH = 10
+OURS = {"color": "#0072B2"}
+Row = dict[str, Any]
+
+
+def text(rows: Sequence[Row]) -> str:
+    """Return the table of the `cells.cells`, a line for each task, and its legend."""
+    cells = {(row["env"], row["algo"]): row for row in rows}
+    lines = [
+        [task_title(env), *(_cell(cells[env, algo]) if (env, algo) in cells else "" for algo in METHODS)]
+        for env in PAPER_TASKS
+    ]
+    return f"{markdown_table(['', *map(method_title, METHODS)], lines)}\n\n{textwrap.fill(LEGEND, 100)}"
+
+
+def _cell(row: Row) -> str:
+    return "not run" if row["seeds"] is None else "<br>".join(_parts(row))
+
+
+def _parts(row: Row) -> Iterator[str]:
+    style = ".2f" if make(row["env"]).sparse else ",.0f"
+    share = "" if row["steps"] >= WHOLE * row["of"] else f" at {share_text(row['steps'], row['of'])}"
+    yield f"**{row['mean']:{style}}**"
+    if row["env"] in RECONSTRUCTED:
+        yield f"not compared{share}"
+    elif row["verdict"] in WORDS:
+        yield format(row["other_mean"], style)
+        yield f"{WORDS[row['verdict']]}{share}"
+    else:
+        yield format(float(row["printed"].split()[0]), style)
+        yield f"not compared{share}"
+
+
+def draw(groups: Sequence[MethodRuns], path: Path) -> Path:
+    """Draw the deployed scores of all cells, a row for each task: seeds thin, means, and the published ones in grey."""
+    runs = {(group.env, group.algo): group for group in groups}
+    with matplotlib().rc_context({"font.size": 8}):
+        figure, axes = new_figure(len(PAPER_TASKS), len(METHODS), (7.8, 8.6), sharex="row", sharey="row")
+        for env, line in zip(PAPER_TASKS, axes, strict=True):
+            for algo, axis in zip(METHODS, line, strict=True):
+                if algo in methods_on(env):
+                    _draw_cell(axis, runs.get((env, algo)))
+                else:
+                    axis.set_axis_off()
+            metric = next(group.curves.deployed_metric for group in groups if group.env == env)
+            line[0].set_ylabel(f"{task_title(env)}\n{AXES[metric].split()[0]}")
+            line[0].set_xlim(0, training_steps(env))
+        for algo, axis in zip(METHODS, axes[0], strict=True):
+            axis.set_title(method_title(algo))
+        step_axis(axes[-1, len(METHODS) // 2])
+        _add_legend(figure)
+        shrink(save(figure, path))
+    return path
+
+
+def _draw_cell(axis: Any, group: MethodRuns | None) -> None:
+    if group:
+        curves, metric = group.curves, group.curves.deployed_metric
+        if released := released_beside(curves):
+            draw_curves(axis, released, metric, SMOOTH, RELEASED, each=True)
+        draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)
+    step_axis(axis, label=False)
+    axis.grid(alpha=0.3)
+
+
+def _add_legend(figure: Any) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = {"Ours, mean over seeds": (OURS["color"], 1.4, 1.0), "Ours, each seed": (OURS["color"], 0.8, 0.4)}
+    lines |= {
+        "Published, mean": (RELEASED["color"], 1.4, 1.0),
+        "Published, each of five seeds": (RELEASED["color"], 0.8, 0.4),
+    }
+    handles = {
+        name: Line2D([], [], color=colour, linewidth=width, alpha=alpha)
+        for name, (colour, width, alpha) in lines.items()
+    }
+    legend_below(figure, handles, len(handles))

@@ -1,0 +1,166 @@
+"""Figure 3 of the paper: positions of the gripper, peg or robot during training, by task and method.
+
+Source: Sharma et al. 2022, figure 3 and section 6: where the oracle and FBRL spend their steps. The paper shows a
+thresholded map of the difference; the measures and tests of its claims are ours.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from earl_jax.envs import Map
+from earl_jax.errors import InputError
+from earl_jax.metrics import visitation
+from earl_jax.metrics.comparison import LEVEL, Sample, welch
+from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, mean_text, runs_of
+from earl_jax.paper.figure3_picture import THRESHOLD, draw
+from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.style import method_order, task_order
+from earl_jax.report.tables import markdown_table
+from earl_jax.runs.folder import RunFolder
+from earl_jax.training import load_visits
+
+TASKS = ("tabletop_organization", "sawyer_peg", "minitaur_pen")
+METHODS = ("fbrl", "oracle")
+CLAIMS = (
+    ("tabletop_organization", "distance"),
+    ("tabletop_organization", "corners"),
+    ("sawyer_peg", "distance"),
+    ("sawyer_peg", "near_goal"),
+    ("minitaur_pen", "distance"),
+)
+"""Tasks and measures of visits that are larger for FBRL than for the oracle in the paper. In its words the oracle stays
+around the initial and goal distributions, while autonomous operation skews the gripper towards the corners, leaves the peg
+stuck around the goal box, and lets the Minitaur go away from the goals."""
+GOAL_RADIUS = {"sawyer_peg": 0.12}
+"""Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
+MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
+MISSING = "-"
+WORDS = {"above": "as published", "below": "opposite to published"}
+
+
+class VisitMap(NamedTuple):
+    """Visits on the map of a task with one method: int `visits [N, B, B]` of N seeds, first axis x."""
+
+    env: str
+    map: Map
+    algo: str
+    visits: np.ndarray
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Share of the visits of all seeds in each bin, [B, B]."""
+        return self.visits.sum(axis=0) / max(self.visits.sum(), 1)
+
+
+def report(folders: Sequence[Path]) -> Report:
+    """Return figure 3 from the maps of visited positions of run folders, which need no checkpoints.
+
+    Raises:
+        ValueError: as `report_of`, or a folder is no run.
+    """
+    read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
+    return report_of(
+        [
+            VisitMap(env.name, env.map, algo, visits)
+            for algo, env, visits in read
+            if env.map is not None and visits is not None
+        ]
+    )
+
+
+def report_of(maps: Sequence[VisitMap]) -> Report:
+    """Return figure 3 from `maps`, with rows of the measures of every seed and of its visits.
+
+    Raises:
+        ValueError: there are no maps, a task and method come twice, or matplotlib is not installed.
+    """
+    by_name = {(part.env, part.algo): part for part in maps}
+    if not maps or len(by_name) < len(maps):
+        raise InputError(f"figure 3 needs one map of visits for each task and method, got {list(by_name)}")
+    envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
+    maps = [by_name[name] for env in envs for algo in algos if (name := (env, algo)) in by_name]
+    rows = [row for part in maps for row in seed_rows(part)]
+    parts = {
+        "radii": ", ".join(f"{radius} m ({env})" for env, radius in GOAL_RADIUS.items()),
+        "measures": _measures_table(rows),
+        "level": str(LEVEL),
+        "verdicts": _verdicts_table(verdicts(rows)),
+        "missing": "\n\n".join(filter(None, (_missing(rows, env) for env in envs))),
+        "threshold": str(THRESHOLD),
+    }
+    figure = draw({part.env: part.map for part in maps}, {name: part.shares for name, part in by_name.items()})
+    return Report(parts, figure, {"": rows, "_visits": [row for part in maps for row in _visit_rows(part)]})
+
+
+def seed_rows(part: VisitMap) -> list[Row]:
+    """Return a row per seed with the `MEASURES` of its map, None for a distance that its task has no places for."""
+    visits, bounds, starts, goals = part.visits, part.map.bounds, part.map.starts, part.map.goals
+    rows = [{"env": part.env, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
+    distances = {name: [None] * len(rows) for name in ("distance", "near_goal")}
+    if starts is not None and goals is not None:
+        distances["distance"] = visitation.mean_distance(visits, bounds, np.concatenate([starts, goals]))
+    if goals is not None and part.env in GOAL_RADIUS:
+        distances["near_goal"] = visitation.share_near(visits, bounds, goals, GOAL_RADIUS[part.env])
+    measures = {**distances, "corners": visitation.share_in_corners(visits)}
+    (x_low, y_low), (x_high, y_high) = bounds.tolist()
+    grid = {"bins": visits.shape[1], "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
+    for row, own in zip(rows, visits, strict=True):
+        scores = {name: values[row["seed"]] for name, values in measures.items()} | visitation.measure(own)
+        row |= {name: scores[name] for name in MEASURES} | grid
+    return rows
+
+
+def _visit_rows(part: VisitMap) -> list[Row]:
+    key = {"env": part.env, "algo": part.algo}
+    places = np.argwhere(part.visits).tolist()
+    return [{**key, "seed": n, "x_bin": x, "y_bin": y, "visits": part.visits[n, x, y]} for n, x, y in places]
+
+
+def _measures_table(rows: Sequence[Row]) -> str:
+    lines = []
+    for name, seeds in grouped(rows, "env", "algo").items():
+        texts = [MISSING if seeds[0][each] is None else mean_text(column(seeds, each), 3) for each in MEASURES]
+        lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
+    return markdown_table(["task", "method", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
+
+
+def verdicts(rows: Sequence[Row]) -> list[Row]:
+    """Return a row per published claim about a task that `seed_rows` of both methods are about: means, test and verdict."""
+    seeds, results = grouped(rows, "env", "algo"), []
+    for env, measure in CLAIMS:
+        if all((env, algo) in seeds for algo in METHODS):
+            fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
+            samples = Sample.of(fbrl), Sample.of(oracle)
+            means = {"fbrl": samples[0].mean, "oracle": samples[1].mean, "seeds": len(fbrl), "other_seeds": len(oracle)}
+            results.append({"env": env, "measure": measure, **means, **comparison_columns(*samples, welch(*samples))})
+    return with_verdicts(results, family=("env",))
+
+
+def word(row: Row) -> str:
+    """Return the verdict on the test of a claim, or the sign alone where it has no test."""
+    if math.isnan(row["p_holm"]) and row["difference"] != 0:
+        return f"{WORDS['above' if row['difference'] > 0 else 'below']}, not tested"
+    return verdict_text(row, words=WORDS)
+
+
+def _verdicts_table(results: Sequence[Row]) -> str:
+    header = ["task", "measure", "FBRL", "oracle", "FBRL minus oracle", "p", "adjusted p", "verdict"]
+    lines = []
+    for row in results:
+        means = [f"{row[algo]:.3f}" for algo in METHODS]
+        lines.append(
+            [row["env"], row["measure"].replace("_", " "), *means, *compared_texts(row, ".3f")[:-1], word(row)]
+        )
+    return markdown_table(header, lines)
+
+
+def _missing(rows: Sequence[Row], env: str) -> str:
+    missing = [algo for algo in METHODS if (env, algo) not in grouped(rows, "env", "algo")]
+    return f"No test on {env}: no map of {' or '.join(missing)}." if missing else ""
+
+
+FIGURE3 = Artefact("figure3", TASKS, runs_of(*METHODS), report)
