@@ -64,14 +64,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(handle))
 
 
-def pages_with(tables: Mapping[str, str], optional: Sequence[str] = ()) -> dict[Path, str]:
+def pages_with(tables: Mapping[str, str]) -> dict[Path, str]:
     """Return the pages that have the marks of one of `tables`, as texts with the tables between their marks.
 
     Raises:
-        ValueError: no page has the marks of a table that is not `optional`, or one has the first mark of a table alone.
+        ValueError: no page has the marks of a table, or one has the first mark of a table alone.
     """
     pages = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(ROOT.glob("examples/*/README.md"))]
-    texts, missing = {}, set(tables) - set(optional)
+    texts, missing = {}, set(tables)
     for path in pages:
         text = path.read_text()
         names = [name for name in tables if MARKS[0].format(name) in text]

@@ -41,7 +41,7 @@ def test_a_table_goes_to_every_page_with_its_marks_and_one_without_a_page_is_an_
         (tmp_path / name).write_text(text)
     monkeypatch.setattr(output, "ROOT", tmp_path)
     monkeypatch.setattr(output, "DOCS", tmp_path / "docs")
-    pages = output.pages_with({"x": "new", "y": "-"}, optional=["y"])
+    pages = output.pages_with({"x": "new"})
     assert {path.relative_to(tmp_path).as_posix() for path in pages} == {"README.md", "docs/a.md"}
     assert set(pages.values()) == {"<!-- x -->\n\nnew\n\n<!-- end of x -->"}
     with pytest.raises(ValueError, match="no page has the marks of y"):

@@ -2,7 +2,7 @@
 
 A cell is a task and a method, trained at the paper's settings. It is tested against the paper's five seeds as `earl-jax
 compare --against published` does. Writes cells.csv, cells.md, cells.png, curves.png and lives.png in the folders of tasks, and
-the tables `grid`, `cells` and, where a page has its marks, `claims` of the pages.
+the tables `grid` and `summary` of the pages.
 """
 
 import json
@@ -34,8 +34,6 @@ HEADER = (
     "task", "method", "seeds", "steps", "of", "mean [95 %]", "published", "difference [95 %]", "adjusted p", "verdict",
     "chosen", "printed (s.e.)", "largest critic loss", "commit",
 )  # fmt: skip
-SHOWN = len(HEADER) - 3
-"""Columns of the table in the pages; cells.md has all."""
 COLUMNS = (
     "env", "algo", "run", "of", "printed", "seeds", "other_seeds", "steps", "mean", "other_mean", "low", "high", "difference",
     "difference_low", "difference_high", "p", "p_holm", "detectable", "chosen", "largest_critic_loss", "commit", "verdict",
@@ -116,12 +114,12 @@ def files() -> dict[Path, str]:
     rows = cells()
     groups = read_methods(run_folders(rows))
     claims = "\n\n".join(claims_text(number, groups) for number in (1, 2))
-    short = markdown_table(HEADER[:SHOWN], [_line(row)[:SHOWN] for row in rows])
+    tables = {"grid": grid.text(rows), "summary": grid.summary(rows)}
     return {
         RUNS / "cells.csv": csv_text(rows),
         RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(groups))}\n",
         RUNS / "claims.md": f"{claims}\n",
-        **pages_with({"grid": grid.text(rows), "cells": short, "claims": claims}, optional=["claims"]),
+        **pages_with(tables),
     }
 
 

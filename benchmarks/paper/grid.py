@@ -47,6 +47,27 @@ def text(rows: Sequence[Row]) -> str:
     return f"{markdown_table(['', *map(method_title, METHODS)], lines)}\n\n{textwrap.fill(LEGEND, 100)}"
 
 
+def summary(rows: Sequence[Row]) -> str:
+    """Return what the tests of whole `cells.cells` say, in three sentences."""
+    whole = [row for row in rows if row["seeds"] and row["steps"] >= WHOLE * row["of"]]
+    open_ones = [row for row in whole if row["verdict"] == CANNOT_TELL]
+    told = [row for row in whole if row["verdict"] in WORDS and row not in open_ones]
+    shares = [row["steps"] / row["of"] for row in rows if row["seeds"] and row not in whole]
+    differing = " and ".join(
+        f"{row['verdict']} it is {method_title(row['algo'])} on {task_title(row['env'])} (p = {row['p_holm']:.2g})"
+        for row in told
+    )
+    sentences = (
+        f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
+        f"Of these, {len(open_ones)} cannot be told from the paper's released seeds (p = "
+        f"{min(row['p_holm'] for row in open_ones):.2g} or more; differences of "
+        f"{min(row['detectable'] for row in open_ones):.2f} to {max(row['detectable'] for row in open_ones):.2f} would be "
+        f"found); {differing or 'none differs'}.",
+        f"The others have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
+    )
+    return textwrap.fill(" ".join(sentences), 100)
+
+
 def _cell(row: Row) -> str:
     return "not run" if row["seeds"] is None else "<br>".join(_parts(row))
 
