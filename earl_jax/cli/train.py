@@ -1,6 +1,7 @@
 """Commands that train one run: train, resume."""
 
 import inspect
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -115,7 +116,7 @@ def _by_name(
     setting: str,
     preset: str | None,
     steps: int | None,
-    pairs: tuple[str, ...],
+    pairs: tuple[tuple[str, ...], ...],
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
     """Return the task, the method, the setting, the number of seeds and the schedule of names and name=value `pairs`."""
     from earl_jax import algos
@@ -125,7 +126,7 @@ def _by_name(
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
     named = {"setting": setting} if learner is None else {"setting": setting, "learner": learner}
-    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(pairs)})
+    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(itertools.chain(*pairs))})
     return task, algos.method_for(task, algo, **options), rules, chosen.seeds, chosen.schedule
 
 
