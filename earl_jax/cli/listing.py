@@ -10,9 +10,8 @@ from earl_jax import assets
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.cli.catalog import LOCATE, names, stored
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
-from earl_jax.options.registry import choices
 from earl_jax.options.values import value_text
 
 WIDTH = 80
