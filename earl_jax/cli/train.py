@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +20,7 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
+from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO, Preset, named_preset
 from earl_jax.options.schedule import Schedule
@@ -107,6 +109,16 @@ def train(
         minutes=limit,
     )
     _emit_result(result, out, json)
+
+
+def refuse_options(arguments: Sequence[str]) -> None:
+    """Raise an InputError that names `--set` where `arguments` of `train` have an option of a task or a method."""
+    flags = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    given = {flag[2:].replace("-", "_"): flag for flag in flags}
+    unknown = given.keys() - inspect.signature(train).parameters.keys()
+    known = {"options": stored()["shared"]}, *stored().values()
+    for name in sorted(unknown & {name for described in known for name in described.get("options", {})}):
+        raise InputError(f"{given[name]} is an option of a task or a method: --set {name}=VALUE")
 
 
 def _by_name(
