@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, choices
 
 if TYPE_CHECKING:
     import numpy as np
@@ -162,11 +162,11 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
     Raises:
         ValueError: none ship; the message lists the choices.
     """
-    choices = list_pretrained()
-    if task not in choices:
-        raise InputError(f"no trained policies ship for {task!r}; choose from {', '.join(choices)}")
-    if method not in choices[task]:
-        raise InputError(f"no policies of {method!r} ship for {task}; choose from {', '.join(choices[task])}")
+    shipped = list_pretrained()
+    if task not in shipped:
+        raise InputError(f"no trained policies ship for {task!r}; {choices(task, shipped)}")
+    if method not in shipped[task]:
+        raise InputError(f"no policies of {method!r} ship for {task}; {choices(method, shipped[task])}")
     return json.loads((root() / "pretrained" / task / f"{method}.json").read_text())
 
 

@@ -6,6 +6,7 @@ import reprlib
 import shlex
 import sysconfig
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,15 @@ def install_line(extra: str) -> str:
         return f"pip install -e {shlex.quote(f'{PACKAGE.parent}[{extra}]')}"
     own = [text for text in required if re.search(rf"extra == ['\"]{extra}['\"]", text)]
     return f"pip install {' '.join(shlex.quote(text.partition(';')[0].strip()) for text in own)}"
+
+
+def choices(name: Any, names: Iterable[str]) -> str:
+    """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
+    from difflib import get_close_matches
+
+    text, names = str(name).lower(), list(names)
+    near = [known for known in names if len(text) > 2 and text in known] or get_close_matches(text, names, 1)
+    return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 
 def brief(value: Any) -> str:

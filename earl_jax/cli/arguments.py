@@ -5,7 +5,7 @@ import datetime
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,7 +30,9 @@ Engine = Annotated[
     ),
 ]
 Set = Annotated[
-    tuple[str, ...], tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")
+    tuple[tuple[str, ...], ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs."),
 ]
 Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 Devices = Annotated[
@@ -157,7 +159,7 @@ def print_line(line: str) -> None:
     print(line, flush=True)
 
 
-def parse_options(pairs: tuple[str, ...]) -> dict[str, Any]:
+def parse_options(pairs: Iterable[str]) -> dict[str, Any]:
     """Return name=value `pairs` as a dictionary. A value is JSON, or else text, so that names need no quotes.
 
     Raises:

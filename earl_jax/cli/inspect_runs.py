@@ -35,7 +35,8 @@ def evaluate(
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
     score = read(folder, chosen).score
     lines = [f"the newest policies over {episodes} new episodes each:"]
-    lines += [f"{name} {values.mean():.3f}, per seed {values.round(3).tolist()}" for name, values in metrics.items()]
+    for name, values in metrics.items():
+        lines.append(f"{name} {values.mean():.3f}, per seed {', '.join(f'{value:.3f}' for value in values)}")
     values = {name: values.tolist() for name, values in metrics.items()}
     emit({**values, "score": score._asdict()}, json, "\n".join([*lines, f"the run: {score}"]))
 

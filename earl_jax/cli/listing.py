@@ -10,9 +10,8 @@ from earl_jax import assets
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
 from earl_jax.cli.catalog import LOCATE, names, stored
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
-from earl_jax.options.registry import choices
 from earl_jax.options.values import value_text
 
 WIDTH = 80
@@ -98,7 +97,8 @@ def _preset(name: str) -> dict[str, Any]:
 def _overview(everything: dict[str, Any]) -> str:
     """Return a line for each task and each method, and the names of learners and presets."""
     lines = []
-    for kind, size in (("tasks", 23), ("methods", 12)):
+    for kind in ("tasks", "methods"):
+        size = max(10, *map(len, everything[kind])) + 2
         for number, described in enumerate(everything[kind].values()):
             start = f"{kind if number == 0 else '':<9}{described['name']:<{size}}"
             lines.append(start + textwrap.shorten(_summary(described), WIDTH - len(start), placeholder="..."))

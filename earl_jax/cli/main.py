@@ -23,7 +23,7 @@ from earl_jax.cli.report import report
 from earl_jax.cli.search import search
 from earl_jax.cli.show import show
 from earl_jax.cli.sweep import sweep
-from earl_jax.cli.train import resume, train
+from earl_jax.cli.train import refuse_options, resume, train
 from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error
 from earl_jax.options import imports
@@ -111,6 +111,8 @@ def _run(arguments: list[str], files: Sequence[str]) -> None:
         imports.note(file)
     if not (HELP & set(arguments) or set(LAUNCHERS) & set(arguments[:1])):
         imports.run_noted()
+    if arguments[:1] == ["train"]:
+        refuse_options(arguments)
     tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="earl-jax",

@@ -1,5 +1,6 @@
 """The command that reproduces the paper: reproduce."""
 
+import itertools
 from pathlib import Path
 from typing import Literal
 
@@ -49,7 +50,7 @@ def reproduce(
         tasks=tasks,
         seeds=seeds,
         steps=steps,
-        options=parse_options(set),
+        options=parse_options(itertools.chain(*set)),
         max_lanes=max_lanes,
         devices=devices,
         per_device=per_device,

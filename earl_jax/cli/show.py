@@ -43,13 +43,14 @@ def show(folder: Positional[Path], last: Last = None, window: WindowSteps = None
 
 def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
+    from earl_jax.runs.provenance import made_by
     from earl_jax.training.result import printable
 
-    version, commit = _entry(values, "provenance", "versions", "earl-jax"), _entry(values, "provenance", "commit")
+    origin = values["provenance"] if isinstance(values["provenance"], dict) else {}
     texts = result.summary(window)
     del texts["metrics"]
     texts |= {
-        "version": printable(f"{version}, commit {commit}"),
+        "made by": printable(f"earl-jax {made_by(origin) or 'of an unknown version'}"),
         "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
         "in Python": values["load"],
         "metrics": f"means over {len(result.seeds)} seeds at step {result.steps[-1]:,}"
@@ -60,10 +61,3 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
     width = max(map(len, means), default=0)
     return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])
-
-
-def _entry(values: Any, *names: str) -> Any:
-    """Return an entry of nested dictionaries, which can be damaged, or `unknown`."""
-    for name in names:
-        values = values.get(name) if isinstance(values, dict) else None
-    return values or "unknown"

@@ -1,6 +1,8 @@
 """Commands that train one run: train, resume."""
 
 import inspect
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +20,7 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
+from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO, Preset, named_preset
 from earl_jax.options.schedule import Schedule
@@ -108,6 +111,16 @@ def train(
     _emit_result(result, out, json)
 
 
+def refuse_options(arguments: Sequence[str]) -> None:
+    """Raise an InputError that names `--set` where `arguments` of `train` have an option of a task or a method."""
+    flags = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    given = {flag[2:].replace("-", "_"): flag for flag in flags}
+    unknown = given.keys() - inspect.signature(train).parameters.keys()
+    known = {"options": stored()["shared"]}, *stored().values()
+    for name in sorted(unknown & {name for described in known for name in described.get("options", {})}):
+        raise InputError(f"{given[name]} is an option of a task or a method: --set {name}=VALUE")
+
+
 def _by_name(
     env: str | None,
     algo: str,
@@ -115,7 +128,7 @@ def _by_name(
     setting: str,
     preset: str | None,
     steps: int | None,
-    pairs: tuple[str, ...],
+    pairs: tuple[tuple[str, ...], ...],
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
     """Return the task, the method, the setting, the number of seeds and the schedule of names and name=value `pairs`."""
     from earl_jax import algos
@@ -125,7 +138,7 @@ def _by_name(
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
     named = {"setting": setting} if learner is None else {"setting": setting, "learner": learner}
-    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(pairs)})
+    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(itertools.chain(*pairs))})
     return task, algos.method_for(task, algo, **options), rules, chosen.seeds, chosen.schedule
 
 

@@ -110,7 +110,7 @@ def _quantile(seeds: int) -> float:
 def welch(sample: Sample, other: Sample) -> Comparison:
     """Return `sample` minus `other` by Welch's test of means with unequal variances.
 
-    There is no interval and no p if a sample has one seed, or if neither has a spread.
+    There is no p if a sample has one seed, or if neither has a spread, and then no interval, nor with fewer than three seeds.
     """
     difference, error, freedom = (
         sample.mean - other.mean,
@@ -119,7 +119,7 @@ def welch(sample: Sample, other: Sample) -> Comparison:
     )
     if not error > 0:
         return Comparison(difference, math.nan, math.nan, math.nan)
-    half = error * stats.t.ppf(1 - LEVEL / 2, freedom)
+    half = error * stats.t.ppf(1 - LEVEL / 2, freedom) if _enough(sample, other) else math.nan
     p = 2 * stats.t.sf(abs(difference) / error, freedom)
     return Comparison(difference, float(difference - half), float(difference + half), float(p))
 
@@ -149,9 +149,11 @@ def smallest_p(seeds: int, others: int) -> float:
 def detectable_difference(sample: Sample, other: Sample) -> float:
     """Return the difference of means that Welch's test of these standard errors finds with a probability of 80 %.
 
-    It is nan if a sample has one seed.
+    It is nan if a sample has fewer than three seeds.
     """
     error, freedom = math.hypot(sample.stderr, other.stderr), _freedom(sample, other)
+    if not _enough(sample, other):
+        return math.nan
     if math.isnan(error) or error == 0:
         return error
     critical = stats.t.ppf(1 - LEVEL / 2, freedom)
@@ -171,6 +173,10 @@ def holm(values: Sequence[float]) -> np.ndarray:
         largest = max(largest, (len(order) - rank) * p[index])
         adjusted[index] = min(1.0, largest)
     return adjusted
+
+
+def _enough(sample: Sample, other: Sample) -> bool:
+    return min(sample.seeds, other.seeds) >= FEWEST_SEEDS
 
 
 def _freedom(sample: Sample, other: Sample) -> float:

@@ -1,13 +1,11 @@
 """Registries from names to dataclasses: the package's own table, entry points of other packages, registered classes."""
 
 import dataclasses
-import difflib
 import functools
-from collections.abc import Iterable
 from importlib import metadata
 from typing import Any, Generic, TypeVar
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, choices
 
 T = TypeVar("T")
 NOUNS = {"env": "task", "algo": "method"}
@@ -116,13 +114,6 @@ class Registry(Generic[T]):
         cls = self.get(name)
         check(f"{self._noun} {name!r}", cls, options)
         return cls(**options)
-
-
-def choices(name: Any, names: Iterable[str]) -> str:
-    """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
-    text, names = str(name).lower(), list(names)
-    near = [known for known in names if len(text) > 2 and text in known] or difflib.get_close_matches(text, names, 1)
-    return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 
 def _owner(point: metadata.EntryPoint) -> str:

@@ -84,11 +84,10 @@ def unknown_option(owner: str, option: str, value: Any, known: Iterable[str], na
 
     from earl_jax.options.schedule import FIELDS
 
-    if option == "seed":
+    if option in ("seed", "n_seeds", "num_seeds"):
         one = brief(value)
-        return InputError(
-            f"there is no option 'seed'; did you mean seeds={one} (or seeds=[{one}] for that seed alone)?"
-        )
+        alone = f" (or seeds=[{one}] for that seed alone)" if option == "seed" else ""
+        return InputError(f"there is no option {option!r}; did you mean seeds={one}{alone}?")
     near = get_close_matches(option, [*known, *FIELDS], 3)
     guess = f"did you mean {' or '.join(near)}? " if near else ""
     lists = f"`earl-jax list {name}` lists its options, `earl-jax list TASK` those of a task"

@@ -99,11 +99,13 @@ class RunFolder:
         """Return the run folder at `path`.
 
         Raises:
-            ValueError: its config is missing or invalid.
+            ValueError: its config is missing or invalid; the message names runs in it.
         """
         file = path / CONFIG
         if not os.path.lexists(file):
-            raise InputError(f"{path} is not a run folder: it has no {CONFIG} that can be read")
+            inside = sorted(str(found.parent) for found in path.glob(f"*/{CONFIG}"))[:3]
+            hint = f"; did you mean {' or '.join(inside)}?" if inside else ""
+            raise InputError(f"{path} is not a run folder: it has no {CONFIG} that can be read{hint}")
         return cls(path, *read_config(file))
 
     @contextlib.contextmanager

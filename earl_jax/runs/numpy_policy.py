@@ -9,7 +9,7 @@ FULL_BUDGET = 1.0
 """The share of the budget for help at which a policy acts, where nothing is charged."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class NumpyPolicy:
     """The greedy policy `policy(obs [..., o]) -> action [..., a]`, float32: tanh of the first outputs of a ReLU network.
 
@@ -22,6 +22,11 @@ class NumpyPolicy:
     action_size: int
     budget_at: int | None = None
     bf16: bool = False
+
+    def __repr__(self) -> str:
+        layers = "-".join(str(len(bias)) for _, bias in self.layers[:-1])
+        obs_size = len(self.layers[0][0]) - (self.budget_at is not None)
+        return f"NumpyPolicy(obs [..., {obs_size}] -> action [..., {self.action_size}], {layers})"
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return the greedy action [..., a] at `obs [..., o]`.

@@ -15,7 +15,7 @@ TASK = "tabletop_organization"
 LENGTHS = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
 TINY = ["--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
-TINY_OPTIONS = ["--set", "hidden_sizes=[16]", "batch_size=16", "random_steps=20"]
+TINY_OPTIONS = ["--set", "hidden_sizes=[16]", "batch_size=16", "--set", "random_steps=20"]
 ADDED = {
     "JAX_PLATFORMS": "cpu",
     "JAX_COMPILATION_CACHE_DIR": str(CACHE),

@@ -1,6 +1,7 @@
 """The command line: output, exit codes, one-line errors."""
 
 import json
+import re
 import shutil
 import signal
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
 from tests.cli.process import TASK, run, start, training
 
@@ -49,6 +51,19 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     assert printed["score"]["metric"] == "deployed/success"
     mean = np.mean(printed["metrics"]["critic_loss"])
     assert f"critic_loss {mean:.6g}" in shown
+    assert f"made by: earl-jax {made_by(printed['provenance'])}" in shown
+
+
+def test_new_episodes_are_scored_beside_the_run(finished):
+    code, out, _ = run("evaluate", finished[0], "--episodes", "2")
+    assert code == 0
+    assert re.search(r"^deployed/success \d\.\d{3}, per seed \d\.\d{3}, \d\.\d{3}$", out, re.MULTILINE), out
+    assert out.splitlines()[-1].startswith("the run: deployed/success ")
+
+
+def test_a_folder_of_runs_is_told_from_a_run(finished):
+    folder = finished[0]
+    assert run("show", folder.parent)[2].endswith(f"can be read; did you mean {folder}?\n")
 
 
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
@@ -116,6 +131,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
+        ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
+        ([*TRAIN, "--reward-type", "dense"], ["--set reward_type=VALUE"]),
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
         ([*TRAIN, "--seeds", "10:5"], ["earl-jax: seeds takes a count (5), a range (5:10, without 10) or a list"]),
         ([*TRAIN, "--steps", "1e3", "--eval-every", "3e2"], ["steps 1000 is not a multiple of eval_every 300"]),

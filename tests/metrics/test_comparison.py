@@ -149,6 +149,15 @@ def test_equal_constant_scores_do_not_differ_and_single_seeds_tell_nothing():
     assert math.isnan(detectable_difference(Sample.of(ones[:1]), Sample.of(zeros)))
 
 
+def test_two_seeds_have_a_test_but_no_interval():
+    two, five = np.array([0.2, 0.6]), np.zeros(5)
+    pair = permutation(two, five)
+    assert pair.p == pytest.approx(1 / 21)
+    assert math.isnan(welch(Sample.of(five), Sample.of(two)).low)
+    assert math.isnan(pair.high)
+    assert math.isnan(detectable_difference(Sample.of(two), Sample.of(five)))
+
+
 def test_a_verdict_is_one_of_three():
     verdicts = [verdict(*result) for result in ((1.0, 0.01), (-1.0, 0.01), (1.0, 0.05), (1.0, math.nan))]
     assert verdicts == ["above", "below", "cannot tell", "cannot tell"]

@@ -100,6 +100,7 @@ def test_options_are_split_into_task_setting_and_method():
     ("env", "options", "message"),
     [
         ("", {"seed": 3}, r"there is no option 'seed'; did you mean seeds=3 \(or seeds=\[3\] for that seed alone\)\?"),
+        ("", {"n_seeds": 3}, r"there is no option 'n_seeds'; did you mean seeds=3\?"),
         ("", {"learning_rat": 1e-3}, "method 'fbrl' has no option 'learning_rat'; did you mean learning_rate"),
         ("", {"step": 5}, "did you mean steps.*`earl-jax list fbrl` lists its options"),
         ("", {"name": "mine"}, "there is no option 'name'"),

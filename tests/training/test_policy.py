@@ -101,6 +101,7 @@ def test_another_seed_is_another_policy_and_the_description_is_the_callers_own()
     ("arguments", "message"),
     [
         (("nowhere", "fbrl"), f"no trained policies ship for 'nowhere'; choose from .*{NAME}"),
+        (("tabletop_manipulation", "fbrl"), f"no trained policies ship for .*; did you mean '{NAME}'"),
         ((NAME, "nothing"), f"no policies of 'nothing' ship for {NAME}; choose from cfbrl, fbrl, naive"),
         ((NAME, "fbrl", 99), r"no seed 99 of fbrl on tabletop_organization ships; choose from \d"),
     ],
