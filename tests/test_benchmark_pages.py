@@ -90,17 +90,21 @@ def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_say
     assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")
 
 
+def quickstart_curves(name, seeds):
+    """Return the steps of a kept quickstart and its success [seeds, evaluations]."""
+    rows = read_csv(RESULTS / "quickstart" / name)
+    curves = [[float(row["deployed/success"]) for row in rows if row["seed"] == str(seed)] for seed in range(seeds)]
+    return [int(row["step"]) for row in rows if row["seed"] == "0"], np.array(curves)
+
+
 def test_the_quickstart_expects_what_pairs_of_the_kept_seeds_score():
-    rows = read_csv(RESULTS / "quickstart" / "five_seeds.csv")
-    curves = np.array(
-        [[float(row["deployed/success"]) for row in rows if row["seed"] == str(seed)] for seed in range(5)]
-    )
-    steps = [int(row["step"]) for row in rows if row["seed"] == "0"]
+    steps, curves = quickstart_curves("five_seeds.csv", 5)
     scores = np.stack([curves[:, end - 6 : end + 1].mean(axis=1) for end, step in enumerate(steps) if step >= 160_000])
     pairs = [scores[:, list(pair)].mean(axis=1) for pair in itertools.combinations(range(5), 2)]
     assert scores[-1].round(2).tolist() == [0.64, 0.77, 0.71, 0.68, 0.64]
-    assert (np.min(pairs).round(2), np.max(pairs).round(2)) == (0.53, 0.76)
-    assert (np.floor(10 * np.min(pairs)) / 10, np.ceil(10 * np.max(pairs)) / 10) == tuple(map(float, quickstart.RANGE))
+    other = quickstart_curves("two_seeds.csv", 2)[1][:, -7:].mean()
+    assert (np.min(pairs).round(2), np.max(pairs).round(2), other.round(2)) == (0.53, 0.76, 0.39)
+    assert (np.floor(10 * other) / 10, np.ceil(10 * np.max(pairs)) / 10) == tuple(map(float, quickstart.RANGE))
 
 
 @pytest.fixture
@@ -164,16 +168,17 @@ def test_what_the_seeds_cannot_tell_is_said(tmp_path, no_starts, own, others, se
     assert (line[7] == "0.000 [-, -]") == (own == (0, 0))
 
 
-def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts):
-    first, more = (f"{differences.PEG}/oracle", f"{differences.PEG}/oracle/seeds_5_to_14")
+def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts, monkeypatch):
+    first, more, norm = (f"{differences.PEG}/oracle{name}" for name in ("", "/seeds_5_to_14", "/layer_norm"))
     write_run(tmp_path / first, differences.PEG, "oracle", RNG.random((5, 6)))
     write_run(tmp_path / more, differences.PEG, "oracle", RNG.random((10, 3)), seeds=range(5, 15))
-    write_run(tmp_path / first / "layer_norm", differences.PEG, "oracle", RNG.random((4, 4)), layer_norm=True)
-    write_run(tmp_path / first / "reward_scale_1", differences.PEG, "oracle", RNG.random((4, 5)), reward_scale=1.0)
-    scale, norm = differences.comparisons(tmp_path, no_starts)
-    assert (scale["seeds"], scale["steps"]) == (5, 50)
-    assert (norm["seeds"], norm["other_seeds"], norm["steps"]) == (15, 4, 30)
-    assert [scale["p_holm"], norm["p_holm"]] == pytest.approx(holm([scale["p"], norm["p"]]))
+    write_run(tmp_path / norm, differences.PEG, "oracle", RNG.random((4, 4)), layer_norm=True)
+    pairs = differences.Pair((first,), (norm,)), differences.Pair((first, more), (norm,))
+    monkeypatch.setattr(differences, "DIFFERENCES", (differences.Difference("4", "layer norm", pairs),))
+    own, pooled = differences.comparisons(tmp_path, no_starts)
+    assert (own["seeds"], own["steps"]) == (5, 40)
+    assert (pooled["seeds"], pooled["other_seeds"], pooled["steps"]) == (15, 4, 30)
+    assert [own["p_holm"], pooled["p_holm"]] == pytest.approx(holm([own["p"], pooled["p"]]))
 
 
 def test_one_controller_is_tested_from_uniform_starts():

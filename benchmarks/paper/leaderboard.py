@@ -50,10 +50,10 @@ CORRECTED = "cfbrl", "sawyer_peg", "corrected"
 """The method and the task whose runs have scripted corrections, unless this option is 0."""
 SCRIPTED = "scripted corrections of this task"
 FEWEST_SEEDS, FEWEST_EPISODES, RAREST_EVALUATION = 5, 10, 10_000
-LEFT_OUT = ("alive", "to 0.9")
-"""Columns of the rows that ship which the page has no room for."""
 WHOLE = ("method", "deployed [95 %]")
 """Columns of the page that keep what stands in brackets."""
+PAGE = (*WHOLE, "seeds", "steps", "from", "wide [95 %]", "C(A) [95 %]", "to 0.5", "chosen", "commit")
+"""Columns of the page, the score where a phone shows it; the rows that ship have more."""
 TESTS = RESULTS / "leaderboard" / "tests.csv"
 FILES = ("config.json", "metrics.csv")
 COMMIT = re.compile(r"[0-9a-f]{7,40}")
@@ -165,9 +165,9 @@ def scores_text(rows: list[Row]) -> str:
 
 
 def _shown(texts: Sequence[str]) -> list[str]:
-    """Return the texts of the columns that the page has room for."""
-    named = [(name, text) for name, text in zip(HEADER, texts, strict=True) if name not in LEFT_OUT]
-    return [text if name in WHOLE else text.partition(" [")[0] for name, text in named]
+    """Return the texts of the columns of the page."""
+    named = dict(zip(HEADER, texts, strict=True))
+    return [named[name] if name in WHOLE else named[name].partition(" [")[0] for name in PAGE]
 
 
 def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
@@ -228,6 +228,7 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(config.env in PAPER_TASKS, f"{config.env} is not one of the tasks {', '.join(PAPER_TASKS)}")
     _require(curves.comparable, "the task has options, another kind of reward or another setting than the paper's")
     _require(not config.algo_class, f"{config.algo_class} is not registered, so others cannot repeat the run")
+    _require(not config.imports, "it was trained with a file of its own; a package can bring the method")
     _require(curves.seeds >= FEWEST_SEEDS, f"it has {curves.seeds} seeds, fewer than {FEWEST_SEEDS}")
     _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")

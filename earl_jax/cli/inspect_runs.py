@@ -29,11 +29,10 @@ def evaluate(
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.runs import read
 
     chosen = Window.of(last, window)
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
-    score = read(folder, chosen).score
+    score = training.load(folder).score(chosen)
     lines = [f"the newest policies over {episodes} new episodes each:"]
     for name, values in metrics.items():
         lines.append(f"{name} {values.mean():.3f}, per seed {', '.join(f'{value:.3f}' for value in values)}")

@@ -19,11 +19,12 @@ def show(folder: Positional[Path], last: Last = None, window: WindowSteps = None
         folder: Run folder. It needs no checkpoint.
     """
     from earl_jax.metrics.scores import Window
-    from earl_jax.runs.folder import RunFolder
     from earl_jax.training.loading import policies_at
     from earl_jax.training.result import load
 
-    result, run, chosen = load(folder), RunFolder.open(folder), Window.of(last, window)
+    result, chosen = load(folder), Window.of(last, window)
+    run = result.folder
+    assert run is not None
     values = {
         "folder": str(folder),
         "config": result.config.values,

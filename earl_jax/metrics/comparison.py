@@ -149,13 +149,13 @@ def smallest_p(seeds: int, others: int) -> float:
 def detectable_difference(sample: Sample, other: Sample) -> float:
     """Return the difference of means that Welch's test of these standard errors finds with a probability of 80 %.
 
-    It is nan if a sample has fewer than three seeds.
+    It is 0 if neither has a spread, and else nan if one has fewer than three seeds.
     """
     error, freedom = math.hypot(sample.stderr, other.stderr), _freedom(sample, other)
-    if not _enough(sample, other):
-        return math.nan
     if math.isnan(error) or error == 0:
         return error
+    if not _enough(sample, other):
+        return math.nan
     critical = stats.t.ppf(1 - LEVEL / 2, freedom)
 
     def missing_power(noncentrality: float) -> float:

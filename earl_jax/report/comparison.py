@@ -203,8 +203,10 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
     text = str((words or {}).get(row["verdict"]) or row["verdict"])
     if row["verdict"] != CANNOT_TELL:
         return text
-    if math.isnan(row["detectable"]):
+    if math.isnan(row["p"]) and row["detectable"] != 0:
         return f"{text}: a test needs two seeds of each"
+    if math.isnan(row["detectable"]):
+        return f"{text}: fewer than three seeds do not say what would be found"
     if row["detectable"] == 0:
         return f"{text}: all seeds are equal" if row["difference"] == 0 else f"{text}: no spread"
     if math.isclose(row["p"], smallest_p(row["seeds"], row["other_seeds"])):
