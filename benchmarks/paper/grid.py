@@ -54,16 +54,17 @@ def summary(rows: Sequence[Row]) -> str:
     told = [row for row in whole if row["verdict"] in WORDS and row not in open_ones]
     shares = [row["steps"] / row["of"] for row in rows if row["seeds"] and row not in whole]
     differing = " and ".join(
-        f"{row['verdict']} it is {method_title(row['algo'])} on {task_title(row['env'])} (p = {row['p_holm']:.2g})"
+        f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} (p = {row['p_holm']:.2g})"
         for row in told
     )
     sentences = (
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
-        f"Of these, {len(open_ones)} cannot be told from the paper's released seeds (p = "
-        f"{min(row['p_holm'] for row in open_ones):.2g} or more; differences of "
-        f"{min(row['detectable'] for row in open_ones):.2f} to {max(row['detectable'] for row in open_ones):.2f} would be "
-        f"found); {differing or 'none differs'}.",
-        f"The others have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
+        f"In {len(open_ones)} of these we detect no difference from the paper's released seeds (p = "
+        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task), but their seeds would "
+        f"detect only differences of {min(row['detectable'] for row in open_ones):.2f} to "
+        f"{max(row['detectable'] for row in open_ones):.2f} in success.",
+        f"{differing or 'No other differs'}.",
+        f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )
     return textwrap.fill(" ".join(sentences), 100)
 
