@@ -12,6 +12,7 @@ from scipy import stats
 
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, rate_interval
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.options.schedule import Schedule
@@ -62,7 +63,10 @@ def chosen_words(curves: Curves) -> str:
     config = curves.config
     if config.algo in (OWN, UNREWARDED) or config.env not in PAPER_TASKS:
         return "all options" if config.algo == OWN else "-"
-    method = config.build_method()
+    try:
+        method = config.build_method()
+    except InputError:  # its class is not registered here, or its options are not those of this version
+        return "-"
     fields = {field.name for part in (method, method.learner) for field in dataclasses.fields(part)}
     names = fields & CHOSEN.keys() - config.options.keys()
     words = [CHOSEN[name] for name in CHOSEN if name in names and (name != "reward_scale" or make(config.env).sparse)]

@@ -41,10 +41,10 @@ RUNS = {
         (DOOR, "fbrl", constant(0.5), rewards(0.1)),
     ],
     "figure2": [
-        (CHEETAH, "naive", constant(500.0, 520.0), {"env_options": SHORT, "timeout_bootstrap": True}),
-        (CHEETAH, "naive", constant(100.0, 120.0), {"env_options": LONG, "timeout_bootstrap": True}),
-        (CHEETAH, "naive", constant(500.0, 500.0), {"env_options": SHORT, "timeout_bootstrap": False}),
-        (CHEETAH, "naive", constant(480.0, 530.0), {"env_options": LONG, "timeout_bootstrap": False}),
+        (CHEETAH, "naive", constant(500.0, 510.0, 520.0), {"env_options": SHORT, "timeout_bootstrap": True}),
+        (CHEETAH, "naive", constant(100.0, 110.0, 120.0), {"env_options": LONG, "timeout_bootstrap": True}),
+        (CHEETAH, "naive", constant(500.0, 500.0, 500.0), {"env_options": SHORT, "timeout_bootstrap": False}),
+        (CHEETAH, "naive", constant(480.0, 505.0, 530.0), {"env_options": LONG, "timeout_bootstrap": False}),
         (FISH, "naive", constant(7.0, 8.0, 9.0), {"env_options": SHORT, "timeout_bootstrap": [False, True, True]}),
     ],
     "tradeoff": [
