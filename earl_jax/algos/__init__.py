@@ -78,6 +78,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     Raises:
         ValueError: the name or an option is unknown; the message has the choices or the nearest.
     """
+    from earl_jax.options.schedule import FIELDS
     from earl_jax.options.values import check, unknown_option
 
     method = _ALGOS.get(name)
@@ -87,7 +88,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     unknown = sorted(set(options) - shared - own)
     if unknown:
         known = sorted(shared | own | {"learner"})
-        raise unknown_option(f"method {name!r}", unknown[0], options[unknown[0]], known, name)
+        raise unknown_option(f"method {name!r}", unknown[0], options[unknown[0]], [*known, *FIELDS], name)
     options = {option: _leaf(option, value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)

@@ -9,7 +9,7 @@ import numbers
 import re
 import time
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError, brief
@@ -78,17 +78,15 @@ def check_intervals(owner: str, options: Any) -> None:
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}
 
 
-def unknown_option(owner: str, option: str, value: Any, known: Iterable[str], name: str) -> InputError:
-    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest names and where all of them are."""
+def unknown_option(owner: str, option: str, value: Any, known: Sequence[str], name: str) -> InputError:
+    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are."""
     from difflib import get_close_matches
-
-    from earl_jax.options.schedule import FIELDS
 
     if option in ("seed", "n_seeds", "num_seeds"):
         one = brief(value)
         alone = f" (or seeds=[{one}] for that seed alone)" if option == "seed" else ""
         return InputError(f"there is no option {option!r}; did you mean seeds={one}{alone}?")
-    near = get_close_matches(option, [*known, *FIELDS], 3)
+    near = get_close_matches(option, known, 3)
     guess = f"did you mean {' or '.join(near)}? " if near else ""
     lists = f"`earl-jax list {name}` lists its options, `earl-jax list TASK` those of a task"
     return InputError(f"{owner} has no option {option!r}; {guess}{lists}")
