@@ -46,7 +46,7 @@ def cells(root: Path = RUNS) -> list[Row]:
     names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env)]
     folders = {name: folder for name in names if (folder := _folder(root.joinpath(*name)))}
     runs = read_methods(list(folders.values()))
-    tests = {(row["env"], row["first"]): row for row in tested_ages(runs) if row["age"] == 1.0}
+    tests = {(row["env"], row["first"]): row for row in comparisons_at_ages(runs) if row["age"] == 1.0}
     measured = {}
     for run in runs:
         test, folder = tests[run.env, run.label], folders[run.env, run.algo]
@@ -62,9 +62,12 @@ def cells(root: Path = RUNS) -> list[Row]:
     return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
 
 
-def tested_ages(runs: Sequence[MethodRuns]) -> list[Row]:
-    """Return the comparisons of `runs` with the paper at each age, p adjusted over the methods of a task at an age."""
-    return with_verdicts(published_rows(runs))
+def comparisons_at_ages(runs: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
+    """Return the comparisons of `runs` with the paper at each age, p adjusted over the methods of a task at an age.
+
+    The `metric` is by default the deployed score.
+    """
+    return with_verdicts(published_rows(runs, metric))
 
 
 def _folder(cell: Path) -> Path | None:
@@ -117,7 +120,7 @@ def files() -> dict[Path, str]:
     tables = {"grid": grid.text(rows), "summary": grid.summary(rows)}
     return {
         RUNS / "cells.csv": csv_text(rows),
-        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested_ages(groups))}\n",
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(comparisons_at_ages(groups))}\n",
         RUNS / "claims.md": f"{claims}\n",
         **pages_with(tables),
     }

@@ -49,10 +49,11 @@ def text(rows: Sequence[Row]) -> str:
 
 def summary(rows: Sequence[Row]) -> str:
     """Return what the tests of whole `cells.cells` say, in three sentences."""
-    whole = [row for row in rows if row["seeds"] and row["steps"] >= WHOLE * row["of"]]
+    run = [row for row in rows if row["seeds"]]
+    whole = [row for row in run if _is_whole(row)]
     open_ones = [row for row in whole if row["verdict"] == CANNOT_TELL]
-    told = [row for row in whole if row["verdict"] in WORDS and row not in open_ones]
-    shares = [row["steps"] / row["of"] for row in rows if row["seeds"] and row not in whole]
+    told = [row for row in whole if row["verdict"] in ("above", "below")]
+    shares = [row["steps"] / row["of"] for row in run if not _is_whole(row)]
     differing = " and ".join(
         f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} (p = {row['p_holm']:.2g})"
         for row in told
@@ -69,13 +70,17 @@ def summary(rows: Sequence[Row]) -> str:
     return textwrap.fill(" ".join(sentences), 100)
 
 
+def _is_whole(row: Row) -> bool:
+    return row["steps"] >= WHOLE * row["of"]
+
+
 def _cell(row: Row) -> str:
     return "not run" if row["seeds"] is None else "<br>".join(_parts(row))
 
 
 def _parts(row: Row) -> Iterator[str]:
     style = ".2f" if make(row["env"]).sparse else ",.0f"
-    share = "" if row["steps"] >= WHOLE * row["of"] else f" at {share_text(row['steps'], row['of'])}"
+    share = "" if _is_whole(row) else f" at {share_text(row['steps'], row['of'])}"
     yield f"**{row['mean']:{style}}**"
     if row["env"] in RECONSTRUCTED:
         yield f"not compared{share}"

@@ -8,9 +8,9 @@ and those of R3L on the door are not tested (assets/published/faults.csv).
 from pathlib import Path
 
 from benchmarks.output import csv_text, write_files
-from benchmarks.paper.cells import LIVES, RUNS
+from benchmarks.paper.cells import LIVES, RUNS, comparisons_at_ages
 from earl_jax.paper.artefact import methods_on
-from earl_jax.report.comparison import published_rows, table_text, with_verdicts
+from earl_jax.report.comparison import table_text
 from earl_jax.report.runs import read_methods
 
 METRIC = "continuing/reward"
@@ -20,7 +20,7 @@ def files() -> dict[Path, str]:
     """Return the tests as files."""
     cells = [RUNS / env / algo for env in LIVES for algo in methods_on(env)]
     groups = read_methods([cell for cell in cells if (cell / "metrics.csv").is_file()])
-    rows = with_verdicts([row for row in published_rows(groups, METRIC) if row["age"] == 1.0], family=("env",))
+    rows = [row for row in comparisons_at_ages(groups, METRIC) if row["age"] == 1.0]
     return {RUNS / "lives.csv": csv_text(rows), RUNS / "lives.md": f"{table_text(rows)}\n"}
 
 

@@ -114,7 +114,6 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
             test=TESTS[test],
             window=rows[0]["mean_over"],
             intervals=INTERVALS,
-            family=FAMILY_RULE.format(family="the comparisons with the best"),
         ),
         *([OPTIMISM] if len(rows) > 1 else []),
     ]
