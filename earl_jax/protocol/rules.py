@@ -1,9 +1,10 @@
-"""The rules of the ARL formalism: when an environment is reset, when its goal changes, and how a step ends.
+"""The rules of the ARL formalism: when an environment is reset, when its goal changes, how a step ends and what it counts.
 
 Source: Sharma et al. 2022, section 4. docs/formalism.md has the equations.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,13 @@ from earl_jax.envs import Env, State
 from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError, brief
+from earl_jax.metrics.continuing import Counters
+from earl_jax.metrics.deployed import deployed
+from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.options.schedule import Schedule
+
+EVALUATION_KEY = 2
+"""Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
 
 
 class Rules(NamedTuple):
@@ -104,6 +111,24 @@ def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) ->
     return tree_where(reset, env.intervene(key, env_state), env_state)
 
 
+def count_step(
+    counters: Counters, env: Env, env_state: State, attempt: Attempt, end: StepEnd, earned: jax.Array, step: jax.Array
+) -> Counters:
+    """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
+
+    `earned []` is its reward for the task goal, which does not count after a fault.
+    """
+    phase_ended = end.phase_ended & attempt.ends_on_success
+    phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, phase_ended, end.reached, step)
+    return counters.replace(
+        window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
+        interventions=counters.interventions + end.env_reset,
+        faults=counters.faults + end.fault,
+        reached=counters.reached + (end.reached & attempt.is_task),
+        phases=phases,
+    )
+
+
 def _every(step: jax.Array, period: jax.Array) -> jax.Array:
     return (period > 0) & (step % jnp.maximum(period, 1) == 0)
 
@@ -149,4 +174,16 @@ class Protocol:
             horizon=np.int32(self.train_horizon),
             chance=np.float32(self.intervention_chance),
             goal_change=np.int32(self.goal_change),
+        )
+
+    def deployed(self, task: Env, policy: Callable[[jax.Array], jax.Array], key: jax.Array) -> dict[str, jax.Array]:
+        """Return the deployed evaluation of `policy(obs) -> action` in `task`, from the `key []` of a lane."""
+        return deployed(
+            task,
+            policy,
+            jax.random.fold_in(key, EVALUATION_KEY),
+            self.eval_horizon,
+            self.eval_episodes,
+            wide=task.starts.wide,
+            pairs=self.eval_pairs,
         )

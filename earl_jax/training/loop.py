@@ -18,10 +18,8 @@ from earl_jax.algos.learner.replay import Transition, TransitionBatch, Transitio
 from earl_jax.algos.method import TASK, Method, Moment, controller_count, of_phase
 from earl_jax.envs import Map, State
 from earl_jax.envs.state import tree_where
-from earl_jax.metrics.continuing import count_step
-from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.physics import PendingStep
-from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
+from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.training.ordering import before_update, in_step_with_host, one_controller, read_before_write
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
 
@@ -157,13 +155,8 @@ def finish_step(
     env, table = problem.env, jnp.asarray(problem.goals.table)
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
-    end = _step_end(problem, method, lane, env_state, earned, keys, step)
-    is_task, has_goal = lane.phase == TASK, jnp.asarray(_ends_on_success(method, lane.phase), bool)
-    phases = advance_phase_stats(
-        lane.counters.phases, env, env_state, is_task, end.phase_ended & has_goal, end.reached, step + 1
-    )
-    counters = lane.counters.replace(phases=phases)
-    counters = count_step(counters, end.fault, end.env_reset, end.reached & is_task, earned)
+    attempt = _attempt(problem, method, lane, earned, keys.reset, step)
+    end = advance_rules(lane.rules, env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
     phase = jnp.where(end.phase_ended, (lane.phase + 1) % len(method.phases), lane.phase)
     phase = jnp.where(end.task_restarts, TASK, phase)
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)
@@ -174,31 +167,25 @@ def finish_step(
         phase=phase,
         phase_step=jnp.where(end.phase_ended, 0, lane.phase_step + 1),
         goal_indices=goal_indices,
-        counters=counters,
+        counters=count_step(lane.counters, env, env_state, attempt, end, earned, step + 1),
         visits=_count_visit(env.map, lane.visits, env_state.obs) if env.map and lane.visits is not None else None,
     )
     return moved, transition, _is_sampleable(method, lane, end)
 
 
-def _step_end(
-    problem: Problem,
-    method: Method,
-    lane: LaneState,
-    env_state: State,
-    earned: jax.Array,
-    keys: StepKeys,
-    step: jax.Array,
-) -> StepEnd:
-    key, agent = jax.random.fold_in(keys.reset, 2), _controller(lane.agent, controller_of(method, lane.phase))
-    obs, moment = lane.env_state.obs, _moment(lane, step)
-    attempt = Attempt(
+def _attempt(
+    problem: Problem, method: Method, lane: LaneState, earned: jax.Array, key: jax.Array, step: jax.Array
+) -> Attempt:
+    """Return the attempt that a step belongs to, which `earned []` the reward of the task goal."""
+    agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
+    key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
+    return Attempt(
         is_task=lane.phase == TASK,
         expires=method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state),
-        ends_on_success=_ends_on_success(method, lane.phase),
+        ends_on_success=of_phase([phase.ends_on_success for phase in method.phases], lane.phase),
         reset_at_end=of_phase([phase.resets for phase in method.phases], lane.phase),
         invalid_reward=~jnp.isfinite(earned),
     )
-    return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
 
 
 def _transition(
@@ -256,10 +243,6 @@ def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:
     return Moment(step, lane.phase, lane.phase_step, lane.key)
-
-
-def _ends_on_success(method: Method, phase: jax.Array) -> jax.Array | bool:
-    return of_phase([phase.ends_on_success for phase in method.phases], phase)
 
 
 def controller_of(method: Method, phase: jax.Array) -> jax.Array:
