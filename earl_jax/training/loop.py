@@ -37,7 +37,7 @@ def train_step(
     The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
     are drawn here if they are not given.
     """
-    lanes, step, first_row = state.lanes, state.step, state.replay.first_row
+    lanes, step = state.lanes, state.step
     controller = controller_of(method, lanes.phase)
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
     action, pending = act(method, lanes, keys.act)
@@ -45,7 +45,8 @@ def train_step(
         pending, lanes, keys = in_step_with_host(pending, lanes, keys)
         if batch is None:
             state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
-        update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, first_row, step))
+        batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
+        update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, step))
         lanes = update(method, lanes, keys, batch)
         pending, lanes = in_step_with_host(pending, lanes)
     finish = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=step))
@@ -98,16 +99,13 @@ def learn(
     keys: StepKeys,
     sampled: TransitionBatch,
     warmup: Warmup,
-    first_row: jax.Array,
     step: jax.Array,
 ) -> LaneState:
     """Return the lane after an update of the controller that acted, on `sampled` transitions [B].
 
-    Demonstrations are the rows before `first_row []`; `step []` counts from 0. In a `warmup` and after the end of the
-    lifetime, the agent stays as it is.
+    `step []` counts from 0. In a `warmup` and after the end of the lifetime, the agent stays as it is.
     """
     env, phase = problem.env, lane.phase
-    sampled = sampled._replace(demonstrated=sampled.row < first_row)
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     agent = _controller(lane.agent, controller)
@@ -116,11 +114,9 @@ def learn(
     if env.has_absorbing_state:
         ended = lane.env_state.done > 0
         agent, method_state = tree_where(ended, (lane.agent, lane.method_state), (agent, method_state))
-    learnt = agent, method_state, diagnostics
-    if warmup is not False:
-        learnt = tree_where(jnp.asarray(warmup), (lane.agent, lane.method_state, lane.counters.diagnostics), learnt)
-    counters = lane.counters.replace(diagnostics=learnt[2])
-    return lane.replace(agent=learnt[0], method_state=learnt[1], counters=counters)
+    counters = lane.counters.replace(diagnostics=diagnostics)
+    learnt = lane.replace(agent=agent, method_state=method_state, counters=counters)
+    return learnt if warmup is False else tree_where(jnp.asarray(warmup), lane, learnt)
 
 
 def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
