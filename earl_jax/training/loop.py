@@ -82,15 +82,6 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     return state.replace(replay=replay), batch
 
 
-def sample_for_refresh(method: Method, state: TrainState) -> tuple[TrainState, TransitionBatch]:
-    """Return the state and `refresh_batch_size` transitions of each lane's last controller, its own, for `refresh`."""
-    keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
-    controller = controller_count(method) - 1
-    batch = replay_lib.sample_own(state.replay, keys, controller, method.refresh_batch_size)
-    replay, batch = read_before_write(state.replay, batch)
-    return state.replace(replay=replay), batch
-
-
 @jax.named_scope("update")
 def learn(
     problem: Problem,
