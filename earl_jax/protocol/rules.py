@@ -19,6 +19,7 @@ from earl_jax.metrics.continuing import Counters
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.options.schedule import Schedule
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, EPISODES, check_intervals, within
 
 EVALUATION_KEY = 2
 """Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
@@ -137,20 +138,19 @@ def _every(step: jax.Array, period: jax.Array) -> jax.Array:
 class Protocol:
     """The protocol of a lifetime: interventions, goal changes, and evaluations of the greedy policy from s0 ~ rho."""
 
-    train_horizon: int
+    train_horizon: int = dataclasses.field(metadata=within(COUNT_OR_NEVER))
     """H_T: steps between hard interventions, which reset the environment to s0 ~ rho; 0 for never."""
-    eval_horizon: int
+    eval_horizon: int = dataclasses.field(metadata=within(COUNT))
     """H_E: steps of an evaluation episode."""
-    eval_every: int = Schedule.eval_every
+    eval_every: int = dataclasses.field(default=Schedule.eval_every, metadata=within(COUNT))
     """Training steps between deployed evaluations."""
-    eval_episodes: int = Schedule.eval_episodes
+    eval_episodes: int = dataclasses.field(default=Schedule.eval_episodes, metadata=within(EPISODES))
     """Episodes of one deployed evaluation."""
-    intervention_chance: float = 0.0
+    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
     """epsilon: probability of a hard intervention after a step, p~ = (1 - epsilon) p + epsilon rho."""
-    goal_change: int = 0
+    goal_change: int = dataclasses.field(default=0, metadata=within(COUNT_OR_NEVER))
     """Steps between goal changes in the continuing setting; 0 if every new attempt draws its goal from p_g."""
-
-    alive_steps: int = 2_000
+    alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
     """Steps within which a lane that is alive reaches the goals of its phases."""
     eval_pairs: str = EVAL_PAIRS[0]
     """How evaluations draw pairs of start and task goal: each at `random`, or `balanced`, every pair equally often."""
@@ -158,14 +158,7 @@ class Protocol:
     def __post_init__(self):
         if self.eval_pairs not in EVAL_PAIRS:
             raise InputError(f"eval_pairs must be one of {', '.join(EVAL_PAIRS)}, not {brief(self.eval_pairs)}")
-        for field in ("eval_horizon", "eval_every", "eval_episodes", "alive_steps"):
-            if getattr(self, field) < 1:
-                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
-        for field in ("train_horizon", "goal_change"):
-            if getattr(self, field) < 0:
-                raise InputError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
-        if not 0 <= self.intervention_chance <= 1:
-            raise InputError(f"intervention_chance must lie in [0, 1], not {self.intervention_chance}")
+        check_intervals("protocol", self)
 
     @property
     def rules(self) -> Rules:
