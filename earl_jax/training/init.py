@@ -74,16 +74,15 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
     """
     demos, most = demo_rows(problem, method), method.learner.replay_capacity
     if most is not None:
-        return min(steps, most) + 1 + (0 if demos is None else len(demos.states))
-    return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
+        return min(steps, most) + 1 + len(demos.states)
+    return steps + max(len(demos.states), int(demos.copies.sum()))
 
 
-def sample_capacity(method: Method, demos: DemoRows | None, capacity: int) -> int:
+def sample_capacity(method: Method, demos: DemoRows, capacity: int) -> int:
     """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
     if method.learner.replay_capacity is None:
         return capacity
-    states, copies = (0, 0) if demos is None else (len(demos.states), int(demos.copies.sum()))
-    return copies + controller_count(method) * (capacity - states - 1)
+    return int(demos.copies.sum()) + controller_count(method) * (capacity - len(demos.states) - 1)
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
@@ -91,7 +90,7 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
     env, demos = problem.env, demo_rows(problem, method)
     slots = None if method.learner.replay_capacity is None else sample_capacity(method, demos, capacity)
     replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
-    if demos is None:
+    if not len(demos.rows):
         return replay
     replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
