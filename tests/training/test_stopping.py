@@ -63,8 +63,14 @@ def put_clock_forward(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: later)
 
 
-@pytest.mark.parametrize("number", HANDLERS)
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(
+    ("number", "place"),
+    [
+        (signal.SIGINT, "after_random_steps"),
+        (signal.SIGTERM, "within_an_interval"),
+        (signal.SIGHUP, "before_an_evaluation"),
+    ],
+)
 def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, number, place):
     folder = tmp_path / "run"
     send_after(monkeypatch, PLACES[place], number)
