@@ -39,13 +39,9 @@ def _evaluate_lane(
     metrics |= {**of_life, **of_phases, **counters.diagnostics}
     own = getattr(lane.method_state, "metrics", {})
     metrics |= {f"{method.name}/{name}": value for name, value in own.items()}
-    metrics[DIVERGED] = has_diverged(lane).astype(jnp.int32)
+    finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
+    metrics[DIVERGED] = (~finite).astype(jnp.int32)
     return lane.replace(counters=counters.replace(phases=phases)), metrics
-
-
-def has_diverged(lane: LaneState) -> jax.Array:
-    """Return whether a parameter or a loss of the learner in `lane` is not finite, bool []."""
-    return ~all_finite((lane.agent, lane.method_state, lane.counters.diagnostics))
 
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
