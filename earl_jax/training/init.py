@@ -12,7 +12,7 @@ from earl_jax.algos.method import TASK, Method, controller_count
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
-from earl_jax.training.demos import DemoRows, demo_rows, demo_steps
+from earl_jax.training.demos import demo_rows, demo_steps
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
@@ -78,18 +78,22 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
     return steps + max(len(demos.states), int(demos.copies.sum()))
 
 
-def sample_capacity(method: Method, demos: DemoRows, capacity: int) -> int:
-    """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
-    if method.learner.replay_capacity is None:
-        return capacity
-    return int(demos.copies.sum()) + controller_count(method) * (capacity - len(demos.states) - 1)
+def empty_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
+    """Return the replay of `lanes` lanes with `capacity` rows, all of them free.
+
+    If it evicts transitions, its lists have a place for each row of each controller.
+    """
+    env, slots = problem.env, None
+    if method.learner.replay_capacity is not None:
+        demos = demo_rows(problem, method)
+        slots = int(demos.copies.sum()) + controller_count(method) * (capacity - len(demos.states) - 1)
+    return replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
     """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    slots = None if method.learner.replay_capacity is None else sample_capacity(method, demos, capacity)
-    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
+    replay = empty_replay(problem, method, lanes, capacity)
     if not len(demos.rows):
         return replay
     replay = unfolded(replay)
