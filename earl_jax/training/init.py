@@ -99,19 +99,15 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
     replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
     reached = env.success(obs) & env.sparse
-    unset = jnp.zeros_like(reached)
-    words = replay_lib.pack(
-        TransitionFlags(
-            goal=jnp.asarray(demos.goals), reached=reached, timeout=unset, no_successor=unset, absorbed=unset
-        )
-    )
+    goal, no = jnp.asarray(demos.goals), jnp.zeros_like(reached)
+    flags = TransitionFlags(goal=goal, reached=reached, timeout=no, no_successor=no, absorbed=no)
     first, second = demos.sampleable(0), demos.sampleable(1)
     index = replay.index.at[: len(first)].set(first[:, None])
     index = index.at[len(index) - len(second) :].set(second[::-1, None])
     return replay.replace(
         state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
         action=replay.action.at[demos.rows].set(demos.actions[:, None]),
-        flags=replay.flags.at[demos.rows].set(words[:, None]),
+        flags=replay.flags.at[demos.rows].set(replay_lib.pack(flags)[:, None]),
         reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
         index=index,
         counts=jnp.broadcast_to(jnp.array([len(first), len(second)], jnp.int32), (lanes, 2)),
