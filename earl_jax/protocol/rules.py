@@ -171,12 +171,5 @@ class Protocol:
 
     def deployed(self, task: Env, policy: Callable[[jax.Array], jax.Array], key: jax.Array) -> dict[str, jax.Array]:
         """Return the deployed evaluation of `policy(obs) -> action` in `task`, from the `key []` of a lane."""
-        return deployed(
-            task,
-            policy,
-            jax.random.fold_in(key, EVALUATION_KEY),
-            self.eval_horizon,
-            self.eval_episodes,
-            wide=task.starts.wide,
-            pairs=self.eval_pairs,
-        )
+        key, wide = jax.random.fold_in(key, EVALUATION_KEY), task.starts.wide
+        return deployed(task, policy, key, self.eval_horizon, self.eval_episodes, wide=wide, pairs=self.eval_pairs)
