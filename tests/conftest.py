@@ -216,10 +216,9 @@ def evaluate(problem, method, state):
     return runner._evaluate(problem, method, copy_of(state), None)
 
 
-def run_whole(problem, method, state, steps, warmup=False, compiler_options=None):
+def run_whole(problem, method, state, steps, warmup=False):
     """Return the train state `steps` steps later, computed by one program of its own."""
-    run = jax.jit(lambda m, s: run_steps(problem, m, s, steps, warmup), compiler_options=compiler_options)
-    return run(method, state)
+    return jax.jit(lambda m, s: run_steps(problem, m, s, steps, warmup))(method, state)
 
 
 def take_lane(tree, lane):

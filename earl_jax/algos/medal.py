@@ -90,13 +90,7 @@ class MEDAL(Method):
         return GoalIndices(goal=task, task=task)
 
     def prepare(
-        self,
-        key: jax.Array,
-        env: Env,
-        goals: Goals,
-        batch: TransitionBatch,
-        phase: jax.Array,
-        method_state: Classifier,
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Classifier
     ) -> TransitionBatch:
         """Return `batch` with a random task goal for backward demonstrations, and the classifier's reward in backward phases.
 

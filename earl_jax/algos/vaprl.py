@@ -107,13 +107,7 @@ class VaPRL(Method):
         return Curriculum(values.reshape(goals.tasks, count) / self.learner.reward_scale)
 
     def prepare(
-        self,
-        key: jax.Array,
-        env: Env,
-        goals: Goals,
-        batch: TransitionBatch,
-        phase: jax.Array,
-        method_state: Curriculum,
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum
     ) -> TransitionBatch:
         """Return `batch` with another goal for `relabel_share` of its transitions.
 

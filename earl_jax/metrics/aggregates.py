@@ -7,7 +7,7 @@ each task by themselves.
 
 import numpy as np
 
-from earl_jax.metrics.statistics import RESAMPLES, Estimate, percentile_interval
+from earl_jax.metrics.statistics import Estimate, bootstrap, percentile_interval, resampled
 
 
 def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estimate:
@@ -22,15 +22,14 @@ def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estima
         return (np.sign(pairs) + 1).mean(axis=(1, 2, 3)) / 2
 
     rng = np.random.default_rng(0)
-    resampled = probability(_resampled(scores, rng), _resampled(others, rng))
-    return Estimate(float(probability(scores[None], others[None])[0]), *percentile_interval(resampled))
+    interval = percentile_interval(probability(resampled(scores, rng), resampled(others, rng)))
+    return Estimate(float(probability(scores[None], others[None])[0]), *interval)
 
 
 def optimality_gap(scores: np.ndarray, best: float = 1.0) -> Estimate:
     """Return the mean amount by which `scores [N, tasks]` fall short of `best`; scores above it count as `best`."""
     missing = best - np.minimum(np.asarray(scores, float), best)
-    resampled = _resampled(missing, np.random.default_rng(0)).mean(axis=(1, 2))
-    return Estimate(float(missing.mean()), *percentile_interval(resampled))
+    return Estimate(float(missing.mean()), *bootstrap(missing, np.mean))
 
 
 def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
@@ -39,11 +38,5 @@ def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarra
     `scores [N, tasks]`.
     """
     above = np.asarray(scores, float)[:, :, None] > np.asarray(thresholds)
-    shares = _resampled(above, np.random.default_rng(0)).mean(axis=(1, 2))
+    shares = resampled(above, np.random.default_rng(0)).mean(axis=(1, 2))
     return np.stack([above.mean(axis=(0, 1)), *np.quantile(shares, [0.025, 0.975], axis=0)])
-
-
-def _resampled(scores: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...]."""
-    picks = rng.integers(len(scores), size=(RESAMPLES, *scores.shape[:2]))
-    return scores[picks, np.arange(scores.shape[1])]

@@ -112,11 +112,8 @@ def welch(sample: Sample, other: Sample) -> Comparison:
 
     There is no p if a sample has one seed, or if neither has a spread, and then no interval, nor with fewer than three seeds.
     """
-    difference, error, freedom = (
-        sample.mean - other.mean,
-        math.hypot(sample.stderr, other.stderr),
-        _freedom(sample, other),
-    )
+    difference, freedom = sample.mean - other.mean, _freedom(sample, other)
+    error = math.hypot(sample.stderr, other.stderr)
     if not error > 0:
         return Comparison(difference, math.nan, math.nan, math.nan)
     half = error * stats.t.ppf(1 - LEVEL / 2, freedom) if _enough(sample, other) else math.nan

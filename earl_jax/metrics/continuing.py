@@ -60,23 +60,8 @@ def init_counters(phases: PhaseStats, diagnostics: Iterable[str] = ()) -> Counte
     )
 
 
-def count_step(
-    counters: Counters, fault: jax.Array, env_reset: jax.Array, reached: jax.Array, earned: jax.Array
-) -> Counters:
-    """Return the counters after a step; `fault`, `env_reset` and `reached` (a task goal) are bool [].
-
-    `earned []` is its reward for the task goal, which does not count after a fault.
-    """
-    return counters.replace(
-        window_reward=counters.window_reward + jnp.where(fault, 0.0, earned),
-        interventions=counters.interventions + env_reset,
-        faults=counters.faults + fault,
-        reached=counters.reached + reached,
-    )
-
-
 def continuing(
-    counters: Counters, env_state: State, step: jax.Array, window: jax.Array
+    counters: Counters, env_state: State, step: jax.Array, window: jax.Array | int
 ) -> tuple[Counters, dict[str, jax.Array]]:
     """Return the counters with a new window, and one lane's metrics after `step` steps, of which `window` are recent.
 
@@ -88,8 +73,8 @@ def continuing(
     """
     total = counters.total_reward + counters.window_reward
     metrics = {
-        "continuing/reward": total / step,
-        "continuing/recent": counters.window_reward / window,
+        "continuing/reward": total / jnp.asarray(step, jnp.float32),
+        "continuing/recent": counters.window_reward / jnp.asarray(window, jnp.float32),
         "interventions": counters.interventions,
         "faults": counters.faults,
         "reached": counters.reached,

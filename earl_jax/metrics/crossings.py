@@ -23,13 +23,13 @@ def trailing_mean(steps: np.ndarray, scores: np.ndarray, window: int = CROSSING_
     return np.where(np.asarray(steps) >= window, means, np.nan)
 
 
-def crossing(steps: np.ndarray, scores: np.ndarray, level: float, window: int = CROSSING_WINDOW) -> Estimate:
+def crossing(steps: np.ndarray, scores: np.ndarray, level: float) -> Estimate:
     """Return the first of `steps [E]` at which the mean over seeds of the trailing mean of `scores [N, E]` reaches `level`.
 
     The interval runs from the first step at which the upper end of the 95 % interval of the mean reaches the level
     to the first at which the lower end does. Each number is nan if the curve does not reach the level.
     """
-    mean, low, high = band(trailing_mean(steps, scores, window), rate=True)
+    mean, low, high = band(trailing_mean(steps, scores), rate=True)
     return Estimate(*(_first(steps, curve, level) for curve in (mean, high, low)))
 
 

@@ -71,10 +71,14 @@ def bootstrap(scores: Any, statistic=iqm, level: float = 0.95, seed: int = 0) ->
     """
     xp = namespace_of(scores)
     table = xp.asarray(scores, float).reshape(len(scores), -1)
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(table), size=(RESAMPLES, *table.shape))
-    resampled = table[picks, np.arange(table.shape[1])].reshape(RESAMPLES, -1)
-    return percentile_interval(statistic(resampled, axis=1), ((1 - level) / 2, (1 + level) / 2))
+    tables = resampled(table, np.random.default_rng(seed)).reshape(RESAMPLES, -1)
+    return percentile_interval(statistic(tables, axis=1), ((1 - level) / 2, (1 + level) / 2))
+
+
+def resampled(scores: Any, rng: np.random.Generator) -> Any:
+    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...]."""
+    picks = rng.integers(len(scores), size=(RESAMPLES, *scores.shape[:2]))
+    return scores[picks, np.arange(scores.shape[1])]
 
 
 def summarise(scores: Any) -> Summary:
@@ -135,9 +139,9 @@ def _drop(xp: Any, before: Any, after: Any) -> Any:
     return 1 - after.mean(axis=-1) / xp.where(mean > 0, mean, np.nan)
 
 
-def percentile_interval(resampled: Any, ends: tuple[float, float] = (0.025, 0.975)) -> tuple[Any, Any]:
-    """Return the quantiles `ends` of `resampled [R]`, by default the percentile interval of 95 %."""
-    low, high = namespace_of(resampled).quantile(resampled, np.array(ends))
+def percentile_interval(values: Any, ends: tuple[float, float] = (0.025, 0.975)) -> tuple[Any, Any]:
+    """Return the quantiles `ends` of resampled `values [R]`, by default the percentile interval of 95 %."""
+    low, high = namespace_of(values).quantile(values, np.array(ends))
     return as_float(low), as_float(high)
 
 

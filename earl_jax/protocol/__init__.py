@@ -7,7 +7,7 @@ are here too.
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.scores import Scores, deployed_area, lifetime_scores, regret
 from earl_jax.protocol.life import ProtocolState, StepResult, advance, evaluate, init, intervene, set_goal
-from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
+from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.protocol.settings import (
     SETTINGS,
     Continuing,
@@ -32,6 +32,7 @@ __all__ = [
     "StepResult",
     "advance",
     "advance_rules",
+    "count_step",
     "deployed",
     "deployed_area",
     "evaluate",

@@ -1,7 +1,7 @@
 """A life under the protocol for a training loop of your own: pure functions of one lane, for `scan`, `jit` and `vmap`.
 
 `init` starts a life, `advance` makes one step of it, and `evaluate` measures both of the paper's scores. The rules are
-those of the training loop (`advance_rules`, `reset_where`, the counts of `metrics`). The random draws are their own:
+those of the training loop (`advance_rules`, `count_step`, `reset_where`). The random draws are their own:
 the key of the state draws interventions, goals and resets, so a run of `earl_jax.train` with the same seed has others.
 """
 
@@ -14,17 +14,14 @@ from flax import struct
 
 from earl_jax.envs import Env, State
 from earl_jax.envs.wrappers.without_help import without_help
-from earl_jax.metrics.continuing import Counters, continuing, count_step, init_counters
-from earl_jax.metrics.deployed import deployed
-from earl_jax.metrics.phase_stats import advance_phase_stats, init_phase_stats, phase_metrics
+from earl_jax.metrics.continuing import Counters, continuing, init_counters
+from earl_jax.metrics.phase_stats import init_phase_stats, phase_metrics
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
-from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, reset_where
+from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
 
 ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 6.1)."""
-EVALUATION_KEY = 2
-"""Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
 DIRECTIONS = 2
 """Task goals and goals that the agent sets, whose attempts are counted separately."""
 
@@ -143,18 +140,9 @@ def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[Protocol
         step=state.step + 1,
         attempt_age=jnp.where(end.phase_ended, 0, state.attempt_age + 1),
         task_goal=task_goal,
-        counters=_count(env, state, env_state, end, earned),
+        counters=count_step(state.counters, env, env_state, attempt, end, earned, state.step + 1),
     )
     return following, _result(env, state, env_state, end)
-
-
-def _count(env: Env, state: ProtocolState, env_state: State, end: StepEnd, earned: jax.Array) -> Counters:
-    """Return the counters after a step to `env_state`, which `earned` the reward of the task goal."""
-    is_task = ~state.goal_is_set
-    phases = advance_phase_stats(
-        state.counters.phases, env, env_state, is_task, end.phase_ended, end.reached, state.step + 1
-    )
-    return count_step(state.counters.replace(phases=phases), end.fault, end.env_reset, end.reached & is_task, earned)
 
 
 def _result(env: Env, state: ProtocolState, env_state: State, end: StepEnd) -> StepResult:
@@ -219,13 +207,9 @@ def evaluate(
     that since the last evaluation; `interventions`, `faults` and `reached` count since the first step. These and the
     columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as return phases.
     """
-    task, key = without_help(env), jax.random.fold_in(state.key, EVALUATION_KEY)
-    episodes, wide, pairs = protocol.eval_episodes, task.starts.wide, protocol.eval_pairs
-    metrics = deployed(task, policy, key, protocol.eval_horizon, episodes, wide=wide, pairs=pairs)
-    window = jnp.maximum(state.step - state.evaluated_at, 1).astype(jnp.float32)
-    counters, of_life = continuing(
-        state.counters, state.env_state, jnp.maximum(state.step, 1).astype(jnp.float32), window
-    )
+    metrics = protocol.deployed(without_help(env), policy, state.key)
+    step, window = jnp.maximum(state.step, 1), jnp.maximum(state.step - state.evaluated_at, 1)
+    counters, of_life = continuing(state.counters, state.env_state, step, window)
     phases, of_phases = phase_metrics(counters.phases, state.step, protocol.alive_steps, DIRECTIONS, env.sparse)
     state = state.replace(evaluated_at=state.step, counters=counters.replace(phases=phases))
     return state, {**metrics, **of_life, **of_phases}

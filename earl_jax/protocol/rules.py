@@ -1,9 +1,10 @@
-"""The rules of the ARL formalism: when an environment is reset, when its goal changes, and how a step ends.
+"""The rules of the ARL formalism: when an environment is reset, when its goal changes, how a step ends and what it counts.
 
 Source: Sharma et al. 2022, section 4. docs/formalism.md has the equations.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,14 @@ from earl_jax.envs import Env, State
 from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError, brief
+from earl_jax.metrics.continuing import Counters
+from earl_jax.metrics.deployed import deployed
+from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.options.schedule import Schedule
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, EPISODES, check_intervals, within
+
+EVALUATION_KEY = 2
+"""Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
 
 
 class Rules(NamedTuple):
@@ -104,6 +112,24 @@ def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) ->
     return tree_where(reset, env.intervene(key, env_state), env_state)
 
 
+def count_step(
+    counters: Counters, env: Env, env_state: State, attempt: Attempt, end: StepEnd, earned: jax.Array, step: jax.Array
+) -> Counters:
+    """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
+
+    `earned []` is its reward for the task goal, which does not count after a fault.
+    """
+    phase_ended = end.phase_ended & attempt.ends_on_success
+    phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, phase_ended, end.reached, step)
+    return counters.replace(
+        window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
+        interventions=counters.interventions + end.env_reset,
+        faults=counters.faults + end.fault,
+        reached=counters.reached + (end.reached & attempt.is_task),
+        phases=phases,
+    )
+
+
 def _every(step: jax.Array, period: jax.Array) -> jax.Array:
     return (period > 0) & (step % jnp.maximum(period, 1) == 0)
 
@@ -112,20 +138,19 @@ def _every(step: jax.Array, period: jax.Array) -> jax.Array:
 class Protocol:
     """The protocol of a lifetime: interventions, goal changes, and evaluations of the greedy policy from s0 ~ rho."""
 
-    train_horizon: int
+    train_horizon: int = dataclasses.field(metadata=within(COUNT_OR_NEVER))
     """H_T: steps between hard interventions, which reset the environment to s0 ~ rho; 0 for never."""
-    eval_horizon: int
+    eval_horizon: int = dataclasses.field(metadata=within(COUNT))
     """H_E: steps of an evaluation episode."""
-    eval_every: int = Schedule.eval_every
+    eval_every: int = dataclasses.field(default=Schedule.eval_every, metadata=within(COUNT))
     """Training steps between deployed evaluations."""
-    eval_episodes: int = Schedule.eval_episodes
+    eval_episodes: int = dataclasses.field(default=Schedule.eval_episodes, metadata=within(EPISODES))
     """Episodes of one deployed evaluation."""
-    intervention_chance: float = 0.0
+    intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
     """epsilon: probability of a hard intervention after a step, p~ = (1 - epsilon) p + epsilon rho."""
-    goal_change: int = 0
+    goal_change: int = dataclasses.field(default=0, metadata=within(COUNT_OR_NEVER))
     """Steps between goal changes in the continuing setting; 0 if every new attempt draws its goal from p_g."""
-
-    alive_steps: int = 2_000
+    alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
     """Steps within which a lane that is alive reaches the goals of its phases."""
     eval_pairs: str = EVAL_PAIRS[0]
     """How evaluations draw pairs of start and task goal: each at `random`, or `balanced`, every pair equally often."""
@@ -133,14 +158,7 @@ class Protocol:
     def __post_init__(self):
         if self.eval_pairs not in EVAL_PAIRS:
             raise InputError(f"eval_pairs must be one of {', '.join(EVAL_PAIRS)}, not {brief(self.eval_pairs)}")
-        for field in ("eval_horizon", "eval_every", "eval_episodes", "alive_steps"):
-            if getattr(self, field) < 1:
-                raise InputError(f"{field} must be at least 1, not {getattr(self, field)}")
-        for field in ("train_horizon", "goal_change"):
-            if getattr(self, field) < 0:
-                raise InputError(f"{field} must be at least 1, or 0 for never, not {getattr(self, field)}")
-        if not 0 <= self.intervention_chance <= 1:
-            raise InputError(f"intervention_chance must lie in [0, 1], not {self.intervention_chance}")
+        check_intervals("protocol", self)
 
     @property
     def rules(self) -> Rules:
@@ -150,3 +168,8 @@ class Protocol:
             chance=np.float32(self.intervention_chance),
             goal_change=np.int32(self.goal_change),
         )
+
+    def deployed(self, task: Env, policy: Callable[[jax.Array], jax.Array], key: jax.Array) -> dict[str, jax.Array]:
+        """Return the deployed evaluation of `policy(obs) -> action` in `task`, from the `key []` of a lane."""
+        key, wide = jax.random.fold_in(key, EVALUATION_KEY), task.starts.wide
+        return deployed(task, policy, key, self.eval_horizon, self.eval_episodes, wide=wide, pairs=self.eval_pairs)

@@ -43,7 +43,7 @@ class Setting:
     """Threshold on the last action component above which the agent requests help, with a budget."""
     absorbed_reward: float = _as_in_help_budget("absorbed_reward")
     """Reward of every step after the budget is spent."""
-    alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
+    alive_steps: int = dataclasses.field(default=Protocol.alive_steps, metadata=within(COUNT))
     """Steps within which a lane that is alive reaches the goals of its phases, for the metric `continuing/alive`."""
     eval_pairs: str = Protocol.eval_pairs
     """How deployed evaluations draw pairs of start and task goal: each at `random` (released), or `balanced`, every pair

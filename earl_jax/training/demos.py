@@ -31,8 +31,11 @@ class DemoRows(NamedTuple):
         return np.repeat(self.rows[own], self.copies[own])
 
 
-def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
-    """Return the demonstrations in the initial replay of `method`, or None if the task has none of its directions.
+NO_ROWS = DemoRows(*np.zeros((len(DemoRows._fields), 0), int))
+
+
+def demo_rows(problem: Problem, method: Method) -> DemoRows:
+    """Return the demonstrations in the initial replay of `method`, without a row if the task has none of its directions.
 
     Raises:
         ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
@@ -41,7 +44,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
     if not env.demonstrations.recorded:
         if method.needs_demos:
             raise InputError(f"{method.name} needs demonstrations, and {env.name} has none")
-        return None
+        return NO_ROWS
     if method.needs_demos and env.state_size != env.goal_size:
         raise InputError(
             f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
@@ -62,7 +65,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows | None:
         all_states.append(states)
         first += len(states)
     if not parts:
-        return None
+        return NO_ROWS
     fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
     return DemoRows(np.concatenate(all_states), *fields)
 
@@ -81,7 +84,7 @@ def _uses(method: Method) -> list[tuple[int, PhaseDemos]]:
 def demo_steps(problem: Problem, method: Method) -> DemoSteps | None:
     """Return the demonstrated steps of `method`, once for each controller, or None. Errors as `demo_rows`."""
     demos = demo_rows(problem, method)
-    if demos is None:
+    if not len(demos.rows):
         return None
     obs = np.concatenate([demos.states[demos.rows], problem.goals.table[demos.goals]], axis=-1)
     return DemoSteps(obs, demos.actions, demos.controllers)

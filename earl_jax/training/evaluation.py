@@ -16,7 +16,6 @@ from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
-from earl_jax.protocol.life import EVALUATION_KEY
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.forks import require_jax
 from earl_jax.training.loading import load_policies
@@ -34,30 +33,21 @@ def _evaluate_lane(
     problem: Problem, method: Method, lane: LaneState, step: jax.Array
 ) -> tuple[LaneState, dict[str, jax.Array]]:
     protocol, metrics = problem.protocol, deployed_lane(problem, method, lane, step)
-    window, steps = jnp.asarray(protocol.eval_every, jnp.float32), step.astype(jnp.float32)
-    counters, continuing_metrics = continuing(lane.counters, lane.env_state, steps, window)
-    phases, of_phases = phase_metrics(
-        counters.phases, step, protocol.alive_steps, len(method.phases), problem.env.sparse
-    )
-    metrics |= {**continuing_metrics, **of_phases, **counters.diagnostics}
+    counters, of_life = continuing(lane.counters, lane.env_state, step, protocol.eval_every)
+    count, sparse = len(method.phases), problem.env.sparse
+    phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, count, sparse)
+    metrics |= {**of_life, **of_phases, **counters.diagnostics}
     own = getattr(lane.method_state, "metrics", {})
     metrics |= {f"{method.name}/{name}": value for name, value in own.items()}
-    metrics[DIVERGED] = has_diverged(lane).astype(jnp.int32)
+    finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
+    metrics[DIVERGED] = (~finite).astype(jnp.int32)
     return lane.replace(counters=counters.replace(phases=phases)), metrics
-
-
-def has_diverged(lane: LaneState) -> jax.Array:
-    """Return whether a parameter or a loss of the learner in `lane` is not finite, bool []."""
-    return ~all_finite((lane.agent, lane.method_state, lane.counters.diagnostics))
 
 
 def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
     """Return the deployed evaluation of one lane's task controller after `step` steps, in the task without help."""
-    env, protocol = without_budget(problem.env), problem.protocol
-    key = jax.random.fold_in(jax.random.fold_in(lane.key, step), EVALUATION_KEY)
     policy = Policy.of(problem.env, method, lane)
-    episodes, wide, pairs = protocol.eval_episodes, env.starts.wide, protocol.eval_pairs
-    return deployed(env, policy, key, protocol.eval_horizon, episodes, wide=wide, pairs=pairs)
+    return problem.protocol.deployed(without_budget(problem.env), policy, jax.random.fold_in(lane.key, step))
 
 
 @package_types()

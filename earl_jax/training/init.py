@@ -12,7 +12,7 @@ from earl_jax.algos.method import TASK, Method, controller_count
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
-from earl_jax.training.demos import DemoRows, demo_rows, demo_steps
+from earl_jax.training.demos import demo_rows, demo_steps
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
@@ -74,41 +74,40 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
     """
     demos, most = demo_rows(problem, method), method.learner.replay_capacity
     if most is not None:
-        return min(steps, most) + 1 + (0 if demos is None else len(demos.states))
-    return steps + (0 if demos is None else max(len(demos.states), int(demos.copies.sum())))
+        return min(steps, most) + 1 + len(demos.states)
+    return steps + max(len(demos.states), int(demos.copies.sum()))
 
 
-def sample_capacity(method: Method, demos: DemoRows | None, capacity: int) -> int:
-    """Return the length of the lists of a replay with `capacity` rows, in which each controller can own all of them."""
-    if method.learner.replay_capacity is None:
-        return capacity
-    states, copies = (0, 0) if demos is None else (len(demos.states), int(demos.copies.sum()))
-    return copies + controller_count(method) * (capacity - states - 1)
+def empty_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
+    """Return the replay of `lanes` lanes with `capacity` rows, all of them free.
+
+    If it evicts transitions, its lists have a place for each row of each controller.
+    """
+    env, slots = problem.env, None
+    if method.learner.replay_capacity is not None:
+        demos = demo_rows(problem, method)
+        slots = int(demos.copies.sum()) + controller_count(method) * (capacity - len(demos.states) - 1)
+    return replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
 
 
 def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
     """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    slots = None if method.learner.replay_capacity is None else sample_capacity(method, demos, capacity)
-    replay = replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
-    if demos is None:
+    replay = empty_replay(problem, method, lanes, capacity)
+    if not len(demos.rows):
         return replay
     replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
     reached = env.success(obs) & env.sparse
-    unset = jnp.zeros_like(reached)
-    words = replay_lib.pack(
-        TransitionFlags(
-            goal=jnp.asarray(demos.goals), reached=reached, timeout=unset, no_successor=unset, absorbed=unset
-        )
-    )
+    goal, no = jnp.asarray(demos.goals), jnp.zeros_like(reached)
+    flags = TransitionFlags(goal=goal, reached=reached, timeout=no, no_successor=no, absorbed=no)
     first, second = demos.sampleable(0), demos.sampleable(1)
     index = replay.index.at[: len(first)].set(first[:, None])
     index = index.at[len(index) - len(second) :].set(second[::-1, None])
     return replay.replace(
         state=replay.state.at[: len(demos.states)].set(demos.states[:, None]),
         action=replay.action.at[demos.rows].set(demos.actions[:, None]),
-        flags=replay.flags.at[demos.rows].set(words[:, None]),
+        flags=replay.flags.at[demos.rows].set(replay_lib.pack(flags)[:, None]),
         reward=replay.reward if env.sparse else replay.reward.at[demos.rows].set(env.reward(obs)[:, None]),
         index=index,
         counts=jnp.broadcast_to(jnp.array([len(first), len(second)], jnp.int32), (lanes, 2)),

@@ -18,10 +18,8 @@ from earl_jax.algos.learner.replay import Transition, TransitionBatch, Transitio
 from earl_jax.algos.method import TASK, Method, Moment, controller_count, of_phase
 from earl_jax.envs import Map, State
 from earl_jax.envs.state import tree_where
-from earl_jax.metrics.continuing import count_step
-from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.physics import PendingStep
-from earl_jax.protocol import Attempt, StepEnd, advance_rules, reset_where
+from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.training.ordering import before_update, in_step_with_host, one_controller, read_before_write
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
 
@@ -39,7 +37,7 @@ def train_step(
     The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
     are drawn here if they are not given.
     """
-    lanes, step, first_row = state.lanes, state.step, state.replay.first_row
+    lanes, step = state.lanes, state.step
     controller = controller_of(method, lanes.phase)
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
     action, pending = act(method, lanes, keys.act)
@@ -47,7 +45,8 @@ def train_step(
         pending, lanes, keys = in_step_with_host(pending, lanes, keys)
         if batch is None:
             state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
-        update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, first_row, step))
+        batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
+        update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, step))
         lanes = update(method, lanes, keys, batch)
         pending, lanes = in_step_with_host(pending, lanes)
     finish = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=step))
@@ -83,15 +82,6 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     return state.replace(replay=replay), batch
 
 
-def sample_for_refresh(method: Method, state: TrainState) -> tuple[TrainState, TransitionBatch]:
-    """Return the state and `refresh_batch_size` transitions of each lane's last controller, its own, for `refresh`."""
-    keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
-    controller = controller_count(method) - 1
-    batch = replay_lib.sample_own(state.replay, keys, controller, method.refresh_batch_size)
-    replay, batch = read_before_write(state.replay, batch)
-    return state.replace(replay=replay), batch
-
-
 @jax.named_scope("update")
 def learn(
     problem: Problem,
@@ -100,16 +90,13 @@ def learn(
     keys: StepKeys,
     sampled: TransitionBatch,
     warmup: Warmup,
-    first_row: jax.Array,
     step: jax.Array,
 ) -> LaneState:
     """Return the lane after an update of the controller that acted, on `sampled` transitions [B].
 
-    Demonstrations are the rows before `first_row []`; `step []` counts from 0. In a `warmup` and after the end of the
-    lifetime, the agent stays as it is.
+    `step []` counts from 0. In a `warmup` and after the end of the lifetime, the agent stays as it is.
     """
     env, phase = problem.env, lane.phase
-    sampled = sampled._replace(demonstrated=sampled.row < first_row)
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     agent = _controller(lane.agent, controller)
@@ -118,11 +105,9 @@ def learn(
     if env.has_absorbing_state:
         ended = lane.env_state.done > 0
         agent, method_state = tree_where(ended, (lane.agent, lane.method_state), (agent, method_state))
-    learnt = agent, method_state, diagnostics
-    if warmup is not False:
-        learnt = tree_where(jnp.asarray(warmup), (lane.agent, lane.method_state, lane.counters.diagnostics), learnt)
-    counters = lane.counters.replace(diagnostics=learnt[2])
-    return lane.replace(agent=learnt[0], method_state=learnt[1], counters=counters)
+    counters = lane.counters.replace(diagnostics=diagnostics)
+    learnt = lane.replace(agent=agent, method_state=method_state, counters=counters)
+    return learnt if warmup is False else tree_where(jnp.asarray(warmup), lane, learnt)
 
 
 def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
@@ -157,13 +142,8 @@ def finish_step(
     env, table = problem.env, jnp.asarray(problem.goals.table)
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
-    end = _step_end(problem, method, lane, env_state, earned, keys, step)
-    is_task, has_goal = lane.phase == TASK, jnp.asarray(_ends_on_success(method, lane.phase), bool)
-    phases = advance_phase_stats(
-        lane.counters.phases, env, env_state, is_task, end.phase_ended & has_goal, end.reached, step + 1
-    )
-    counters = lane.counters.replace(phases=phases)
-    counters = count_step(counters, end.fault, end.env_reset, end.reached & is_task, earned)
+    attempt = _attempt(problem, method, lane, earned, keys.reset, step)
+    end = advance_rules(lane.rules, env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
     phase = jnp.where(end.phase_ended, (lane.phase + 1) % len(method.phases), lane.phase)
     phase = jnp.where(end.task_restarts, TASK, phase)
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)
@@ -174,31 +154,25 @@ def finish_step(
         phase=phase,
         phase_step=jnp.where(end.phase_ended, 0, lane.phase_step + 1),
         goal_indices=goal_indices,
-        counters=counters,
+        counters=count_step(lane.counters, env, env_state, attempt, end, earned, step + 1),
         visits=_count_visit(env.map, lane.visits, env_state.obs) if env.map and lane.visits is not None else None,
     )
     return moved, transition, _is_sampleable(method, lane, end)
 
 
-def _step_end(
-    problem: Problem,
-    method: Method,
-    lane: LaneState,
-    env_state: State,
-    earned: jax.Array,
-    keys: StepKeys,
-    step: jax.Array,
-) -> StepEnd:
-    key, agent = jax.random.fold_in(keys.reset, 2), _controller(lane.agent, controller_of(method, lane.phase))
-    obs, moment = lane.env_state.obs, _moment(lane, step)
-    attempt = Attempt(
+def _attempt(
+    problem: Problem, method: Method, lane: LaneState, earned: jax.Array, key: jax.Array, step: jax.Array
+) -> Attempt:
+    """Return the attempt that a step belongs to, which `earned []` the reward of the task goal."""
+    agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
+    key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
+    return Attempt(
         is_task=lane.phase == TASK,
         expires=method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state),
-        ends_on_success=_ends_on_success(method, lane.phase),
+        ends_on_success=of_phase([phase.ends_on_success for phase in method.phases], lane.phase),
         reset_at_end=of_phase([phase.resets for phase in method.phases], lane.phase),
         invalid_reward=~jnp.isfinite(earned),
     )
-    return advance_rules(lane.rules, problem.env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
 
 
 def _transition(
@@ -256,10 +230,6 @@ def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:
     return Moment(step, lane.phase, lane.phase_step, lane.key)
-
-
-def _ends_on_success(method: Method, phase: jax.Array) -> jax.Array | bool:
-    return of_phase([phase.ends_on_success for phase in method.phases], phase)
 
 
 def controller_of(method: Method, phase: jax.Array) -> jax.Array:

@@ -12,12 +12,10 @@ import jax
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
-from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
-from earl_jax.training.demos import demo_rows
-from earl_jax.training.init import init_train_state, replay_capacity, sample_capacity
+from earl_jax.training.init import empty_replay, init_train_state, replay_capacity
 from earl_jax.training.state import Problem, TrainState
 
 ACTIVATIONS = 1.5
@@ -57,10 +55,8 @@ class MemoryEstimate:
 
 def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
     """Return the bytes of one lane's replay for `steps` steps."""
-    env, rows = problem.env, replay_capacity(problem, method, steps)
-    more_slots = sample_capacity(method, demo_rows(problem, method), rows) - rows
-    size = replay_lib.bytes_per_transition(env.state_size, env.action_size, env.sparse)
-    return rows * size + more_slots * replay_lib.SLOT_BYTES
+    capacity = replay_capacity(problem, method, steps)
+    return _bytes(jax.eval_shape(functools.partial(empty_replay, problem, method, 1, capacity)))
 
 
 def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:

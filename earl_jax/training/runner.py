@@ -187,16 +187,12 @@ def _train_to_end(
         if step > previous == start:
             _record_length(plan, runs)
         if step > previous and step % plan.problem.protocol.eval_every == 0:
-            with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
-                state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
-                metrics = gathered(metrics)
-            save_policies_of(runs, state, step)
-            _record(runs, step, metrics, bar)
+            state = _evaluate_runs(plan, method, runs, state, step, bar)
             stop.check_time()
         stopping = stop.requested and step < plan.steps
-        if step:
-            due = [stopping or run.config.checkpoint_due(step) for run in runs]
-            _save_checkpoints(runs, state, due)
+        for run, span in zip(runs, _lane_spans(runs), strict=True):
+            if run.folder and step and (stopping or run.config.checkpoint_due(step)):
+                save(run.folder.checkpoints, state, span)
         if stopping and stop.number is not None:
             raise Stopped(stop.number, step, [run.folder.path for run in runs if run.folder])
         if stopping:
@@ -230,18 +226,18 @@ def _train_to_evaluation(
     return state
 
 
-def _save_checkpoints(runs: Sequence[Run], state: TrainState, due: Sequence[bool]) -> None:
-    """Save the lanes of each run that has a folder and is `due`."""
-    for run, span, is_due in zip(runs, _lane_spans(runs), due, strict=True):
-        if run.folder and is_due:
-            save(run.folder.checkpoints, state, span)
-
-
-def _record(runs: Sequence[Run], step: int, metrics: dict[str, np.ndarray], bar: Progress) -> None:
-    """Add `metrics [N]` of all lanes to the runs that they belong to."""
+def _evaluate_runs(
+    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress
+) -> TrainState:
+    """Return the state after the evaluation at `step`, of which each run keeps its policies and its metrics."""
+    with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
+        state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
+        metrics = gathered(metrics)
+    save_policies_of(runs, state, step)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         run.add(step, {name: values[span] for name, values in metrics.items()})
     bar.report(step, metrics)
+    return state
 
 
 def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:

@@ -5,10 +5,12 @@ import math
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.method import Method
+from earl_jax.algos.learner.replay import TransitionBatch, sample_own
+from earl_jax.algos.method import Method, controller_count
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
-from earl_jax.training.loop import sample, sample_for_refresh, train_step
+from earl_jax.training.loop import sample, train_step
+from earl_jax.training.ordering import read_before_write
 from earl_jax.training.state import Problem, TrainState, Warmup, step_keys
 
 
@@ -19,6 +21,8 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
     of every block. A block has `refresh_every` steps, counted from the call, or their greatest common divisor with
     `steps` if that is smaller.
     """
+    if method.refresh_every == 0 or warmup is True:
+        return _run_block(problem, method, state, steps, warmup)
     block = math.gcd(method.refresh_every, steps)
 
     def refreshed_block(carry, _):
@@ -29,8 +33,6 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
             refreshed = refreshed.replace(lanes=lanes.replace(method_state=kept))
         return _run_block(problem, method, refreshed, block, warmup), None
 
-    if method.refresh_every == 0 or warmup is True:
-        return _run_block(problem, method, state, steps, warmup)
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
 
 
@@ -71,7 +73,7 @@ def host_simulates(problem: Problem, state: TrainState) -> bool:
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
     """Return the lanes with their method's state refreshed from the agent and rows of its own."""
-    state, batch = sample_for_refresh(method, state) if method.refresh_batch_size else (state, None)
+    state, batch = _sample_for_refresh(method, state) if method.refresh_batch_size else (state, None)
 
     def refresh_lane(m, lane, batch):
         key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
@@ -79,3 +81,12 @@ def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
 
     refreshed = jax.vmap(refresh_lane)(method, state.lanes, batch)
     return state.replace(lanes=state.lanes.replace(method_state=refreshed))
+
+
+def _sample_for_refresh(method: Method, state: TrainState) -> tuple[TrainState, TransitionBatch]:
+    """Return the state and `refresh_batch_size` transitions of each lane's last controller, its own, for `refresh`."""
+    keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
+    controller = controller_count(method) - 1
+    batch = sample_own(state.replay, keys, controller, method.refresh_batch_size)
+    replay, batch = read_before_write(state.replay, batch)
+    return state.replace(replay=replay), batch

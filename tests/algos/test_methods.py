@@ -139,15 +139,6 @@ def test_fbrl_has_phases_of_a_fixed_length_or_one_controller_on_request(problem)
         make_algo("fbrl", controllers=3)
 
 
-def test_fbrl_gives_each_controller_its_own_demonstrations(problem):
-    demos = demo_rows(problem, make_algo("fbrl"))
-    goals = problem.goals.table[demos.goals]
-    assert (goals[demos.controllers == 1] == problem.env.initial_states[0]).all()
-    assert len(demos.sampleable(0)) == len(assets.demos(problem.env.name, "forward").ends)
-    assert len(demos.sampleable(1)) == len(assets.demos(problem.env.name, "backward").ends)
-    assert not demo_rows(problem, make_algo("r3l")).sampleable(1).size
-
-
 def test_rnd_reward_and_scale_are_the_released_formulas(env):
     method, goals = make_algo("r3l"), goal_table(env)
     state = jax.jit(lambda key: method.init(key, env, goals))(KEYS[0]).replace(sigma=jnp.asarray(0.5))

@@ -97,8 +97,8 @@ def test_reset_where_selects_the_state_after_an_intervention():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"eval_every": 0}, "eval_every must be at least 1, not 0"),
-        ({"train_horizon": -1}, "train_horizon must be at least 1, or 0 for never, not -1"),
+        ({"eval_every": 0}, r"protocol: eval_every must lie in \[1, 2147483647\], not 0"),
+        ({"train_horizon": -1}, r"train_horizon must lie in \[0, 2147483647\], not -1"),
         ({"intervention_chance": 1.5}, r"intervention_chance must lie in \[0, 1\], not 1.5"),
     ],
 )

@@ -60,18 +60,23 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
 
 
-OWNERS = {"naive": {0}, "oracle": {0}, "r3l": {0}, "vaprl": {0}, "bc": {0}, "fbrl": {0, 1}, "medal": {0, 1}}
-"""The controllers that have demonstrations."""
+DIRECTIONS = {
+    "naive": ("f",), "oracle": ("f",), "r3l": ("f", ""), "vaprl": ("fb",), "bc": ("fb",), "fbrl": ("f", "b"),
+    "medal": ("f", "fb"),
+}  # fmt: skip
+"""The demonstrations of each controller: forward, backward or both."""
 
 
-@pytest.mark.parametrize("algo", OWNERS)
-def test_with_all_demos_each_controller_with_demonstrations_has_both_directions(problem, algo):
-    sizes = [len(assets.demos(problem.env.name, direction).states) for direction in ("forward", "backward")]
-    demos = demo_rows(problem, tiny_method(algo, all_demos=True))
-    assert set(demos.controllers.tolist()) == OWNERS[algo]
-    for controller in OWNERS[algo]:
-        backward = demos.goals[demos.controllers == controller] >= problem.goals.tasks
-        assert [int((~backward).sum()), int(backward.sum())] == sizes
+@pytest.mark.parametrize("all_demos", [False, True])
+@pytest.mark.parametrize("algo", DIRECTIONS)
+def test_a_controller_has_its_demonstrations_or_with_all_demos_those_of_both_directions(problem, algo, all_demos):
+    forward, backward = (len(assets.demos(problem.env.name, name).states) for name in assets.DIRECTIONS)
+    demos = demo_rows(problem, tiny_method(algo, all_demos=all_demos))
+    for controller, own in enumerate(DIRECTIONS[algo]):
+        directions = "fb" if own and all_demos else own
+        is_backward = demos.goals[demos.controllers == controller] >= problem.goals.tasks
+        expected = [forward * ("f" in directions), backward * ("b" in directions)]
+        assert [int((~is_backward).sum()), int(is_backward.sum())] == expected
 
 
 def test_the_program_of_the_first_state_does_not_contain_the_replay(problem):

@@ -1,6 +1,5 @@
 """The training step and its evaluations: deterministic, independent of the number of lanes, with correct phases and batches."""
 
-import dataclasses
 import functools
 
 import jax
@@ -13,10 +12,8 @@ from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
-from earl_jax.training.evaluation import deployed_lane
 from earl_jax.training.ordering import UNLIKELY, after
 from earl_jax.training.plan import per_lane
-from earl_jax.training.state import Problem
 from tests.conftest import (
     CHUNK,
     advance,
@@ -188,16 +185,6 @@ def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem
     again = evaluate(problem, method, after)[1]
     assert again["deployed/success"].tolist() == metrics["deployed/success"].tolist()
     assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
-
-
-def test_evaluations_of_one_policy_agree_with_balanced_pairs(problem):
-    env = dataclasses.replace(problem.env, reward_type="dense")
-    protocol = dataclasses.replace(problem.protocol, eval_horizon=2, eval_episodes=4, eval_pairs="balanced")
-    method = tiny_method("naive")
-    lanes = make_train_state(problem, method, [0, 1]).lanes
-    method, lane = take_lane(method, 0), take_lane(lanes, 0)
-    run = jax.jit(jax.vmap(lambda step: deployed_lane(Problem(env, protocol), method, lane, step)["deployed/return"]))
-    assert np.ptp(run(jnp.arange(6))) < 1e-5
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):

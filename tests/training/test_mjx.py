@@ -14,14 +14,7 @@ from earl_jax.algos import method_for
 from earl_jax.envs import chosen_engine, make
 from earl_jax.physics.engines import mjx
 from earl_jax.training import train
-from tests.conftest import (
-    assert_all_finite,
-    make_problem,
-    make_train_state,
-    run_whole,
-    tiny_method,
-    tiny_options,
-)
+from tests.conftest import assert_all_finite, make_problem, make_train_state, run_whole, tiny_method, tiny_options
 from tests.test_extending import PACKAGE
 
 STEPS = 16

@@ -1,7 +1,6 @@
 """Runs that go on from their folder."""
 
 import dataclasses
-import json
 import shutil
 
 import numpy as np
@@ -103,19 +102,17 @@ def test_unregistered_objects_train_as_registered_ones_do(whole):
     np.testing.assert_array_equal(whole.metrics["entropy"], expected.metrics["entropy"])
 
 
-def test_a_folder_names_the_classes_of_unregistered_objects(folder):
-    config = json.loads((folder / "config.json").read_text())
-    assert config["env_class"] == "tests.training.test_resume:Meadow"
-    assert config["algo_class"] == "tests.training.test_resume:Patient"
-
-
-def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(folder):
-    call = r"earl_jax\.register_env\('meadow', Meadow\), or pass the object: earl_jax\.resume\(folder, env=\.\.\.\)"
-    with pytest.raises(ValueError, match=call):
-        earl_jax.resume(folder)
-    call = r"earl_jax\.register_algo\('patient', Patient\), or pass the object: earl_jax\.resume\(folder, algo=\.\.\.\)"
-    with pytest.raises(ValueError, match=call):
-        earl_jax.resume(folder, env=Meadow())
+@pytest.mark.parametrize(
+    ("given", "kind", "name", "cls"),
+    [({}, "env", "meadow", "Meadow"), ({"env": Meadow()}, "algo", "patient", "Patient")],
+)
+def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(folder, given, kind, name, cls):
+    message = (
+        rf"as an object of tests\.training\.test_resume:{cls}, .* earl_jax\.register_{kind}\('{name}', {cls}\), "
+        rf"or pass the object: earl_jax\.resume\(folder, {kind}=\.\.\.\)"
+    )
+    with pytest.raises(ValueError, match=message):
+        earl_jax.resume(folder, **given)
 
 
 def test_resuming_with_the_objects_ends_bit_identical(folder, whole):

@@ -15,8 +15,6 @@ from earl_jax.training.stopping import Stopped, StopRequest
 from tests.conftest import tiny_train
 
 HANDLERS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
-PLACES = {"after_random_steps": 1, "within_an_interval": 3, "before_an_evaluation": 4}
-"""Chunks of 20 steps, with evaluations every 40 steps, after which the signal arrives."""
 
 
 @pytest.fixture(autouse=True)
@@ -35,8 +33,13 @@ def whole(tmp_path_factory):
     return folder
 
 
+def assert_same_files(folder, whole):
+    for name in ("metrics.csv", "policies.npz"):
+        assert (folder / name).read_bytes() == (whole / name).read_bytes()
+
+
 def call_after(monkeypatch, chunks, action):
-    """Call `action` once, after `chunks` chunks."""
+    """Call `action` once, after `chunks` chunks of 20 steps; an evaluation follows every second one."""
     advance, calls = Progress.advance, []
 
     def advance_and_call(self, steps, seconds):
@@ -48,41 +51,32 @@ def call_after(monkeypatch, chunks, action):
     monkeypatch.setattr(Progress, "advance", advance_and_call)
 
 
-def send_after(monkeypatch, chunks, number):
-    """Send the signal `number` to this process once, after `chunks` chunks."""
-    call_after(monkeypatch, chunks, lambda: os.kill(os.getpid(), number))
-
-
-def let_an_hour_pass_after(monkeypatch, chunks):
-    """Put the clock forward by an hour once, after `chunks` chunks."""
-    call_after(monkeypatch, chunks, lambda: put_clock_forward(monkeypatch))
-
-
 def put_clock_forward(monkeypatch):
+    """Let an hour pass at once."""
     later = time.monotonic() + 3600
     monkeypatch.setattr(time, "monotonic", lambda: later)
 
 
-@pytest.mark.parametrize("number", HANDLERS)
-@pytest.mark.parametrize("place", PLACES)
-def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, number, place):
+@pytest.mark.parametrize(
+    ("number", "chunks", "code"), [(signal.SIGINT, 1, 130), (signal.SIGTERM, 3, 143), (signal.SIGHUP, 4, 129)]
+)
+def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, number, chunks, code):
+    """The signal arrives after the random steps, between two evaluations, and before an evaluation."""
     folder = tmp_path / "run"
-    send_after(monkeypatch, PLACES[place], number)
+    call_after(monkeypatch, chunks, lambda: os.kill(os.getpid(), number))
     with pytest.raises(Stopped, match=f"resume with: earl-jax resume {folder}") as stopped:
         tiny_train("vaprl", out=folder, checkpoint_every=40)
-    assert stopped.value.step == 20 * PLACES[place]
-    assert stopped.value.exit_code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}[number]
+    assert (stopped.value.step, stopped.value.exit_code) == (20 * chunks, code)
     assert (folder / f"checkpoints/{stopped.value.step:09d}").is_dir()
     assert {number: signal.getsignal(number) for number in HANDLERS} == HANDLERS
     resume(folder)
-    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-    assert (folder / "policies.npz").read_bytes() == (whole / "policies.npz").read_bytes()
+    assert_same_files(folder, whole)
 
 
 def test_a_signal_after_the_last_chunk_changes_nothing(whole, tmp_path, monkeypatch):
-    send_after(monkeypatch, 6, signal.SIGTERM)
+    call_after(monkeypatch, 6, lambda: os.kill(os.getpid(), signal.SIGTERM))
     tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40)
-    assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    assert_same_files(tmp_path / "run", whole)
 
 
 def test_a_second_signal_acts_at_once():
@@ -118,13 +112,12 @@ def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal
 def test_a_run_whose_minutes_run_out_continues_bit_identically(whole, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
-        let_an_hour_pass_after(patch, PLACES["within_an_interval"])
+        call_after(patch, 3, lambda: put_clock_forward(patch))
         result = tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=30)
     assert (result.step, result.finished, result.steps.tolist()) == (60, False, [40])
     assert (folder / "checkpoints/000000060").is_dir()
     assert resume(folder, minutes=30).finished
-    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-    assert (folder / "policies.npz").read_bytes() == (whole / "policies.npz").read_bytes()
+    assert_same_files(folder, whole)
 
 
 def test_every_command_trains_a_chunk_even_if_its_start_takes_all_of_its_minutes(whole, tmp_path):
@@ -134,7 +127,7 @@ def test_every_command_trains_a_chunk_even_if_its_start_takes_all_of_its_minutes
         steps.append(result.step)
         result = resume(folder, minutes=1e-9)
     assert steps == [20, 40, 60, 80, 100]
-    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    assert_same_files(folder, whole)
 
 
 def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monkeypatch):
@@ -149,14 +142,13 @@ def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monk
 
 
 def test_a_run_whose_minutes_run_out_in_its_last_chunk_is_as_without_a_limit(whole, tmp_path, monkeypatch):
-    let_an_hour_pass_after(monkeypatch, 6)
+    call_after(monkeypatch, 6, lambda: put_clock_forward(monkeypatch))
     assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).finished
-    for name in ("metrics.csv", "policies.npz"):
-        assert (tmp_path / "run" / name).read_bytes() == (whole / name).read_bytes()
+    assert_same_files(tmp_path / "run", whole)
 
 
 def test_a_run_without_a_folder_returns_what_it_has(monkeypatch):
-    let_an_hour_pass_after(monkeypatch, 3)
+    call_after(monkeypatch, 3, lambda: put_clock_forward(monkeypatch))
     result = tiny_train("vaprl", minutes=30)
     assert (result.step, result.finished, len(result.scores.final)) == (60, False, 2)
     assert result.metrics["deployed/success"].shape == (2, 1)

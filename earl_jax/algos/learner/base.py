@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 from flax import struct
 
-from earl_jax.algos.learner.networks import check_precision
+from earl_jax.algos.learner.networks import PRECISIONS
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
 
@@ -90,7 +90,8 @@ class Learner(struct.PyTreeNode, abc.ABC):
     """Names of the scalars that `update` returns, columns of metrics.csv."""
 
     def __post_init__(self):
-        check_precision(self.precision)
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision {self.precision!r} is not one of {', '.join(PRECISIONS)}")
 
     @abc.abstractmethod
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Any:

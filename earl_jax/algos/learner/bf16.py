@@ -17,8 +17,10 @@ Saved = tuple[list[jax.Array], list[jax.Array]]
 
 def apply(network: Any, layers: Any, x: jax.Array) -> jax.Array:
     """Return the float32 outputs [B, O] of an `MLP` with the parameters `layers` at `x [B, K]`."""
-    fused = len(network.layer_sizes) > 1 and not network.layer_norm
-    return (_apply_plain if fused else _apply_normalised)(network, layers, x)
+    if len(network.layer_sizes) == 1 or network.layer_norm:
+        return _apply_normalised(network, layers, x)
+    names = [f"hidden_{number}" for number in range(len(network.layer_sizes))]
+    return _perceptron(tuple((layers[name]["kernel"], layers[name]["bias"]) for name in names), x)
 
 
 def _dot(a: jax.Array, b: jax.Array, over: tuple[int, int] = (1, 0), dtype: Any = jnp.bfloat16) -> jax.Array:
@@ -27,11 +29,6 @@ def _dot(a: jax.Array, b: jax.Array, over: tuple[int, int] = (1, 0), dtype: Any 
         a, b = a.astype(jnp.float32), b.astype(jnp.float32)
     out = jax.lax.dot_general(a, b, (((over[0],), (over[1],)), ((), ())), preferred_element_type=dtype)
     return out.astype(dtype)
-
-
-def _apply_plain(network: Any, layers: Any, x: jax.Array) -> jax.Array:
-    names = [f"hidden_{number}" for number in range(len(network.layer_sizes))]
-    return _perceptron(tuple((layers[name]["kernel"], layers[name]["bias"]) for name in names), x)
 
 
 @jax.custom_vjp

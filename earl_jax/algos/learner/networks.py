@@ -13,7 +13,6 @@ import optax
 from flax import linen
 
 from earl_jax.algos.learner import bf16
-from earl_jax.errors import InputError
 
 LOG_STD_RANGE = (-20.0, 2.0)
 PRECISIONS = ("float32", "tf32", "bf16")
@@ -120,9 +119,3 @@ def fix_log_std(params: Any, value: float) -> Any:
     fixed = {"kernel": 0.0, "bias": value}
     layers[last] = {name: leaf.at[..., size:].set(fixed[name]) for name, leaf in layers[last].items()}
     return {"params": layers}
-
-
-def check_precision(precision: str) -> None:
-    """Raise a ValueError if `precision` is not one of `PRECISIONS`."""
-    if precision not in PRECISIONS:
-        raise InputError(f"precision {precision!r} is not one of {', '.join(PRECISIONS)}")

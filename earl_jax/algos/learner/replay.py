@@ -18,8 +18,6 @@ import jax.numpy as jnp
 from flax import struct
 
 GOAL_BITS = 16
-SLOT_BYTES = 4
-"""Bytes of a place in a list."""
 REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED = (1 << (GOAL_BITS + bit) for bit in range(4))
 
 
@@ -106,11 +104,6 @@ class Replay(struct.PyTreeNode):
             in_ring = demos + (self.oldest[lane, controller] + number - demos) % size
             number = jnp.where(number < demos, number, in_ring)
         return jnp.where(controller == 0, number, len(self.index) - 1 - number)
-
-
-def bytes_per_transition(state_size: int, action_size: int, sparse: bool) -> int:
-    """Return the size of one transition of one lane in bytes, with one place in a list."""
-    return 4 * (state_size + action_size + 2 + (not sparse))
 
 
 def create(

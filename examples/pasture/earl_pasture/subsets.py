@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.goals import GoalIndices, Goals, rescored
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import BACKWARD, RETURN, Method, Phase
 from earl_jax.envs import Env
@@ -44,11 +44,8 @@ class Subsets(Method):
         own_task = jnp.where(batch.flags.goal < goals.tasks, batch.flags.goal, task)
         goal = jnp.where(nearest >= goals.tasks, own_task, home)
         goal = jnp.where(batch.flags.no_successor, batch.flags.goal, goal)
-        obs = jnp.concatenate([batch.next_state, table[goal]], axis=-1)
-        kept = goal == batch.flags.goal
-        reached = jnp.where(kept, batch.flags.reached, env.success(obs) & env.sparse)
-        reward = jnp.where(kept, batch.reward, env.reward(obs))
-        return batch._replace(reward=reward, flags=batch.flags._replace(goal=goal, reached=reached))
+        changed = goal != batch.flags.goal
+        return rescored(env, batch._replace(flags=batch.flags._replace(goal=goal)), table[goal], changed)
 
 
 def draw_goals(key: jax.Array, goals: Goals, shape: tuple[int, ...]) -> tuple[jax.Array, jax.Array]:

@@ -1,5 +1,7 @@
 """The problems that the tests of every learner share."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -33,3 +35,15 @@ def chain():
     obs = np.stack([is_second, ~is_second], axis=1).astype(np.float32)
     reward = np.where(is_second, go, 0.2 * ~go).astype(np.float32)
     return Batch(obs, action, reward, is_second | ~go, np.tile(np.float32([1.0, 0.0]), (2000, 1)))
+
+
+def learnt(learner, agent, transitions):
+    """Return `agent` after 3000 updates, each on 64 random ones of the `transitions`, in one program."""
+
+    def step(agent, number):
+        key = jax.random.fold_in(jax.random.key(9), number)
+        rows = jax.random.randint(key, (64,), 0, len(transitions.reward))
+        batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], transitions)._replace(step=number)
+        return learner.update(key, agent, batch)[0], None
+
+    return jax.jit(lambda agent: jax.lax.scan(step, agent, jnp.arange(3000))[0])(agent)

@@ -22,11 +22,11 @@ write = jax.jit(replay.write)
 later_states = jax.jit(replay.later_states, static_argnums=3)
 
 
-def make_transition(step, lanes=2):
-    """Return a transition whose every field shows its step and lane."""
-    number = (np.arange(lanes) + 10.0 * step).astype(np.float32)
-    no = np.zeros(lanes, bool)
-    flags = TransitionFlags(np.full(lanes, step, np.int32), no, no, no, no)
+def make_transition(step):
+    """Return a transition of two lanes whose every field shows its step and lane."""
+    number = (np.arange(2) + 10.0 * step).astype(np.float32)
+    no = np.zeros(2, bool)
+    flags = TransitionFlags(np.full(2, step, np.int32), no, no, no, no)
     return Transition(action=number[:, None], next_state=number[:, None] + 1000, reward=number, flags=flags)
 
 

@@ -9,11 +9,11 @@ import pytest
 from scipy import stats
 
 from earl_jax.algos import make_algo
-from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.cloning import cloning_term, cloning_weight
 from earl_jax.algos.learner.networks import apply, mlp, mode, tanh_log_prob
 from earl_jax.algos.learner.sac import SAC
-from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE
+from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE, learnt
+from tests.conftest import assert_equal_trees
 
 SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 
@@ -21,13 +21,6 @@ SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 # Each is one program; called eagerly, every operation would be one.
 init = jax.jit(SAC.init, static_argnames=("obs_size", "action_size", "entropy_free_pairs"))
 q_values = jax.jit(SAC.q_values)
-
-
-def make_batch(size=64):
-    rng = np.random.default_rng(0)
-    obs, next_obs = rng.normal(size=(2, size, 4)).astype(np.float32)
-    action, reward = rng.uniform(-1, 1, (size, 2)).astype(np.float32), rng.normal(size=size).astype(np.float32)
-    return Batch(obs, action, reward, np.zeros(size, bool), next_obs)
 
 
 def test_tanh_normal_has_the_paper_s_density():
@@ -56,22 +49,22 @@ def relative_errors(actual, exact):
     ]
 
 
-def test_an_update_in_bf16_differs_from_float32_only_by_rounding():
+def test_an_update_in_bf16_differs_from_float32_only_by_rounding(batch):
     agent, after = init(SMALL, jax.random.key(0), 4, 2, entropy_free_pairs=1), []
     for precision in ("bf16", "float32"):
         update = jax.jit(SMALL.replace(precision=precision).update)
-        after.append(update(jax.random.key(1), agent, make_batch())[0])
+        after.append(update(jax.random.key(1), agent, batch)[0])
     for network in ("critics", "actor"):
         coarse, exact = (state.moments[network].mu for state in after)
         assert 0 < max(relative_errors(coarse, exact)) < 0.15
     assert {leaf.dtype for leaf in jax.tree.leaves(after[0])} <= {jnp.dtype("float32"), jnp.dtype("int32")}
 
 
-def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not():
+def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not(batch):
     agent, texts = init(SMALL, jax.random.key(0), 4, 2), {}
     for precision in ("float32", "tf32"):
         update = jax.jit(SMALL.replace(precision=precision).update)
-        texts[precision] = update.lower(jax.random.key(1), agent, make_batch()).as_text()
+        texts[precision] = update.lower(jax.random.key(1), agent, batch).as_text()
     products = [line for line in texts["float32"].splitlines() if "dot_general" in line]
     assert len(products) > 15
     assert all("HIGHEST" in line for line in products)
@@ -107,9 +100,9 @@ def test_an_unknown_precision_is_an_error_that_lists_the_choices():
             build()
 
 
-def test_an_update_moves_actor_targets_and_temperature():
+def test_an_update_moves_actor_targets_and_temperature(batch):
     agent = init(SMALL, jax.random.key(0), 4, 2)
-    after, diagnostics = jax.jit(SMALL.update)(jax.random.key(1), agent, make_batch())
+    after, diagnostics = jax.jit(SMALL.update)(jax.random.key(1), agent, batch)
     before, after = jax.device_get((agent, after))
     drift = jax.tree.map(
         lambda t, s, c: np.abs(t - (s + 0.005 * (c - s))).max(), after.targets, before.targets, after.critics
@@ -130,16 +123,7 @@ def test_a_fixed_temperature_stays():
 def test_sac_solves_a_chain_of_known_value(chain):
     """The entropy-free pair must learn the true values."""
     sac = SMALL.replace(learning_rate=3e-3, initial_temperature=0.1, target_rate=0.02, discount=0.9)
-
-    @jax.jit
-    def learn(agent, keys):
-        def step(agent, key):
-            pick = jax.random.randint(key, (64,), 0, 2000)
-            return sac.update(key, agent, jax.tree.map(lambda leaf: jnp.asarray(leaf)[pick], chain))
-
-        return jax.lax.scan(step, agent, keys)[0]
-
-    agent = learn(init(sac, jax.random.key(0), 2, 1, entropy_free_pairs=1), jax.random.split(jax.random.key(9), 3000))
+    agent = learnt(sac, init(sac, jax.random.key(0), 2, 1, entropy_free_pairs=1), chain)
     best = jax.jit(lambda: sac.greedy(agent.actor, CHAIN_STATES))()
     assert (best > 0.1).all()
     for action, expected in ((best, [0.9, 1.0]), (-np.full((2, 1), 0.6, np.float32), [0.2, 0.0])):
@@ -200,8 +184,7 @@ def test_the_actor_climbs_the_minimum_of_two_and_the_mean_of_more_beside_the_clo
         return (0.3 * log_prob - value).mean() + 2.0 * cloning * errors.mean()
 
     grads = expected(agent.actor)
-    for moment, grad in zip(jax.tree.leaves(after.moments["actor"].mu), jax.tree.leaves(grads), strict=True):
-        np.testing.assert_allclose(10 * np.asarray(moment), grad, rtol=1e-3, atol=1e-5)
+    assert_equal_trees(jax.tree.map(lambda mean: 10 * mean, after.moments["actor"].mu), grads, rtol=1e-3, atol=1e-5)
 
 
 def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
@@ -224,9 +207,7 @@ def test_utd_updates_the_critics_on_each_batch_and_the_actor_once(batch):
     by_hand = agent
     for number in range(4):
         by_hand = update_critics(by_hand, float(number))
-    for field in ("critics", "targets"):
-        for actual, expected in zip(*[jax.tree.leaves(getattr(a, field)) for a in (after, by_hand)], strict=True):
-            np.testing.assert_allclose(actual, expected, atol=1e-6)
+    assert_equal_trees((after.critics, after.targets), (by_hand.critics, by_hand.targets), atol=1e-6)
 
 
 def test_the_averaged_actor_follows_the_actor_is_deployed_and_changes_no_learning(batch):
@@ -235,15 +216,14 @@ def test_the_averaged_actor_follows_the_actor_is_deployed_and_changes_no_learnin
     first, plain = init(averaging, jax.random.key(1), 4, SIZE), init(SHALLOW, jax.random.key(1), 4, SIZE)
     agent = first.replace(averaged=jax.tree.map(lambda leaf: leaf + 1.0, first.actor))
     after, without = update(averaging, key, agent, batch)[0], update(SHALLOW, key, plain, batch)[0]
-    for slow, old, new in zip(*map(jax.tree.leaves, (after.averaged, agent.averaged, after.actor)), strict=True):
-        np.testing.assert_allclose(slow, 0.75 * old + 0.25 * new, atol=1e-6)
+    expected = jax.tree.map(lambda old, new: 0.75 * old + 0.25 * new, agent.averaged, after.actor)
+    assert_equal_trees(after.averaged, expected, atol=1e-6)
     assert averaging.deployed(after) is after.averaged
     other = averaging.with_actor(after, agent.actor)
     assert other.actor is other.averaged is agent.actor
     assert without.averaged is None
     assert SHALLOW.deployed(without) is without.actor
-    for beside, alone in zip(*map(jax.tree.leaves, (after.actor, without.actor)), strict=True):
-        np.testing.assert_allclose(beside, alone, rtol=1e-6)
+    assert_equal_trees(after.actor, without.actor, rtol=1e-6)
 
 
 def test_without_demonstrated_rows_or_a_weight_there_is_no_cloning_term(batch):

@@ -8,8 +8,8 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.runs.config import method_options
-from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE
-from tests.conftest import CHUNK, advance, make_train_state, tiny_method, tiny_train
+from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE, learnt
+from tests.conftest import CHUNK, advance, assert_equal_trees, make_train_state, tiny_method, tiny_train
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
 init = jax.jit(SMALL.init, static_argnums=(1, 2))
@@ -66,14 +66,14 @@ def test_the_critics_learn_every_step_and_the_policy_and_all_targets_every_secon
 
     of_critics, of_actor = gradients(agent)
     for after, moments, grads in ((early, "critic_moments", of_critics), (late, "actor_moments", of_actor)):
-        for mean, grad in zip(*map(jax.tree.leaves, (getattr(after, moments).mu, grads)), strict=True):
-            np.testing.assert_allclose(10 * np.asarray(mean), grad, rtol=1e-3, atol=1e-5)
+        means = jax.tree.map(lambda mean: 10 * mean, getattr(after, moments).mu)
+        assert_equal_trees(means, grads, rtol=1e-3, atol=1e-5)
     for field in ("actor", "target_actor", "target_critics"):
         for old, kept, moved in zip(*(jax.tree.leaves(getattr(of, field)) for of in (agent, early, late)), strict=True):
             np.testing.assert_array_equal(old, kept)
             assert (np.asarray(moved) != old).any()
-    for slow, old, new in zip(*map(jax.tree.leaves, (late.target_actor, agent.target_actor, late.actor)), strict=True):
-        np.testing.assert_allclose(slow, old + 0.005 * (new - old), atol=1e-6)
+    expected = jax.tree.map(lambda old, new: old + 0.005 * (new - old), agent.target_actor, late.actor)
+    assert_equal_trees(late.target_actor, expected, atol=1e-6)
 
 
 def test_with_utd_the_critics_learn_from_each_batch_and_the_policy_once(agent, batch):
@@ -93,17 +93,7 @@ def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, ba
 
 def test_td3_solves_a_chain_of_known_value(chain):
     learner = TD3(hidden_sizes=(32, 32), reward_scale=1.0, learning_rate=3e-3, target_rate=0.02, discount=0.9)
-
-    @jax.jit
-    def learn(agent):
-        def step(agent, number):
-            key = jax.random.fold_in(jax.random.key(9), number)
-            rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jax.random.randint(key, (64,), 0, 2000)], chain)
-            return learner.update(key, agent, rows._replace(step=number))[0], None
-
-        return jax.lax.scan(step, agent, jnp.arange(3000))[0]
-
-    agent = learn(learner.init(jax.random.key(0), 2, 1))
+    agent = learnt(learner, learner.init(jax.random.key(0), 2, 1), chain)
     best = learner.greedy(agent.actor, CHAIN_STATES)
     assert (best > 0.1).all()
     np.testing.assert_allclose(learner.q_values(agent.critics, CHAIN_STATES, best).mean(axis=0), [0.9, 1.0], atol=0.1)
