@@ -163,7 +163,7 @@ def finish_step(
 def _attempt(
     problem: Problem, method: Method, lane: LaneState, earned: jax.Array, key: jax.Array, step: jax.Array
 ) -> Attempt:
-    """Return the attempt that a step belongs to, which `earned []` the reward of the task goal."""
+    """Return the attempt of a step whose reward for the task goal is `earned []`."""
     agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
     key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
     return Attempt(
