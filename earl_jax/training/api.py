@@ -160,7 +160,7 @@ def resume(
 
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
-    """Return the config of a run with `steps` steps; an InputError if it has more, by its metrics up to `step`."""
+    """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if it has more."""
     reached = max(step, newest(folder.checkpoints))
     if steps < reached:
         raise InputError(f"{folder.path} has {reached} steps already, more than {steps}")
@@ -168,7 +168,7 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
 
 
 def _require_checkpoint(folder: RunFolder, step: int) -> None:
-    """Raise an InputError if the checkpoints of a run with metrics up to `step` were removed: it would be trained again.
+    """Raise an InputError if the checkpoints of a run, whose metrics end at `step`, were removed: it would train again.
 
     A run that ended before its first checkpoint is trained again, and a `RunWarning` says so.
     """
