@@ -72,6 +72,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     """
     most = math.inf if max_lanes is None else max_lanes
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
+    lanes: dict[Hashable, int] = {}  # of the last group of each key
     for entry in planned:
         if entry.finished:
             continue
@@ -80,10 +81,12 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
-        groups = by_key.setdefault(entry.group_key(), [[]])
-        if sum(other.lanes for other in groups[-1]) + entry.lanes > most:
-            groups.append([])
-        groups[-1].append(entry)
+        key = entry.group_key()
+        if key not in by_key or lanes[key] + entry.lanes > most:
+            by_key.setdefault(key, []).append([])
+            lanes[key] = 0
+        by_key[key][-1].append(entry)
+        lanes[key] += entry.lanes
     return [group for groups in by_key.values() for group in groups]
 
 
