@@ -63,15 +63,21 @@ Minutes = Annotated[
     ),
 ]
 Logs = Annotated[
-    tuple[Literal["tensorboard", "wandb"], ...],
-    tyro.conf.arg(help="Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones."),
+    tuple[tuple[Literal["tensorboard", "wandb"], ...], ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(
+        metavar="{tensorboard,wandb} ...",
+        help="Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
+    ),
 ]
 Slurm = Annotated[
-    tuple[str, ...],
+    tuple[tuple[str, ...], ...],
+    tyro.conf.UseAppendAction,
     tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none."),
 ]
 Labels = Annotated[
-    tuple[str, ...],
+    tuple[tuple[str, ...], ...],
+    tyro.conf.UseAppendAction,
     tyro.conf.arg(
         help="Names of the lines, one for each, in the order in which they are shown. By default method and options."
     ),

@@ -1,5 +1,6 @@
 """Commands that inspect runs: evaluate, plot, table, best, compare."""
 
+import itertools
 from pathlib import Path
 from typing import Literal
 
@@ -61,7 +62,7 @@ def plot(
     from earl_jax.report.plots import caption, plot_runs
 
     with replacing(out):
-        plot_runs(folders, out, labels, metric, size, smooth, published)
+        plot_runs(folders, out, tuple(itertools.chain(*labels)), metric, size, smooth, published)
     print(f"{out}\n{caption(smooth, published)}")
 
 
@@ -83,7 +84,7 @@ def table(
     from earl_jax.metrics.scores import Window
     from earl_jax.report.tables import run_table, tabulate, terminal_width, write
 
-    rows = tabulate(folders, Window.of(last, window), metric, labels)
+    rows = tabulate(folders, Window.of(last, window), metric, tuple(itertools.chain(*labels)))
     if out:
         with replacing(out):
             write(rows, out)

@@ -1,5 +1,6 @@
 """The command that trains a grid of runs: sweep."""
 
+import itertools
 from pathlib import Path
 from typing import Literal
 
@@ -52,11 +53,11 @@ def sweep(
         out,
         launcher,
         max_lanes=max_lanes,
-        slurm=slurm,
+        slurm=tuple(itertools.chain(*slurm)),
         devices=devices,
         per_device=per_device,
         emit=lines.append if json else print_line,
-        logs=log,
+        logs=tuple(itertools.chain(*log)),
         minutes=limit,
     )
     if json:

@@ -102,7 +102,7 @@ def train(
         eval_episodes=schedule.eval_episodes,
         out=out,
         checkpoint_every=schedule.checkpoint_every,
-        logs=[*log, *_video_logs(videos)],
+        logs=[*itertools.chain(*log), *_video_logs(videos)],
         overwrite=overwrite,
         progress=True,
         devices=devices,

@@ -56,7 +56,10 @@ def note(file: str | Path, sha256: str | None = None) -> None:
 
 
 def run_noted() -> None:
-    """Run every noted file that has not run in this process, as a module, with its folder first on the path.
+    """Run every noted file that has not run in this process, as a module.
+
+    Meanwhile its folder is first on the path, so that it finds the modules beside it, and then last, so that these hide
+    no others.
 
     Raises:
         ValueError: a file has changed, registers nothing, or has the name of another module. Other errors in a file keep
@@ -74,13 +77,21 @@ def run_noted() -> None:
 
 
 def _run_once(path: Path, content: bytes) -> None:
-    name = re.sub(r"\W", "_", path.stem)
-    sys.path.insert(0, str(path.parent))
-    found = importlib.util.find_spec(name)
-    if found and Path(found.origin or "").resolve() != path:
-        raise InputError(f"{path} has the name of another module, {found.origin}; rename the file")
-    if name in sys.modules:
+    name, folder = re.sub(r"\W", "_", path.stem), str(path.parent)
+    if getattr(sys.modules.get(name), "__file__", None) == str(path):
         return
+    sys.path.insert(0, folder)
+    try:
+        found = importlib.util.find_spec(name)
+        if found and Path(found.origin or "").resolve() != path:
+            raise InputError(f"{path} has the name of another module, {found.origin}; rename the file")
+        _run(name, path, content)
+    finally:
+        sys.path.remove(folder)
+        sys.path.append(folder)
+
+
+def _run(name: str, path: Path, content: bytes) -> None:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     module = sys.modules[name] = importlib.util.module_from_spec(spec)

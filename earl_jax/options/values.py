@@ -140,7 +140,7 @@ def _fits(kind: Any, value: Any) -> bool:
         return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
     if _is_of_jax(value):
         return True
-    return kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool) and _is_finite(value)
+    return kind is float and _is_number(value)
 
 
 def value_text(value: Any) -> str:
@@ -165,9 +165,10 @@ def _is_of_jax(value: Any) -> bool:
     return hasattr(value, "dtype") and type(value).__module__ != "numpy"
 
 
-def _is_finite(value: Any) -> bool:
+def _is_number(value: Any) -> bool:
+    """Return whether `value` is a finite number."""
     try:
-        return math.isfinite(value)
+        return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:  # an int of hundreds of digits
         return False
 
@@ -190,13 +191,6 @@ def parse_whole(text: str) -> int:
     return int(f"{whole}{decimals.rstrip('0')}") * 10 ** (int(exponent) - len(decimals.rstrip("0")))
 
 
-def _is_positive(value: Any) -> bool:
-    try:
-        return isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < float("inf")
-    except OverflowError:  # an int of hundreds of digits
-        return False
-
-
 class TimeLimit(NamedTuple):
     """A limit of `minutes` that `ends_at` a time of the monotonic clock, which all processes of this machine share."""
 
@@ -212,7 +206,7 @@ class TimeLimit(NamedTuple):
         """
         if minutes is None or isinstance(minutes, cls):
             return minutes
-        if not _is_positive(minutes):
+        if not _is_number(minutes) or minutes <= 0:
             raise InputError(f"minutes must lie in (0, inf), not {brief(minutes)}")
         return cls(float(minutes), time.monotonic() + 60 * float(minutes))
 

@@ -79,7 +79,7 @@ class RunConfig:
         reserved = RESERVED & {*self.env_options, *self.options}
         if reserved:
             raise InputError(f"there is no option {min(reserved)!r}")
-        seed_list(self.seeds)
+        object.__setattr__(self, "seeds", seed_list(self.seeds))  # JSON has a list
         self.schedule.check()
         require_whole_windows(self.steps, self.eval_every)
 
@@ -103,10 +103,7 @@ class RunConfig:
             algo=method.name,
             options=method_options(method),
             seeds=seeds,
-            steps=schedule.steps,
-            eval_every=min(schedule.eval_every, schedule.steps),
-            eval_episodes=schedule.eval_episodes,
-            checkpoint_every=schedule.checkpoint_every,
+            **dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps))),
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),

@@ -133,17 +133,6 @@ class RunFolder:
             try_out(self.checkpoints)
             yield
 
-    def extended(self, steps: int) -> RunConfig:
-        """Return the config of this run with `steps` steps.
-
-        Raises:
-            ValueError: the run has more steps already.
-        """
-        reached = max(Table.read(self.metrics, self.config).step, newest(self.checkpoints))
-        if steps < reached:
-            raise InputError(f"{self.path} has {reached} steps already, more than {steps}")
-        return dataclasses.replace(self.config, steps=steps)
-
     def record(self, **values: Any) -> None:
         """Write entries of config.json, such as the physics engine that trains this run, unless they are there.
 
@@ -178,9 +167,13 @@ class RunFolder:
         step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
         return self._table(step, whole=True)
 
-    def require_resumable(self) -> None:
-        """Raise a ValueError if jax has other settings here, or, as `table`, if rows or columns up to the newest checkpoint
-        are damaged or missing. A `RunWarning` names the files of the run that have changed.
+    def require_resumable(self) -> Table:
+        """Return the table of metrics, whose rows and columns up to the newest checkpoint are intact.
+
+        A `RunWarning` names the files of the run that have changed.
+
+        Raises:
+            ValueError: jax has other settings here, or, as `table`, a row or a column is damaged or missing.
         """
         require_same_settings(self.config_file)
         self.config.warn_of_changes(self.path)
@@ -189,6 +182,7 @@ class RunFolder:
         missing = sorted(COLUMNS.difference(table.columns))
         if missing and table.step and step:
             raise self._damaged(table, f"it has no column {', '.join(missing)}")
+        return table
 
     def table_until(self, step: int) -> Table:
         """Drop the rows after `step`, which a resumed run writes again, and return the table of the remaining ones.

@@ -144,7 +144,7 @@ class Search:
                 folder = RunFolder.open(path)
                 steps = max(spec.schedule.steps, folder.config.steps)  # an equal trial may be longer
                 with folder.claimed():
-                    folder.record(steps=folder.extended(steps).steps)
+                    folder.record(steps=steps)
                 spec = _spec_to(steps, spec)
             configs[spec.name] = planned_run(spec, self.out).run.config
 

@@ -63,11 +63,6 @@ class PlannedRun:
         measured = config.schedule, protocol.alive_steps, protocol.eval_pairs
         return task, *measured, self.step, program_structure(self.run.method)
 
-    def replay_bytes(self) -> int:
-        """Return the bytes of the replay buffers of all lanes."""
-        problem = Problem(self.run.env, self.run.protocol)
-        return self.lanes * memory.replay_bytes(problem, self.run.method, self.run.config.steps)
-
 
 def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:
     """Return the unfinished runs of `planned` in groups of one program each, with at most `max_lanes` lanes if given.
@@ -77,6 +72,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     """
     most = math.inf if max_lanes is None else max_lanes
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
+    lanes: dict[Hashable, int] = {}  # of the last group of each key
     for entry in planned:
         if entry.finished:
             continue
@@ -85,10 +81,12 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
-        groups = by_key.setdefault(entry.group_key(), [[]])
-        if sum(other.lanes for other in groups[-1]) + entry.lanes > most:
-            groups.append([])
-        groups[-1].append(entry)
+        key = entry.group_key()
+        if key not in by_key or lanes[key] + entry.lanes > most:
+            by_key.setdefault(key, []).append([])
+            lanes[key] = 0
+        by_key[key][-1].append(entry)
+        lanes[key] += entry.lanes
     return [group for groups in by_key.values() for group in groups]
 
 
@@ -102,18 +100,22 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     check_local(out)
     out = out.resolve()
     planned = [planned_run(spec, out) for spec in grid.read(path)]
-    groups = [
-        {
-            "runs": {entry.name: dataclasses.asdict(entry.run.config) for entry in group},
-            "lanes": sum(entry.lanes for entry in group),
-            "step": group[0].step,
-            "steps": group[0].run.config.steps,
-            "replay_bytes": sum(entry.replay_bytes() for entry in group),
-        }
-        for group in program_groups(planned, max_lanes)
-    ]
+    groups = list(map(_described, program_groups(planned, max_lanes)))
     finished = [entry.name for entry in planned if entry.finished]
     return {"out": str(out), "imports": imports.records(), "finished": finished, "groups": groups}
+
+
+def _described(group: list[PlannedRun]) -> dict[str, Any]:
+    """Return a program group as JSON values; its runs have one task, schedule and structure of method, so one size of replay."""
+    first, lanes = group[0].run, sum(entry.lanes for entry in group)
+    replay = memory.replay_bytes(Problem(first.env, first.protocol), first.method, first.config.steps)
+    return {
+        "runs": {entry.name: dataclasses.asdict(entry.run.config) for entry in group},
+        "lanes": lanes,
+        "step": group[0].step,
+        "steps": first.config.steps,
+        "replay_bytes": lanes * replay,
+    }
 
 
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
@@ -254,7 +256,7 @@ def serve(task: dict[str, Any]) -> int:
         for name in task["runs"]:
             emit(name, "failed", cause)
         return len(failed)
-    configs = {name: parse_config(config) for name, config in task["runs"].items()}
+    configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
@@ -265,8 +267,3 @@ def _import(task: dict[str, Any]) -> None:
     for record in task.get("imports", ()):
         imports.note(**record)
     imports.run_noted()
-
-
-def parse_config(fields: dict[str, Any]) -> RunConfig:
-    """Return the config with the JSON values `fields`."""
-    return RunConfig(**{**fields, "seeds": tuple(fields["seeds"])})

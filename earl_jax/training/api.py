@@ -26,7 +26,6 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
-from earl_jax.runs.table import Table
 from earl_jax.training.forks import require_jax
 from earl_jax.training.plan import Plan
 from earl_jax.training.result import Result
@@ -141,10 +140,10 @@ def resume(
     require_jax()
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
-    opened.require_resumable()  # rather than after the training
-    _require_checkpoint(opened)
+    step = opened.require_resumable().step  # rather than after the training
+    _require_checkpoint(opened, step)
     check_logs([*opened.logs, *logs])
-    config = opened.config if steps is None else opened.extended(steps)
+    config = opened.config if steps is None else _extended(opened, steps, step)
     setting = config.build_setting()
     wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
     run = Run.resolve(config, wrapped, algo)
@@ -152,15 +151,23 @@ def resume(
     return _execute(plan_runs([run], devices), run, progress, limit)
 
 
-def _require_checkpoint(folder: RunFolder) -> None:
-    """Raise an InputError if the checkpoints of a run were removed, so that it would be trained again.
+def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
+    """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if it has more."""
+    reached = max(step, newest(folder.checkpoints))
+    if steps < reached:
+        raise InputError(f"{folder.path} has {reached} steps already, more than {steps}")
+    return dataclasses.replace(folder.config, steps=steps)
+
+
+def _require_checkpoint(folder: RunFolder, step: int) -> None:
+    """Raise an InputError if the checkpoints of a run, whose metrics end at `step`, were removed: it would train again.
 
     A run that ended before its first checkpoint is trained again, and a `RunWarning` says so.
     """
     if newest(folder.checkpoints):
         return
     path, config = folder.path, folder.config
-    step = max(Table.read(folder.metrics, config).step, policies_step(folder.policies))
+    step = max(step, policies_step(folder.policies))
     if step == config.steps or step - config.eval_every >= config.checkpoint_every:
         state = "is finished" if step == config.steps else f"has reached step {step:,}"
         name = shlex.quote(str(path))

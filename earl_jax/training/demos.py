@@ -51,9 +51,9 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
     uses = _uses(method)
-    wanted = dict.fromkeys(demos.direction for _, demos in uses)
+    wanted, known = dict.fromkeys(demos.direction for _, demos in uses), env.demonstrations.directions
     parts, all_states, first = [], [], 0
-    for direction in (direction for direction in wanted if direction in env.demonstrations.directions):
+    for direction in (direction for direction in wanted if direction in known):
         recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)

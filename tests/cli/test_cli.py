@@ -140,7 +140,7 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
         (SWEEP, ["nowhere.toml can't be read"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
-        ([*SWEEP, "--launcher", "slurm", "--slurm", "time"], ["name=value"]),
+        ([*SWEEP, "--launcher", "slurm", "--slurm", "time", "--slurm", "mem=4G"], ["name=value"]),
         (["fly"], ["fly"]),
     ],
 )

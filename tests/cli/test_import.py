@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import pytest
 
@@ -71,6 +72,7 @@ def test_commands_know_the_classes_of_the_file(own):
     code, _, err = run("resume", "run", "--import", "mine.py")
     assert code == 0, err
     assert "changed" not in err
+    assert sys.path.index(str(own)) == len(sys.path) - 1, "modules beside the file hide no others"
 
 
 def test_a_file_that_has_changed_since_training_is_named_and_recorded(own):

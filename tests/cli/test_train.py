@@ -45,7 +45,7 @@ def folder(tmp_path):
 
 
 def values(config):
-    return RunConfig(**{**config.values, "seeds": tuple(config.seeds)}).values
+    return RunConfig(**config.values).values
 
 
 def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, folder):

@@ -50,7 +50,7 @@ def in_process(planner_in_process, monkeypatch):
 
     def train(workers, task, slot):
         events = []
-        configs = {name: worker.parse_config(config) for name, config in task["runs"].items()}
+        configs = {name: RunConfig(**config) for name, config in task["runs"].items()}
         worker.work(
             Path(task["out"]),
             configs,

@@ -97,8 +97,8 @@ def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_p
 def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     write_three_evaluations(tmp_path / "runs/a")
     write_three_evaluations(tmp_path / "runs/b", reward_scale=1.0)
-    arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "one", "--last", "2")
-    code, out, _ = run(*arguments, "--out", tmp_path / "t.tex")
+    arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "--last", "2")
+    code, out, _ = run(*arguments, "--out", tmp_path / "t.tex", "--labels", "one")
     assert code == 0
     assert "| task | method | seeds | steps | continuing/recent, mean [95 %] |" in out
     assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out

@@ -25,15 +25,21 @@ def _bytes(change):
     return damage
 
 
-def _replaced(name, make):
+def replaced(name, make):
     """Return a function that puts what `make(path)` makes in the place of a file."""
     return lambda folder: ((folder / name).unlink(), make(folder / name))
 
 
-def _with_other_seeds(lines):
-    cells = [line.split(",") for line in lines]
-    seed = cells[0].index("seed")
-    return [lines[0]] + [",".join([*row[:seed], str(int(row[seed]) + 1000), *row[seed + 1 :]]) for row in cells[1:]]
+def _cell(column, value):
+    """Return a function that puts `value` into the cells of a column, except those of the first row."""
+
+    def change(lines):
+        cells = [line.rstrip("\n").split(",") for line in lines]
+        for row in cells[2:]:
+            row[cells[0].index(column)] = value
+        return [",".join(row) + "\n" for row in cells]
+
+    return _table(change)
 
 
 TABLE = {
@@ -44,7 +50,14 @@ TABLE = {
     "table with a row twice": _table(lambda lines: [*lines[:3], lines[2], *lines[3:]]),
     "table without its second row": _table(lambda lines: lines[:2] + lines[3:]),
     "table without its last evaluations": _table(lambda lines: lines[:3]),
-    "table of other seeds": _table(_with_other_seeds),
+    "table of another seed": _cell("seed", "1000"),
+    "table with a seed of a fraction": _cell("seed", "0.5"),
+    "table with a step of NaN": _cell("step", "nan"),
+    "table with a negative step": _cell("step", "-40"),
+    "table with code in a cell": _cell("faults", "<script>alert(1)</script>"),
+    "table with an open quote": _cell("faults", '"'),
+    "table with null bytes": _bytes(lambda data: data.replace(b"0", b"\0")),
+    "table with bytes that are no text": _bytes(lambda data: data.replace(b"0", b"\xff", 3)),
     "table with its rows in reverse": _table(lambda lines: [lines[0], *lines[:0:-1]]),
     "table without a header": _table(lambda lines: lines[1:]),
     "table with another header": _table(lambda lines: ["a,b,c\n", *lines[1:]]),
@@ -52,8 +65,8 @@ TABLE = {
     "table with text in a row": _table(lambda lines: [*lines[:2], lines[2].replace(",", ",x", 1), *lines[3:]]),
     "table with a short row": _table(lambda lines: [*lines[:2], "40,0\n", *lines[3:]]),
     "table with an endless cell": _table(lambda lines: [*lines[:2], "9" * 200_000 + "\n", *lines[3:]]),
-    "table that is a folder": _replaced("metrics.csv", os.mkdir),
-    "table that is a FIFO": _replaced("metrics.csv", os.mkfifo),
+    "table that is a folder": replaced("metrics.csv", os.mkdir),
+    "table that is a FIFO": replaced("metrics.csv", os.mkfifo),
 }
 """Damage to metrics.csv that loses rows of which the checkpoints are known."""
 
@@ -74,6 +87,7 @@ CONFIG = [
     ("steps", "4" + "0" * 399, "steps must lie in [1, "),
     ("steps", "4" + "0" * 4999, "config.json is damaged: "),
     ("steps", "NaN", "steps must be a whole number, not nan"),
+    ("steps", "121", "steps 121 is not a multiple of eval_every 40"),
     ("steps", '"120"', "steps must be a whole number, not '120'"),
     ("steps", "true", "steps must be a whole number, not True"),
     ("eval_every", "4" * 400, "eval_every must lie in [1, "),
@@ -82,12 +96,19 @@ CONFIG = [
     ("seeds", "5", "seeds must be a list"),
     ("seeds", "[NaN]", "seeds must be whole numbers, not (nan,)"),
     ("seeds", None, "it has no 'seeds'"),
+    ("seeds", "[0, 0]", "seeds must be at least one and distinct, not [0, 0]"),
     ("env", '"nowhere"', "unknown task 'nowhere'; choose from "),
+    ("env", '"../x"', "unknown task '../x'; choose from "),
     ("env", "5", "env must be a str, not 5"),
     ("algo", '"nothing"', "unknown method 'nothing'; choose from "),
     ("setting", "{}", "setting has no name: {}"),
     ("setting", '{"name": 5}', "unknown setting 5; choose from deployment, continuing"),
     ("env_class", "5", "env_class must be text or null, not 5"),
+    ("env_class", '"os:system"', "as an object of os:system, which is not registered here"),
+    ("algo_class", '"../x:y"', "as an object of ../x:y, which is not registered here"),
+    ("env_options", "null", "env_options must be a dict, not None"),
+    ("env_options", '{"train_horizon": 3000000000}', "train_horizon must lie in [0, 2147483647]"),
+    ("options", '{"name": "x"}', "there is no option 'name'"),
     ("logs", "5", "logs must be a list"),
     ("logs", '"tensorboard"', "logs must be a list"),
     *(("format", text, f"its format is {text}, and this version of earl_jax reads 2") for text in ("0", "3", "[2]")),
@@ -100,6 +121,8 @@ CONFIG_FILES = [
     (bytes(range(256)), "config.json is damaged: "),
     (b"[]", "config.json is damaged: "),
     (b"[" * 5000, "config.json is damaged: "),
+    (b"\xef\xbb\xbf{}", "it names no format"),
+    (b'{"steps": 1', "config.json is damaged: "),
     (b" " * (17 << 20), "config.json is larger than 16 MiB, the limit"),
 ]
 """Contents of config.json, and what the message says of it."""

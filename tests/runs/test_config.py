@@ -18,8 +18,7 @@ SEEDS, SCHEDULE = (0, 1), Schedule(steps=40, eval_every=40, eval_episodes=1, che
 
 def through_json(config):
     """Return `config` as it comes back from config.json."""
-    values = json.loads(json.dumps(dataclasses.asdict(config)))
-    return RunConfig(**{**values, "seeds": tuple(values["seeds"])})
+    return RunConfig(**json.loads(json.dumps(dataclasses.asdict(config))))
 
 
 def test_options_of_task_and_method_are_restored():

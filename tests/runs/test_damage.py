@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import tracemalloc
+from unittest.mock import Mock
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,10 +61,7 @@ def finished(originals, tmp_path):
 
 @pytest.fixture(autouse=True)
 def _no_training(monkeypatch):
-    def train(*_):
-        raise AssertionError("training started")
-
-    monkeypatch.setattr(api, "run_program", train)
+    monkeypatch.setattr(api, "run_program", Mock(side_effect=AssertionError("training started")))
 
 
 def message_of(action):
@@ -228,6 +226,11 @@ def test_a_damaged_config_is_one_line(finished, content, cause):
     assert_refused(finished, cause)
 
 
+def test_a_config_that_is_a_pipe_is_refused(finished):
+    damage.replaced("config.json", os.mkfifo)(finished)
+    assert "config.json is a link or not a regular file" in message_of(lambda: RunFolder.open(finished))
+
+
 @pytest.mark.parametrize("log", ['"abacus"', "5"])
 def test_an_unknown_log_concerns_training_only(finished, log):
     damage.set_entry(finished, "logs", f"[{log}]")
@@ -247,11 +250,6 @@ def test_a_checkpoint_after_the_end_of_the_run_is_refused(finished):
     (finished / "config.json").write_text(json.dumps({**values, "steps": 80}))
     for action in (lambda: resume(finished), lambda: read(finished)):
         assert "checkpoints/000000120 is later than the 80 steps of config.json" in message_of(action)
-
-
-def assert_untouched(victim):
-    content = snapshot(victim) if victim.is_dir() else victim.read_text()
-    assert content in (damage.SECRET, {victim / "file": damage.SECRET.encode()})
 
 
 @pytest.mark.parametrize("name", damage.LINKS)

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -31,7 +32,7 @@ def test_a_folder_is_locked_by_one_process_until_it_ends(tmp_path):
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "config.json"
     write_atomically(path, "old")
-    monkeypatch.setattr(os, "fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
     with pytest.raises(OSError, match=r"config\.json can't be written: No space left on device"):
         write_atomically(path, "new")
     assert [file.name for file in tmp_path.iterdir()] == ["config.json"]
@@ -91,13 +92,13 @@ def test_a_pipe_that_another_process_reads_is_not_written(tmp_path):
 
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOTSUP", "EOPNOTSUPP", "ENOLCK"])
 def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatch, code):
-    monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(getattr(errno, code), code)))
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(getattr(errno, code), code)))
     with pytest.warns(UnlockedWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
         write_atomically(tmp_path / "config.json", "new")
 
 
 def test_another_error_of_a_lock_is_no_permission_to_write(tmp_path, monkeypatch):
-    monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error")))
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(errno.EIO, "Input/output error")))
     with pytest.raises(OSError, match="can't be locked: Input/output error"), locked(tmp_path):
         pass
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-import types
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs, open_logs, scalars
-from tests.conftest import TINY, TINY_RUN
+from tests.conftest import TINY, TINY_RUN, tiny_train
 
 METRICS = {40: {"deployed/success": np.array([0.0, 1.0])}, 80: {"deployed/success": np.array([0.25, 0.5])}}
 
@@ -46,75 +46,55 @@ def test_the_table_is_always_written(tmp_path):
     assert folder.table().metrics["deployed/success"].tolist() == [[0.0, 0.25], [1.0, 0.5]]
 
 
-class Recorder:
-    """Stands for a writer of TensorBoard and for a run of Weights & Biases, and keeps the calls that it gets."""
-
-    def __init__(self, calls, **options):
-        self._calls = calls
-        calls.append(options)
-
-    def add_scalar(self, name, value, step):
-        self._calls.append((step, name, value))
-
-    def log(self, values, step):
-        self._calls.append((step, values))
-
-    def flush(self):
-        self._calls.append("flushed")
-
-    def close(self):
-        self._calls.append("closed")
-
-    finish = close
+@pytest.fixture
+def tensorboard(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboardX", library := Mock())
+    return library.SummaryWriter
 
 
-def test_tensorboard_receives_the_metrics_and_purges_steps_after_the_checkpoint(tmp_path, monkeypatch):
-    calls = []
-    library = types.SimpleNamespace(SummaryWriter=lambda path, **options: Recorder(calls, path=path, **options))
-    monkeypatch.setitem(sys.modules, "tensorboardX", library)
+@pytest.fixture
+def wandb(monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", library := Mock())
+    return library.init
+
+
+def test_tensorboard_receives_the_metrics_and_purges_steps_after_the_checkpoint(tmp_path, tensorboard):
     folder = make_folder(tmp_path / "run", "tensorboard")
     log_metrics(folder, 0, 40)
     log_metrics(folder, 40, 80)
-    options = [call for call in calls if isinstance(call, dict)]
-    assert [call["purge_step"] for call in options] == [None, 41]
-    assert {call["path"] for call in options} == {str(folder.path / "tensorboard")}
-    assert len({call["filename_suffix"] for call in options}) == 2
-    expected = [(80, name, value) for name, value in scalars((3, 5), METRICS[80]).items()]
-    assert calls[-5:] == [*expected, "flushed", "closed"]
+    first, second = tensorboard.call_args_list
+    assert first.args == second.args == (str(folder.path / "tensorboard"),)
+    assert (first.kwargs["purge_step"], second.kwargs["purge_step"]) == (None, 41)
+    assert first.kwargs["filename_suffix"] != second.kwargs["filename_suffix"]
+    expected = [call.add_scalar(name, value, 80) for name, value in scalars((3, 5), METRICS[80]).items()]
+    assert tensorboard.return_value.mock_calls[-5:] == [*expected, call.flush(), call.close()]
 
 
-def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, monkeypatch):
-    calls = []
-    library = types.SimpleNamespace(init=lambda **options: Recorder(calls, **options))
-    monkeypatch.setitem(sys.modules, "wandb", library)
+def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, wandb):
     folder = make_folder(tmp_path / "run", "wandb")
     log_metrics(folder, 0, 40)
     log_metrics(RunFolder.open(folder.path), 40, 80)
-    options = [call for call in calls if isinstance(call, dict)]
-    assert [(call["id"], call["resume"], call["dir"]) for call in options] == [
-        (folder.id, "allow", str(folder.path))
-    ] * 2
-    assert calls[-2:] == [(80, scalars((3, 5), METRICS[80])), "closed"]
+    for start in wandb.call_args_list:
+        assert start.kwargs.items() >= {"id": folder.id, "resume": "allow", "dir": str(folder.path)}.items()
+    expected = [call.log(scalars((3, 5), METRICS[step]), step=step) for step in (40, 80)]
+    assert wandb.return_value.mock_calls == [expected[0], call.finish(), expected[1], call.finish()]
 
 
-def fail(*_, **__):
-    raise BrokenPipeError("its service\nhas gone")
+GONE = BrokenPipeError("its service\nhas gone")
 
 
-def test_a_log_that_fails_gets_one_warning_and_no_more_metrics(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(Recorder, "log", fail)
-    library = types.SimpleNamespace(init=lambda **options: Recorder(calls, **options))
-    monkeypatch.setitem(sys.modules, "wandb", library)
+def test_a_log_that_fails_gets_one_warning_and_no_more_metrics(tmp_path, wandb):
+    wandb.return_value.log.side_effect = GONE
     folder = make_folder(tmp_path / "run", "wandb")
     with pytest.warns(RunWarning, match="the log wandb has failed .* training goes on: its service has gone") as caught:
         log_metrics(folder, 0, 40, 80)
     assert len(caught) == 1
-    assert (folder.table().step, len(calls)) == (80, 1)
+    assert folder.table().step == 80
+    assert wandb.return_value.log.call_count == 1
 
 
-def test_a_run_of_wandb_that_cannot_start_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "wandb", types.SimpleNamespace(init=fail))
+def test_a_run_of_wandb_that_cannot_start_is_one_line(tmp_path, wandb):
+    wandb.side_effect = GONE
     with pytest.raises(InputError, match=r"^wandb: its service has gone; WANDB_MODE=offline needs no account$"):
         open_logs(make_folder(tmp_path / "run", "wandb"), [], 0)
 
@@ -158,9 +138,8 @@ class ListLog:
 
 
 def test_any_object_with_log_and_close_is_a_log(tmp_path):
-    run = {**TINY_RUN, **TINY, "steps": 80}
     log = ListLog()
-    result = train("tabletop_organization", "naive", logs=[log, "tensorboard"], out=tmp_path / "run", **run)
+    result = tiny_train("naive", logs=[log, "tensorboard"], out=tmp_path / "run")
     assert log.closed == 1
     np.testing.assert_array_equal(np.stack(log.successes, axis=1), result.metrics["deployed/success"])
     assert RunFolder.open(tmp_path / "run").logs == ("tensorboard",)
@@ -178,7 +157,7 @@ def test_any_object_with_log_and_close_is_a_log(tmp_path):
 def test_a_log_that_cannot_be_opened_is_refused_and_nothing_is_written(tmp_path, log, message):
     out = None if log == "tensorboard" else tmp_path / "run"
     with pytest.raises(ValueError, match=message):
-        train("tabletop_organization", "naive", logs=[log], out=out, **TINY_RUN, **TINY)
+        tiny_train("naive", logs=[log], out=out)
     assert not (tmp_path / "run").exists()
 
 

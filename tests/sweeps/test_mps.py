@@ -11,11 +11,12 @@ import pytest
 from earl_jax.sweeps.mps import MpsError, mps
 
 
-def wait_until(condition):
+def comes_true(condition):
+    """Return whether `condition` holds within 10 seconds."""
     deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline
+    while not condition() and time.monotonic() < deadline:
         time.sleep(0.02)
+    return condition()
 
 
 def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch):
@@ -53,8 +54,8 @@ def test_a_daemon_that_ignores_quit_is_ended_by_its_process_id(gpus, monkeypatch
     with mps() as variables:
         pid = int(Path(variables["CUDA_MPS_PIPE_DIRECTORY"], "nvidia-cuda-mps-control.pid").read_text())
         command = Path(f"/proc/{pid}/cmdline")
-        wait_until(command.read_bytes)  # it is empty for a moment, until the daemon is loaded
-    wait_until(lambda: not command.exists() or not command.read_bytes())
+        assert comes_true(command.read_bytes)  # it is empty for a moment, until the daemon is loaded
+    assert comes_true(lambda: not command.exists() or not command.read_bytes())
 
 
 def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
@@ -64,4 +65,4 @@ def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
     folder = Path(eval(process.stdout.readline())["CUDA_MPS_PIPE_DIRECTORY"]).parent
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    wait_until(lambda: (gpus / "log").read_text().endswith("quit\n") and not folder.exists())
+    assert comes_true(lambda: (gpus / "log").read_text().endswith("quit\n") and not folder.exists())

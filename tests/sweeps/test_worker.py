@@ -17,6 +17,7 @@ import pytest
 
 from earl_jax.algos import method_for
 from earl_jax.envs import make
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process
 from earl_jax.sweeps import worker
@@ -61,11 +62,13 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
     [
         ("oracle", "ppo", "unknown method 'ppo'; choose from .*vaprl"),
         ("tabletop_organization", "cheetah", "unknown task 'cheetah'; did you mean 'cheetah_run'"),
+        ("tabletop_organization", "../../x", "unknown task '../../x'; choose from cheetah_run"),
         (
             "batch_size",
             "bath_size",
             "tabletop_organization/oracle/bath_size=16,.* 'bath_size'; did you mean batch_size",
         ),
+        ("batch_size", "name", "there is no option 'name'"),
         ("steps = 120", "steps = 100", "steps 100 is not a multiple of eval_every 40"),
         ("eval_every = 40", "eval_every = 0", "eval_every must lie in"),
         ("seeds = 2", "seeds = 0", "seeds must be at least one and distinct"),
@@ -85,7 +88,7 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
 
 
 def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
-    config = worker.parse_config(worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
+    config = RunConfig(**worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
     folder.append(40, {"deployed/success": np.zeros(2)})
     assert list(worker.plan(grid, tmp_path)["groups"][0]["runs"]) == NAMES
@@ -111,7 +114,7 @@ def work(plan, out, **options):
     """Return the events of a worker that trains the runs of `plan`."""
     events = []
     runs = (run for group in plan["groups"] for run in group["runs"].items())
-    configs = {name: worker.parse_config(config) for name, config in runs}
+    configs = {name: RunConfig(**config) for name, config in runs}
     worker.work(out, configs, lambda *event: events.append(event), progress=False, **options)
     return events
 
@@ -206,7 +209,7 @@ def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries)
 @pytest.mark.parametrize("message", ["config.json is damaged", "is in use by another process"])
 def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, capsys, message):
     fields = worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]]
-    folder = RunFolder.create(tmp_path / NAMES[0], worker.parse_config(fields), "kinematic")
+    folder = RunFolder.create(tmp_path / NAMES[0], RunConfig(**fields), "kinematic")
     folder.append(40, {"deployed/success": np.zeros(2)})
     with folder.claimed() if "in use" in message else contextlib.nullcontext():
         if "damaged" in message:
@@ -235,7 +238,7 @@ def test_a_worker_of_an_array_takes_a_line_of_a_file_and_fails_with_its_runs(tmp
     runs = [{"runs": {name: {"env": "cheetah", "seeds": []}}} for name in "ab"]
     (tmp_path / "tasks").write_text("".join(f"{json.dumps({'out': str(tmp_path), **task})}\n" for task in runs))
     monkeypatch.setattr(sys, "argv", ["worker", str(tmp_path / "tasks"), "1"])
-    monkeypatch.setattr(worker, "parse_config", lambda fields: None)
+    monkeypatch.setattr(worker, "RunConfig", lambda **fields: None)
     assert process.main() == 1
     assert json.loads(capsys.readouterr().out)["run"] == "b"
 
