@@ -18,7 +18,7 @@ from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, VARIANTS, observed, palm_down, yaw_of
-from earl_jax.envs.features import ContinuingDefaults, Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.errors import InputError
@@ -204,10 +204,6 @@ class DHandLightbulb(MujocoEnv):
         links, bulb = sensors[3:].reshape(-1, 3), self._parts(vector)[1]
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (bulb[2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         joints = state.data.qpos[: ARM + FINGERS]

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import ContinuingDefaults, Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.minitaur import body
 from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
 from earl_jax.envs.mujoco_env import MujocoEnv
@@ -134,10 +134,6 @@ class MinitaurPen(MujocoEnv):
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, observed(data), {}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         upright = jnp.asarray(STANDING[0][2:], jnp.float32)
