@@ -5,7 +5,6 @@ The original writes positions and integrates no forces, so this task is plain ar
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -155,13 +154,13 @@ class TabletopOrganization(KinematicEnv):
 
     def _expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
-        target, grip = self.waypoint(obs)
+        target, grip = _waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])
 
     def _demo_action(self, obs: np.ndarray) -> np.ndarray:
         """Return the action [3] of the demonstration script: the expert's waypoint at half speed, x before y."""
-        target, grip = _waypoint(self, jnp.asarray(obs))
+        target, grip = _waypoint(obs)
         offset = np.asarray(target) - obs[:2]
         axis = 0 if abs(offset[0]) > DEMO_AXIS_TOLERANCE else 1
         move = np.zeros(2)
@@ -174,17 +173,14 @@ class TabletopOrganization(KinematicEnv):
             start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(goal))
             yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
 
-    def waypoint(self, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the gripper's next target [2] and its grip: hold (1) or release (-1)."""
-        gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
-        placed = jnp.linalg.norm(mug - goal_mug) <= PLACED
-        near = jnp.linalg.norm(gripper - mug) < GRASP
-        held = obs[4] == HELD[0]
-        carry = gripper + (goal_mug - mug)
-        grip = ~placed & (near | held)
-        return jnp.where(placed, goal_gripper, jnp.where(grip, carry, mug)), jnp.where(grip, 1.0, -1.0)
 
-
-@functools.partial(jax.jit, static_argnums=0)
-def _waypoint(env: TabletopOrganization, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return env.waypoint(obs)
+@jax.jit
+def _waypoint(obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the gripper's next target [2] for `obs [12]` and its grip: hold (1) or release (-1)."""
+    gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
+    placed = jnp.linalg.norm(mug - goal_mug) <= PLACED
+    near = jnp.linalg.norm(gripper - mug) < GRASP
+    held = obs[4] == HELD[0]
+    carry = gripper + (goal_mug - mug)
+    grip = ~placed & (near | held)
+    return jnp.where(placed, goal_gripper, jnp.where(grip, carry, mug)), jnp.where(grip, 1.0, -1.0)
