@@ -119,12 +119,8 @@ def test_the_wrappers_take_an_env_with_four_tuples():
     env = LifelongWrapper(PersistentStateWrapper(Line(), 3), 2)
     env.reset()
     steps = [env.step(1) for _ in range(4)]
-    assert [(obs, done) for obs, _, done, _ in steps] == [
-        ((1, 1), False),
-        ((2, 2), False),
-        ((3, 2), True),
-        ((4, 3), True),
-    ]
+    assert [obs for obs, *_ in steps] == [(1, 1), (2, 2), (3, 2), (4, 3)]
+    assert [done for _, _, done, _ in steps] == [False, False, True, True]
     assert (env.lifelong_return, env.total_steps, env.num_interventions, env.place) == (1.0, 4, 1, 4)
     env.reset()
     assert (env.step(1)[2], env.num_interventions, env.env.num_interventions) == (False, 2, 2)
