@@ -29,6 +29,8 @@ FREE = np.array([-1.0, -1.0], np.float32)
 HELD = np.array([0.0, 0.0], np.float32)
 HOME = np.array([0.0, 0.0, 2.5, 0.0], np.float32)
 COASTERS = np.array([[-2.5, -1.0], [-2.5, 1.0], [0.0, 2.0], [0.0, -2.0]], np.float32)
+GOALS = np.concatenate([np.zeros((4, 2), np.float32), COASTERS, np.tile(FREE, (4, 1))], axis=1)
+"""The gripper at home, the mug on a coaster and free."""
 DEMOS_PER_GOAL = 3
 DEMO_SPEED = 0.5
 """Share of the full speed at which the demonstration script moves, like the released demonstrations."""
@@ -60,16 +62,9 @@ class TabletopOrganization(KinematicEnv):
     name: ClassVar[str] = "tabletop_organization"
     state_size: ClassVar[int] = 6
     action_size: ClassVar[int] = 3
+    goal_states: ClassVar[np.ndarray] = GOALS
+    initial_states: ClassVar[np.ndarray] = np.concatenate([HOME, FREE])[None]
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400, train_horizon=50_000)
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        home, free = np.zeros((4, 2), np.float32), np.tile(FREE, (4, 1))
-        return np.concatenate([home, COASTERS, free], axis=1)
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return np.concatenate([HOME, FREE])[None]
 
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)

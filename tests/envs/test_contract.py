@@ -260,10 +260,6 @@ def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, writ
     assert cls.__abstractmethods__ == WRITTEN | written
 
 
-def test_transition_belongs_to_kinematic_tasks_alone():
-    assert not any(hasattr(cls, "transition") for cls in (Env, MujocoEnv, HelpBudget))
-
-
 def test_the_goal_of_a_task_changes_every_two_evaluation_horizons_unless_it_says_otherwise():
     assert Chain(eval_horizon=7).continuing == (14, None)
 

@@ -106,6 +106,7 @@ class DHandLightbulb(MujocoEnv):
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
     action_size: ClassVar[int] = 22
+    goal_states: ClassVar[np.ndarray] = TARGET[None]
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400)
     control_step: ClassVar[float] = 0.1
     demo_count: ClassVar[int] = 20
@@ -118,10 +119,6 @@ class DHandLightbulb(MujocoEnv):
     @property
     def state_size(self) -> int:
         return observation.STATE[self.variant]
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return TARGET[None]
 
     @property
     def initial_states(self) -> np.ndarray:

@@ -55,12 +55,9 @@ class FishSwim(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.098)
     state_size: ClassVar[int] = 33
     action_size: ClassVar[int] = 5
+    goal_states: ClassVar[np.ndarray] = TARGETS.reshape(-1, 3).astype(np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(1000)
     control_step: ClassVar[float] = 0.04
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return TARGETS.reshape(-1, 3).astype(np.float32)
 
     @property
     def initial_states(self) -> np.ndarray:

@@ -85,6 +85,8 @@ class MinitaurPen(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
     state_size: ClassVar[int] = 30
     action_size: ClassVar[int] = MOTORS
+    goal_states: ClassVar[np.ndarray] = GOALS
+    initial_states: ClassVar[np.ndarray] = np.zeros((1, 2), np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(2000)
     control_step: ClassVar[float] = 0.01
 
@@ -108,14 +110,6 @@ class MinitaurPen(MujocoEnv):
     def reward_scale(self) -> float:
         """0.1 for the dense reward, as released for such tasks."""
         return 10.0 if self.sparse else 0.1
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return GOALS
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return np.zeros((1, 2), np.float32)
 
     def reset(self, key: jax.Array) -> State:
         goal_key, body_key, battery_key = jax.random.split(key, 3)
