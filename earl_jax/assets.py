@@ -200,18 +200,18 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
         return {name: stored[f"{task}/{method}/{name}"] for name in RELEASED if f"{task}/{method}/{name}" in stored}
 
 
-def read_bytes(path: Path, limit: int | None = MAX_BYTES) -> bytes:
+def read_bytes(path: Path) -> bytes:
     """Return the content of a file.
 
     Raises:
-        ValueError: it is not a regular file, or larger than `limit` bytes.
+        ValueError: it is not a regular file, or larger than `MAX_BYTES`.
         OSError: it cannot be read.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise InputError("not a regular file")
-    if limit is not None and status.st_size > limit:
-        raise InputError(f"larger than {limit >> 20} MiB, the limit")
+    if status.st_size > MAX_BYTES:
+        raise InputError(f"larger than {MAX_BYTES >> 20} MiB, the limit")
     with path.open("rb") as handle:
         return handle.read(status.st_size)
 

@@ -81,8 +81,8 @@ class GymnasiumSession:
         self._scene = self._scene or Scene(self.session.env, self._picture_size)
         return self._scene.image(env_state)
 
-    def _close_scene(self) -> None:
-        """Release the resources of the graphics driver."""
+    def close_extras(self, **_: Any) -> None:
+        """Release the resources of the pictures."""
         if self._scene is not None:
             self._scene.close()
         self._scene = None

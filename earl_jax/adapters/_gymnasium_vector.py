@@ -138,10 +138,6 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], env_states) for i in range(self.num_envs)]
         return tuple(map(self._picture, lanes))
 
-    def close_extras(self, **_: Any) -> None:
-        """Release the resources of the pictures."""
-        self._close_scene()
-
 
 def _autoreset_mode(session: Session, mode: AutoresetMode | str | None) -> AutoresetMode:
     choices = [AutoresetMode.DISABLED] if session.is_training else list(AutoresetMode)

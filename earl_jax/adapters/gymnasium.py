@@ -116,7 +116,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
 
     def close(self) -> None:
         """Release the resources of the pictures."""
-        self._close_scene()
+        self.close_extras()
 
 
 register_envs()

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from earl_jax.envs.mujoco_env import MujocoEnv
     from earl_jax.envs.starts import balanced_starts, start_of
     from earl_jax.envs.state import State
-    from earl_jax.envs.wrappers.help_budget import HelpBudget
-    from earl_jax.envs.wrappers.without_help import without_budget
+    from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 
 __all__ = [
     "PAPER_TASKS",
@@ -68,7 +67,7 @@ _HOME = {
     "resolved_engine": "engines",
     "start_of": "starts",
     "with_engine": "engines",
-    "without_budget": "wrappers.without_help",
+    "without_budget": "wrappers.help_budget",
 }
 PAPER_TASKS = (
     "tabletop_organization",

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
-from earl_jax.envs.spaces import box
-from earl_jax.envs.state import NextState, State, all_finite, check_action
+from earl_jax.envs.state import NextState, State, all_finite
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
@@ -49,10 +49,13 @@ class Env(abc.ABC):
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __init_subclass__(cls, **options: Any):
-        """Give `reset` of every task the package's types, as `step` has them."""
+        """Give `reset` of every task the package's types, as `step` has them, and protect the arrays of its class."""
         super().__init_subclass__(**options)
         if "reset" in vars(cls):
             cls.reset = package_types()(cls.reset)
+        for constant in vars(cls).values():
+            if isinstance(constant, np.ndarray):
+                constant.setflags(write=False)
 
     def __post_init__(self):
         self._require_choice("reward_type", REWARD_TYPES)
@@ -91,12 +94,12 @@ class Env(abc.ABC):
         Raises:
             ValueError: gymnasium is not installed.
         """
-        return box(np.inf, self.observation_size)
+        return _box(np.inf, self.observation_size)
 
     @property
     def action_space(self) -> "Box":
         """Gymnasium's space of actions, float32 [a] in [-1, 1]. Errors as `observation_space`."""
-        return box(1.0, self.action_size)
+        return _box(1.0, self.action_size)
 
     @property
     def sparse(self) -> bool:
@@ -205,7 +208,11 @@ class Env(abc.ABC):
 
     def _checked_action(self, action: jax.Array) -> jax.Array:
         """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
-        check_action(action, self.action_size)
+        shape, expected = jnp.shape(action), (self.action_size,)
+        if shape != expected:
+            raise InputError(f"action has shape {shape}, this task takes {expected}; for a batch of lanes use jax.vmap")
+        if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
+            raise InputError(f"action is not finite: {np.asarray(action).tolist()}")
         return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
 
     def _next_state(self, state: State, action: jax.Array, following: NextState) -> State:
@@ -241,6 +248,15 @@ class Env(abc.ABC):
         Override it if the reward needs more of `state` than its obs.
         """
         return self.reward(self.with_goal(state, goal).obs)
+
+
+def _box(bound: float, size: int) -> "Box":
+    """Return the float32 space [-bound, bound]^size, with an error if gymnasium is not installed."""
+    try:
+        from gymnasium.spaces import Box  # takes time to import
+    except ImportError as error:
+        raise InputError("the spaces of a task are gymnasium's: pip install gymnasium") from error
+    return Box(-bound, bound, (size,), np.float32)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,18 +37,13 @@ class DemoScript(NamedTuple):
     action: Callable[[np.ndarray], np.ndarray] | None = None
 
 
-def as_recorded(demos: assets.Demos) -> assets.Demos:
-    """Return `demos` as they are."""
-    return demos
-
-
 @dataclasses.dataclass(frozen=True)
 class TaskDemos:
     """The demonstrations of a task: those in `file`, or those that ship with `task`."""
 
     task: str
     file: str | None = None
-    layout: Callable[[assets.Demos], assets.Demos] = as_recorded
+    layout: Callable[[assets.Demos], assets.Demos] = lambda demos: demos
     """Converts recorded demonstrations to the layout of the task."""
     expert: Callable[[jax.Array], jax.Array] | None = None
     """Returns the action [a] of a scripted controller that reaches the goal in an observation [s + g]."""

@@ -1,5 +1,6 @@
 """What only some tasks have, and what has a default: a map of visits, further starts, pictures, the continuing setting."""
 
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -39,28 +40,18 @@ class Starts(NamedTuple):
     count: int = 1
 
 
-def shown_as_simulated(state: State) -> Any:
-    """Return the physics data of `state`."""
-    return state.data
-
-
-def without_goal(state: State) -> None:
-    """Return None: the goal is not drawn."""
-    del state
-
-
 class View(NamedTuple):
     """How a task is drawn.
 
     `model` is its MJCF: a name in assets, or a path. A control step takes `dt` seconds in videos. `render_state(state)`
-    returns the `PhysicsState` of `model` that shows `state`, and `render_goal(state)` the one that reaches its goal, or
-    None.
+    returns the `PhysicsState` of `model` that shows `state`, by default its `data`, and `render_goal(state)` the one that
+    reaches its goal, or None.
     """
 
     model: str
     dt: float = 0.1
-    render_state: Callable[[State], Any] = shown_as_simulated
-    render_goal: Callable[[State], Any] = without_goal
+    render_state: Callable[[State], Any] = operator.attrgetter("data")
+    render_goal: Callable[[State], Any] = lambda state: None
 
 
 class ContinuingDefaults(NamedTuple):

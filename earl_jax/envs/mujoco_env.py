@@ -46,8 +46,12 @@ class MujocoEnv(Env):
 
     @property
     def view(self) -> View:
-        """The simulated model in real time, without its goal."""
-        return View(self.model, dt=self.control_step)
+        """The simulated model in real time, with its goal if the task has an `_at_goal`."""
+        return View(self.model, dt=self.control_step, render_goal=self._at_goal)
+
+    def _at_goal(self, state: State) -> PhysicsState | None:
+        """Return the physics state that reaches the goal of `state`, for pictures; None draws no goal."""
+        del state
 
     @property
     def simulator(self) -> Simulator:

@@ -5,11 +5,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
-from jax.core import Tracer
 
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import brief
 
 NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
 """The result of a control step: the physics data, the state vector [s], and the changed fields of `info`."""
@@ -53,15 +51,6 @@ class State(struct.PyTreeNode):
 def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:
     """Return `tree` where `condition`, bool [], is true, else `other`, a tree of the same structure."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), tree, other)
-
-
-def check_action(action: jax.Array, size: int) -> None:
-    """Raise a ValueError if `action` does not have the shape [size], or is known not to be finite."""
-    shape = jnp.shape(action)
-    if shape != (size,):
-        raise InputError(f"action has shape {shape}, this task takes ({size},); for a batch of lanes use jax.vmap")
-    if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
-        raise InputError(f"action is not finite: {np.asarray(action).tolist()}")
 
 
 def all_finite(tree: Any) -> jax.Array:

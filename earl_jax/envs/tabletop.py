@@ -5,7 +5,6 @@ The original writes positions and integrates no forces, so this task is plain ar
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -30,6 +29,8 @@ FREE = np.array([-1.0, -1.0], np.float32)
 HELD = np.array([0.0, 0.0], np.float32)
 HOME = np.array([0.0, 0.0, 2.5, 0.0], np.float32)
 COASTERS = np.array([[-2.5, -1.0], [-2.5, 1.0], [0.0, 2.0], [0.0, -2.0]], np.float32)
+GOALS = np.concatenate([np.zeros((4, 2), np.float32), COASTERS, np.tile(FREE, (4, 1))], axis=1)
+"""The gripper at home, the mug on a coaster and free."""
 DEMOS_PER_GOAL = 3
 DEMO_SPEED = 0.5
 """Share of the full speed at which the demonstration script moves, like the released demonstrations."""
@@ -61,16 +62,9 @@ class TabletopOrganization(KinematicEnv):
     name: ClassVar[str] = "tabletop_organization"
     state_size: ClassVar[int] = 6
     action_size: ClassVar[int] = 3
+    goal_states: ClassVar[np.ndarray] = GOALS
+    initial_states: ClassVar[np.ndarray] = np.concatenate([HOME, FREE])[None]
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400, train_horizon=50_000)
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        home, free = np.zeros((4, 2), np.float32), np.tile(FREE, (4, 1))
-        return np.concatenate([home, COASTERS, free], axis=1)
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return np.concatenate([HOME, FREE])[None]
 
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
@@ -155,13 +149,13 @@ class TabletopOrganization(KinematicEnv):
 
     def _expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
-        target, grip = self.waypoint(obs)
+        target, grip = _waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])
 
     def _demo_action(self, obs: np.ndarray) -> np.ndarray:
         """Return the action [3] of the demonstration script: the expert's waypoint at half speed, x before y."""
-        target, grip = _waypoint(self, jnp.asarray(obs))
+        target, grip = _waypoint(obs)
         offset = np.asarray(target) - obs[:2]
         axis = 0 if abs(offset[0]) > DEMO_AXIS_TOLERANCE else 1
         move = np.zeros(2)
@@ -174,17 +168,14 @@ class TabletopOrganization(KinematicEnv):
             start = self.with_goal(self.reset(jax.random.key(seed)), jnp.asarray(goal))
             yield DemoStart(forward=start, backward=None, backward_goal=self.initial_states[0])
 
-    def waypoint(self, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the gripper's next target [2] and its grip: hold (1) or release (-1)."""
-        gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
-        placed = jnp.linalg.norm(mug - goal_mug) <= PLACED
-        near = jnp.linalg.norm(gripper - mug) < GRASP
-        held = obs[4] == HELD[0]
-        carry = gripper + (goal_mug - mug)
-        grip = ~placed & (near | held)
-        return jnp.where(placed, goal_gripper, jnp.where(grip, carry, mug)), jnp.where(grip, 1.0, -1.0)
 
-
-@functools.partial(jax.jit, static_argnums=0)
-def _waypoint(env: TabletopOrganization, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return env.waypoint(obs)
+@jax.jit
+def _waypoint(obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the gripper's next target [2] for `obs [12]` and its grip: hold (1) or release (-1)."""
+    gripper, mug, goal_gripper, goal_mug = obs[:2], obs[2:4], obs[6:8], obs[8:10]
+    placed = jnp.linalg.norm(mug - goal_mug) <= PLACED
+    near = jnp.linalg.norm(gripper - mug) < GRASP
+    held = obs[4] == HELD[0]
+    carry = gripper + (goal_mug - mug)
+    grip = ~placed & (near | held)
+    return jnp.where(placed, goal_gripper, jnp.where(grip, carry, mug)), jnp.where(grip, 1.0, -1.0)

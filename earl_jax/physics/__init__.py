@@ -4,7 +4,7 @@ MuJoCo is imported lazily, so that kinematic tasks train on a machine without it
 """
 
 from earl_jax.physics.engine_choice import EngineCost, fastest_engine, resolve_engine
-from earl_jax.physics.models import load_model, mjx_data, mujoco_data
+from earl_jax.physics.models import load_model, mujoco_data
 from earl_jax.physics.simulator import Simulator
 from earl_jax.physics.state import Actuator, PendingStep, PhysicsState
 
@@ -16,7 +16,6 @@ __all__ = [
     "Simulator",
     "fastest_engine",
     "load_model",
-    "mjx_data",
     "mujoco_data",
     "resolve_engine",
 ]

@@ -28,7 +28,16 @@ def guard_kinematics() -> bool:
     """
     if not needs_guard():
         return False
-    _guard(importlib.import_module("mujoco.mjx._src.scan"))
+    scan, body_tree = _module_with("scan", "body_tree")
+    if not hasattr(body_tree, "__wrapped__"):
+
+        @functools.wraps(body_tree)
+        def guarded(model: Any, f: Any, *rest: Any, **options: Any) -> Any:
+            return body_tree(
+                model, lambda carry, *args: f(jax.lax.optimization_barrier(carry), *args), *rest, **options
+            )
+
+        scan.body_tree = guarded
     return True
 
 
@@ -41,25 +50,6 @@ def _jaxlib_version() -> tuple[int, ...]:
     return tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
 
 
-def is_guarded(scan: Any) -> bool:
-    """Return whether the module `scan` has the barrier."""
-    return hasattr(getattr(scan, "body_tree", None), "__wrapped__")
-
-
-def _guard(scan: Any) -> None:
-    if is_guarded(scan):
-        return
-    body_tree = getattr(scan, "body_tree", None)
-    if body_tree is None:
-        raise ImportError(_missing("scan.body_tree"))
-
-    @functools.wraps(body_tree)
-    def guarded(model: Any, f: Any, *rest: Any, **options: Any) -> Any:
-        return body_tree(model, lambda carry, *args: f(jax.lax.optimization_barrier(carry), *args), *rest, **options)
-
-    scan.body_tree = guarded
-
-
 def sum_cones_by_contact() -> None:
     """Let MJX's Newton solver add the Hessian of each friction cone to that of the joints, in one product for all.
 
@@ -69,10 +59,7 @@ def sum_cones_by_contact() -> None:
     Raises:
         ImportError: MJX has no `solver._update_gradient`; the message names its version.
     """
-    solver: Any = importlib.import_module("mujoco.mjx._src.solver")
-    original = getattr(solver, "_update_gradient", None)
-    if original is None:
-        raise ImportError(_missing("solver._update_gradient"))
+    solver, original = _module_with("solver", "_update_gradient")
     if hasattr(original, "__wrapped__"):
         return
 
@@ -103,6 +90,12 @@ def _cone_hessian(jacobian: jax.Array, contact: Any, cones: jax.Array) -> jax.Ar
     return total
 
 
-def _missing(name: str) -> str:
-    version = metadata.version("mujoco-mjx")
-    return f"mujoco-mjx {version} has no {name}; install a release that pyproject.toml allows"
+def _module_with(name: str, function: str) -> tuple[Any, Any]:
+    """Return MJX's private module `name` and its `function`. Errors as the functions above."""
+    module = importlib.import_module(f"mujoco.mjx._src.{name}")
+    if not hasattr(module, function):
+        version = metadata.version("mujoco-mjx")
+        raise ImportError(
+            f"mujoco-mjx {version} has no {name}.{function}; install a release that pyproject.toml allows"
+        )
+    return module, getattr(module, function)

@@ -1,4 +1,4 @@
-"""Compiled models of assets/mjcf, and a lane's state as MuJoCo's or MJX's data."""
+"""Compiled models of assets/mjcf, and a lane's state as MuJoCo's data."""
 
 import contextlib
 import functools
@@ -69,14 +69,6 @@ def import_mjx() -> Any:
             warp = importlib.import_module("warp")
             warp.config.log_level = warp.LOG_WARNING
         return importlib.import_module("mujoco.mjx")
-
-
-def mjx_data(name: str, state: PhysicsState) -> Any:
-    """Return the full `mjx.Data` of `state` in the model `name`, after forward kinematics."""
-    mjx = import_mjx()
-    model = mjx.put_model(load_model(name))
-    fields = {field: getattr(state, field) for field in ("qpos", "qvel", "act", "mocap_pos", "mocap_quat", "time")}
-    return mjx.kinematics(model, mjx.make_data(model).replace(**fields))
 
 
 def mujoco_data(name: str, state: PhysicsState) -> Any:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.envs import Env, State
-from earl_jax.envs.wrappers.without_help import without_help
+from earl_jax.envs.wrappers.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats, phase_metrics
 from earl_jax.options.jax_settings import package_types

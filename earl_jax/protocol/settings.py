@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from earl_jax.envs import Env
-from earl_jax.envs.wrappers.help_budget import HelpBudget
-from earl_jax.envs.wrappers.without_help import without_budget
+from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, within

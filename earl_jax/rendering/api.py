@@ -12,7 +12,7 @@ from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
-from earl_jax.rendering.scenes import Scene, view_of
+from earl_jax.rendering.scenes import Scene
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 
 ALL = "all"
@@ -21,8 +21,6 @@ SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".webp": (240, 320), ".png": (2
 """Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
 RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 """Largest frames a second by suffix, unless the caller sets another."""
-DEFAULT_SECONDS = 10.0
-"""Length of a film, unless the caller sets the number of steps."""
 
 
 @package_types()
@@ -63,10 +61,7 @@ def render(
     """
     path = output_path(source, out)
     size = size or SIZES[path.suffix]
-    _check_numbers(path, size, steps=steps, fps=fps)
-    if life and path.suffix == ".png":
-        raise InputError("a life is a film, not a sheet: choose .mp4, .gif or .webp")
-    library("mediapy" if path.suffix == ".mp4" else "PIL")  # a missing library is reported before the simulation
+    _check(path, size, life, steps=steps, fps=fps)
     if str(source) == ALL:
         if policy is not None:
             raise InputError(f"a policy belongs to one task: name the task instead of {ALL}")
@@ -77,12 +72,9 @@ def render(
         raise InputError("demonstrations begin where they were recorded, so they are not a life: choose another acting")
     if path.suffix == ".png":
         return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
-    seconds = view_of(actor.env).dt
-    stride = max(1, round(1 / ((fps or RATES[path.suffix]) * seconds)))
-    states = list(frames(actor, steps or round(DEFAULT_SECONDS / seconds), stride, life))
+    states, rate = frames(actor, steps, fps or RATES[path.suffix], life)
     with Scene(actor.env, size, camera) as scene:
-        images = map(scene.image, _tracked(states, len(states), progress))
-        return write_film(path, images, 1 / (stride * seconds), size)
+        return write_film(path, map(scene.image, _tracked(states, len(states), progress)), rate, size)
 
 
 def output_path(source: str | Path, out: str | Path | None) -> Path:
@@ -94,14 +86,17 @@ def output_path(source: str | Path, out: str | Path | None) -> Path:
     return path
 
 
-def _check_numbers(path: Path, size: tuple[int, int], **positive: float | None) -> None:
-    """Raise a ValueError if one of `positive` is not above 0, or a video's height or width is odd."""
+def _check(path: Path, size: tuple[int, int], life: bool, **positive: float | None) -> None:
+    """Raise a ValueError if `path` cannot be of this `size` or a `life`, one of `positive` is not, or a library is missing."""
     for name, value in positive.items():
         if value is not None and value <= 0:
             raise InputError(f"{name} must be above 0, not {value}")
     height, width = size
     if path.suffix == ".mp4" and (height % 2 or width % 2):
         raise InputError(f"a video needs an even height and width, not {height} and {width}")
+    if life and path.suffix == ".png":
+        raise InputError("a life is a film, not a sheet: choose .mp4, .gif or .webp")
+    library("mediapy" if path.suffix == ".mp4" else "PIL")
 
 
 def _tracked(items: Iterable[Any], total: int, show: bool) -> Iterable[Any]:

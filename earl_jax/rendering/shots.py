@@ -9,6 +9,8 @@ from earl_jax.rendering.actors import Actor, episodes
 from earl_jax.rendering.output import SUPERSAMPLING, Shot
 from earl_jax.rendering.scenes import Scene, view_of
 
+DEFAULT_SECONDS = 10.0
+"""Length of a film, unless the caller sets the number of steps."""
 MOMENTS = 6
 """Moments on a sheet of one task."""
 RANDOM_STEP = 40
@@ -17,14 +19,21 @@ PORTRAIT_SHARE = 0.75
 """Share of an episode after which a sheet of several tasks shows it."""
 
 
-def frames(actor: Actor, steps: int, stride: int, life: bool) -> Iterator[State]:
-    """Yield every `stride`-th state of episodes that have `steps` steps together, of one `life` or each from a reset."""
+def frames(actor: Actor, steps: int | None, fps: float, life: bool) -> tuple[list[State], float]:
+    """Return the states that a film shows, and how many a second: at most `fps`, and each after the same number of steps.
+
+    They are of episodes that have `steps` steps together, by default ten seconds, of one `life` or each from a reset.
+    """
+    seconds = view_of(actor.env).dt
+    stride, left = max(1, round(1 / (fps * seconds))), steps or round(DEFAULT_SECONDS / seconds)
+    states = []
     for episode in episodes(actor, life):
         length = len(episode.states.reward)
-        yield from (episode.at(number) for number in range(0, min(length, steps + 1), stride))
-        steps -= length - 1
-        if steps <= 0:
-            return
+        states += [episode.at(number) for number in range(0, min(length, left + 1), stride)]
+        left -= length - 1
+        if left <= 0:
+            break
+    return states, 1 / (stride * seconds)
 
 
 def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int | None) -> Iterator[Shot]:

@@ -29,9 +29,8 @@ def test_raw_and_typed_keys_start_the_same_lifetime():
     env = wrap(TABLETOP)
     reset = jax.jit(env.reset)
     assert_equal_trees(reset(jax.random.PRNGKey(3)), reset(jax.random.key(3)))
-    assert not np.array_equal(
-        *(jax.random.key_data(reset(jax.random.PRNGKey(seed)).pipeline_state.key) for seed in (3, 4))
-    )
+    keys = [jax.random.key_data(reset(jax.random.PRNGKey(seed)).pipeline_state.key) for seed in (3, 4)]
+    assert not np.array_equal(*keys)
 
 
 def test_sizes_backend_and_interventions_of_a_lifetime():

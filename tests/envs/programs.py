@@ -5,6 +5,7 @@ import operator
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 START_COUNT = 500
 
@@ -27,22 +28,19 @@ def starts(env, method="reset", count=START_COUNT):
     return jax.jit(jax.vmap(operator.attrgetter(method)(env)))(keys)
 
 
-@functools.cache
-def lanes_program(env):
-    """Return the program `run(states, actions)`: all states [T, lanes, ...] after each of the `actions [T, lanes, a]`."""
+@functools.partial(jax.jit, static_argnums=0)
+def run_actions(env, states, actions):
+    """Return the states [T, lanes, ...] after each of the `actions [T, lanes, a]`, from `states` of these lanes."""
 
     def step(states, action):
         states = jax.vmap(env.step)(states, action)
         return states, states
 
-    return jax.jit(lambda states, actions: jax.lax.scan(step, states, actions)[1])
+    return jax.lax.scan(step, states, actions)[1]
 
 
-def run_actions(env, states, actions):
-    """Return the states [T, lanes, ...] after each of the `actions [T, lanes, a]`, from `states` of these lanes."""
-    return lanes_program(env)(states, actions)
-
-
-def as_lane(state):
-    """Return `state` as a batch of one lane."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
+def run_alone(env, state, actions):
+    """Return the states [T, ...] after each of the `actions [T, a]`, from `state` of one lane, as NumPy's arrays."""
+    lane = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
+    states = run_actions(env, lane, np.float32(actions)[:, None])
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], states)

@@ -59,14 +59,10 @@ def peg_at(x, y):
 
 
 def tilted(degrees, axis):
+    """Return the change of a state that turns the robot by `degrees` about `axis`."""
     half = np.deg2rad(degrees) / 2
-    return {
-        ("obs", 24): 0.0,
-        ("obs", 25): 0.0,
-        ("obs", 26): 0.0,
-        ("obs", 24 + axis): np.sin(half),
-        ("obs", 27): np.cos(half),
-    }
+    quat = [*(np.sin(half) * np.eye(3)[axis]), np.cos(half)]
+    return {("obs", 24 + part): number for part, number in enumerate(quat)}
 
 
 FAULTS = {
@@ -127,10 +123,8 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     assert state.obs.shape == (env.observation_size,)
     assert state.obs.dtype == state.reward.dtype == state.done.dtype == jnp.float32
     assert env.goal_states.shape[1:] == env.initial_states.shape[1:] == (env.goal_size,)
-    same, other = (
-        dataclasses.replace(env),
-        dataclasses.replace(env, **{"budget" if env in HELPED else "eval_horizon": 7}),
-    )
+    same = dataclasses.replace(env)
+    other = dataclasses.replace(env, **{"budget" if env in HELPED else "eval_horizon": 7})
     assert hash(env) == hash(same) != hash(other)
     assert repr(env) == repr(same) != repr(other)
 
@@ -264,10 +258,6 @@ def public_members(cls):
 def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, written):
     assert len(public_members(cls)) <= count
     assert cls.__abstractmethods__ == WRITTEN | written
-
-
-def test_transition_belongs_to_kinematic_tasks_alone():
-    assert not any(hasattr(cls, "transition") for cls in (Env, MujocoEnv, HelpBudget))
 
 
 def test_the_goal_of_a_task_changes_every_two_evaluation_horizons_unless_it_says_otherwise():

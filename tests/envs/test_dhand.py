@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from earl_jax import assets, physics
 from earl_jax.envs import demos, make
 from earl_jax.envs.dhand import lightbulb as task
-from tests.envs.programs import as_lane, program, run_actions, starts
+from tests.envs.programs import program, run_actions, run_alone, starts
 
 ENV = make("dhand_lightbulb")
 PAPER = dataclasses.replace(ENV, variant="paper")
@@ -26,14 +26,6 @@ def start_at(x, y, env=ENV):
 @pytest.fixture(scope="module")
 def model():
     return physics.load_model("dhand_lightbulb")
-
-
-def make_actions(steps, lanes=1, **values):
-    """Return actions [steps, lanes, 22] that are 0 but for the components `values`, by names such as a18."""
-    actions = np.zeros((steps, lanes, 22), np.float32)
-    for name, value in values.items():
-        actions[..., int(name[1:])] = value
-    return actions
 
 
 def test_the_model_keeps_the_originals_numbers(model):
@@ -239,18 +231,18 @@ def test_the_tether_holds_a_thrown_bulb():
     """The bulb starts with 3 m/s towards the edge of the table."""
     state = start_at(0.72, 0.15)
     thrown = state.replace(data=state.data.replace(qvel=state.data.qvel.at[23].set(3.0).at[24].set(1.0)))
-    states = run_actions(ENV, as_lane(thrown), make_actions(40))
-    bulb = np.asarray(states.obs[:, 0, 23:26])
+    states = run_alone(ENV, thrown, np.zeros((40, 22)))
+    bulb = states.obs[:, 23:26]
     assert 0.4 < np.linalg.norm(bulb - [0.7, 0.15, 0.885], axis=1).max() < 0.5
     assert bulb[:, 2].min() > 0.74
-    assert not jax.jit(jax.vmap(jax.vmap(ENV.fault)))(states).any()
+    assert not jax.jit(jax.vmap(ENV.fault))(states).any()
 
 
 def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it():
     """Stiff fingers point straight down while the wrist moves down; without the guard, the tips end 6 cm deep."""
-    actions = make_actions(40, **{f"a{joint}": 1.0 for joint in (1, 5, 9)})
-    actions[15:, :, 18], actions[:, :, [2, 3, 6, 7, 10, 11]] = -1.0, -0.1
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], run_actions(ENV, as_lane(start_at(0.58, 0.3)), actions))
+    actions = np.zeros((40, 22))
+    actions[:, [1, 5, 9]], actions[:, [2, 3, 6, 7, 10, 11]], actions[15:, 18] = 1.0, -0.1, -1.0
+    states = run_alone(ENV, start_at(0.58, 0.3), actions)
     pressed, target = states.info["pressed"], states.data.mocap_pos[:, 0, 2]
     assert pressed.any()
     assert (np.diff(target)[pressed[:-1]] >= 0).all(), "the target does not go down while the fingers are pressed"

@@ -24,7 +24,7 @@ from earl_jax.envs.kitchen.franka_kitchen import (
     PAIRS,
     TEXT_GOALS,
 )
-from tests.envs.programs import as_lane, first_state, program, run_actions, starts
+from tests.envs.programs import first_state, program, run_actions, run_alone, starts
 
 ENV = make("franka_kitchen")
 EXACT = dataclasses.replace(ENV, noise=False)
@@ -99,9 +99,8 @@ def test_noise_is_bounded_in_every_number_and_new_at_every_step():
 
 def test_observation_and_reward_match_numpy():
     """Plates and light block follow their joints, sites are those of the last substep, mocap is as commanded."""
-    actions = np.sign(np.random.default_rng(0).uniform(-1, 1, (6, 9))).repeat(10, axis=0).astype(np.float32)
-    lanes = run_actions(ENV, as_lane(first_state(ENV)), actions[:, None])
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], lanes)
+    actions = np.sign(np.random.default_rng(0).uniform(-1, 1, (6, 9))).repeat(10, axis=0)
+    states = run_alone(ENV, first_state(ENV), actions)
     joints = states.data.qpos.astype(np.float64)
     pairs = [joints[:, [9 + knob]] / [1, 174] for knob in range(4)]
     plain = np.concatenate([joints[:, :9], *pairs, joints[:, [13]] / [1, 14], joints[:, 14:]], axis=1)

@@ -14,7 +14,7 @@ from earl_jax.envs import make
 from earl_jax.envs.minitaur import body as minitaur_body
 from earl_jax.envs.minitaur import pen as minitaur_pen
 from earl_jax.envs.minitaur.motors import DIRECTION, POSITIONS, MinitaurMotors, legs_to_motors, torque
-from tests.envs.programs import as_lane, first_state, program, run_actions, starts
+from tests.envs.programs import first_state, program, run_alone, starts
 
 ENV = make("minitaur_pen")
 NOMINAL = make("minitaur_pen", randomize=False)
@@ -105,9 +105,8 @@ def test_the_standing_robot_is_in_the_state_after_the_released_reset():
 
 
 def test_the_observation_is_the_released_one():
-    actions = np.random.default_rng(0).uniform(-1, 1, (5, 1, 8)).astype(np.float32)
-    states = run_actions(NOMINAL, as_lane(first_state(NOMINAL)), actions)
-    obs, state = np.asarray(states.obs)[-1, 0], jax.tree.map(lambda leaf: np.asarray(leaf)[-1, 0], states.data)
+    states = run_alone(NOMINAL, first_state(NOMINAL), np.random.default_rng(0).uniform(-1, 1, (5, 8)))
+    obs, state = states.obs[-1], jax.tree.map(lambda leaf: leaf[-1], states.data)
     data = physics.mujoco_data("minitaur_pen", state)
     motors = [data.joint(joint) for joint in range(1, 17, 2)]
     np.testing.assert_allclose(obs[:8], DIRECTION * [motor.qpos[0] for motor in motors], rtol=1e-5)
@@ -115,7 +114,7 @@ def test_the_observation_is_the_released_one():
     np.testing.assert_allclose(obs[16:24], state.memory[8:16])
     np.testing.assert_allclose(np.roll(obs[24:28], 1), data.body("base").xquat, atol=1e-5)
     np.testing.assert_allclose(obs[28:30], data.body("base").xpos[:2], atol=1e-6)
-    np.testing.assert_allclose(obs[30:], states.info["goal"][-1, 0])
+    np.testing.assert_allclose(obs[30:], states.info["goal"][-1])
 
 
 def test_rewards_by_hand():
@@ -146,12 +145,12 @@ def test_bodies_differ_from_reset_to_reset_within_the_released_ranges():
 
 
 def test_closed_walls_stop_a_crouching_robot_and_floating_ones_do_not():
-    crouched = np.float32(minitaur_trots.trot([0.5, 0.3, 2.0, 0.5, np.pi / 2], 1000))[:, None]
+    crouched = minitaur_trots.trot([0.5, 0.3, 2.0, 0.5, np.pi / 2], 1000)
     reached = {}
     for walls in minitaur_pen.WALLS:
         env = dataclasses.replace(NOMINAL, walls=walls)
         state = first_state(env)
         state = state.replace(data=state.data.replace(qpos=state.data.qpos.at[0].set(1.1)))
-        reached[walls] = np.abs(run_actions(env, as_lane(state), crouched).data.qpos[..., :2]).max()
+        reached[walls] = np.abs(run_alone(env, state, crouched).data.qpos[:, :2]).max()
     assert reached["closed"] < 1.5
     assert reached["floating"] > 1.6

@@ -15,7 +15,7 @@ from earl_jax.envs import make
 from earl_jax.envs.mujoco_env import leashed_target
 from earl_jax.envs.sawyer.door import handle_at
 from earl_jax.envs.sawyer.peg import HEADS
-from tests.envs.programs import as_lane, first_state, program, run_actions, starts
+from tests.envs.programs import first_state, program, run_alone, starts
 
 TASKS = ("sawyer_door", "sawyer_peg")
 DOOR, PEG = map(make, TASKS)
@@ -111,13 +111,13 @@ def test_peg_dense_reward_rises_along_a_demonstration_ends_at_ten_and_is_that_of
     env, demos = dataclasses.replace(PEG, reward_type="dense"), assets.demos("sawyer_peg", "forward")
     actions = demos.actions[: np.flatnonzero(demos.ends)[0] + 1]
     state = replay_demos.start_state(env, np.hstack([demos.states[0], demos.goals[0]]))
-    states = run_actions(env, as_lane(state), actions[:, None])
-    rewards = np.asarray(states.reward[:, 0])
+    states = run_alone(env, state, actions)
+    rewards = states.reward
     thirds = [part.mean() for part in np.array_split(rewards[:-5], 3)]
     assert thirds[0] < thirds[1] < thirds[2]
     assert 0 <= rewards.min() < 0.1
     assert 1.0 < rewards[-10:].max() <= 10.0
-    last = jax.tree.map(lambda leaf: leaf[-1, 0], states)
+    last = jax.tree.map(lambda leaf: leaf[-1], states)
     goal_reward = program(env, "goal_reward")
     assert goal_reward(last, last.info["goal"]) == pytest.approx(rewards[-1])
     assert goal_reward(last, last.obs[:7]) == 10.0
@@ -149,8 +149,7 @@ def test_a_hand_that_slips_off_does_not_get_too_fast():
     """The target is half a metre ahead of a free hand, which reaches 9 m/s in the original."""
     state = first_state(DOOR)
     far = state.replace(data=state.data.replace(mocap_pos=state.data.mocap_pos + jnp.array([0.0, 0.5, 0.25])))
-    lanes = as_lane(far)
-    hands = np.asarray(run_actions(DOOR, lanes, np.zeros((60, 1, 4), np.float32)).obs[:, 0, :3])
+    hands = run_alone(DOOR, far, np.zeros((60, 4))).obs[:, :3]
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=1) / DOOR.control_step
     assert 1.5 < speed.max() < 4.5
     assert np.linalg.norm(hands[-1] - far.data.mocap_pos[0]) < 0.1, "the hand arrives, as near as the arm can reach"

@@ -11,8 +11,6 @@ from earl_jax.physics.host_call import cuda
 from earl_jax.physics.host_call.xla_ffi import Buffer
 
 LANES, COLUMNS, WIDTH = 3, 4, 2
-
-
 DRIVERS = []
 """The drivers of all tests: a worker may still write to their memory when its test has ended."""
 
@@ -57,7 +55,7 @@ class Driver:
         return int(flags.value != cuda.AT_LEAST)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def driver(monkeypatch):
     fake = Driver()
     monkeypatch.setattr(cuda, "driver", lambda: fake)
@@ -91,7 +89,6 @@ def double(rows, stream):
     return 2 * rows[:, :WIDTH]
 
 
-@pytest.mark.usefixtures("driver")
 def test_jobs_are_answered_in_any_order_and_memory_is_reused():
     stream = cuda.Stream(double, WIDTH, 7)
     for first in range(0, 6 * cuda.DEPTH, 2):
@@ -105,7 +102,6 @@ def test_jobs_are_answered_in_any_order_and_memory_is_reused():
         np.testing.assert_array_equal(calls[1].answer, 2 * first + 2)
 
 
-@pytest.mark.usefixtures("driver")
 def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
     stream, call = cuda.Stream(double, WIDTH, 7), Call(5)
     call.start(stream)
@@ -116,7 +112,6 @@ def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
         call.finish(stream)
 
 
-@pytest.mark.usefixtures("driver")
 def test_too_many_jobs_in_progress_are_an_error():
     stream, calls = cuda.Stream(double, WIDTH, 7), [Call(value) for value in range(cuda.DEPTH + 1)]
     for call in calls[:-1]:
@@ -125,7 +120,6 @@ def test_too_many_jobs_in_progress_are_an_error():
         calls[-1].start(stream)
 
 
-@pytest.mark.usefixtures("driver")
 def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call():
     def refuse(rows, stream):
         raise ValueError("no such state")

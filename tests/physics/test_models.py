@@ -21,14 +21,11 @@ def moved(env):
     return state
 
 
-def test_mujoco_and_mjx_draw_gripper_and_mug_at_their_observed_positions(env, moved):
+def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env, moved):
     model, data = physics.load_model(env.name), physics.mujoco_data(env.name, moved.data)
     for body, part in (("gripper", slice(0, 2)), ("mug", slice(2, 4))):
         np.testing.assert_allclose(data.xpos[model.body(body).id][:2], moved.obs[part], atol=1e-6)
     assert (model.nu, data.ncon) == (0, 0)
-    ours = jax.jit(lambda data: physics.mjx_data(env.name, data))(moved.data)
-    np.testing.assert_allclose(ours.xpos, data.xpos, atol=1e-6)
-    np.testing.assert_allclose(ours.qpos, data.qpos, atol=1e-7)
 
 
 def test_coasters_are_drawn_at_the_goals(env):
@@ -41,11 +38,6 @@ def test_coasters_are_drawn_at_the_goals(env):
 def test_a_lane_carries_the_integration_state_alone(env):
     data = first_state(env).data
     assert sum(leaf.size for leaf in jax.tree.leaves(data)) == 4 + 4 + 4 + 1
-
-
-def test_an_unknown_model_is_an_error_that_lists_the_choices():
-    with pytest.raises(ValueError, match="tabletop_organization"):
-        physics.load_model("table")
 
 
 @pytest.mark.parametrize("name", ["sawyer_door", "sawyer_peg"])

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,7 +12,6 @@ from earl_jax.physics import load_model
 from earl_jax.rendering.overlays import merge, with_overlay
 from earl_jax.rendering.scenes import cameras
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo compiles the models")
 MODELS = sorted(path.stem for path in (assets.root() / "mjcf").glob("*.xml"))
 SIZES = ("nq", "nv", "nu", "nbody", "nmocap")
 PHYSICS = ("qpos0", "jnt_type", "jnt_range", "jnt_axis", "body_mass", "body_inertia", "body_pos", "body_parentid")

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import HelpBudget, make
-from earl_jax.physics import load_model
+from earl_jax.physics import mujoco_data
 from earl_jax.rendering import scenes
 from earl_jax.rendering.scenes import Scene
 from tests.envs.chain import Chain
 
-mujoco = pytest.importorskip("mujoco", reason="pictures are drawn by MuJoCo")
 SMALL = (64, 96)
 
 
@@ -54,11 +53,7 @@ GOAL_SITES = {"sawyer_door": "handle", "sawyer_peg": "head", "dhand_lightbulb": 
 def test_goal_markers_are_at_the_goal(name):
     env = make(name)
     state = env.reset(jax.random.key(3))
-    goal = jax.device_get(env.view.render_goal(state))
-    model = load_model(env.view.model)
-    data = mujoco.MjData(model)
-    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = goal.qpos, goal.mocap_pos, goal.mocap_quat
-    mujoco.mj_kinematics(model, data)
+    data = mujoco_data(env.view.model, env.view.render_goal(state))
     np.testing.assert_allclose(data.site(GOAL_SITES[name]).xpos, state.info["goal"][-3:], atol=2e-4)
 
 

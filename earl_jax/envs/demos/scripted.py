@@ -50,15 +50,11 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
     return {direction: stacked(recorded) for direction, recorded in rows.items() if recorded}
 
 
-def scripted_tasks() -> list[str]:
-    """Return the names of the registered tasks with a demonstration script, sorted."""
-    return [name for name in envs.list_envs() if envs.make(name).demonstrations.script]
-
-
 def _require_script(env: Env) -> DemoScript:
     """Return the task's demonstration script. Errors as `record`."""
     if env.demonstrations.script is None:
-        raise InputError(f"{env.name} has no demonstration script; choose from {', '.join(scripted_tasks())}")
+        scripted = [name for name in envs.list_envs() if envs.make(name).demonstrations.script]
+        raise InputError(f"{env.name} has no demonstration script; choose from {', '.join(scripted)}")
     return env.demonstrations.script
 
 

@@ -18,7 +18,7 @@ from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, VARIANTS, observed, palm_down, yaw_of
-from earl_jax.envs.features import ContinuingDefaults, Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.errors import InputError
@@ -106,6 +106,7 @@ class DHandLightbulb(MujocoEnv):
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
     action_size: ClassVar[int] = 22
+    goal_states: ClassVar[np.ndarray] = TARGET[None]
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400)
     control_step: ClassVar[float] = 0.1
     demo_count: ClassVar[int] = 20
@@ -118,10 +119,6 @@ class DHandLightbulb(MujocoEnv):
     @property
     def state_size(self) -> int:
         return observation.STATE[self.variant]
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return TARGET[None]
 
     @property
     def initial_states(self) -> np.ndarray:
@@ -204,10 +201,6 @@ class DHandLightbulb(MujocoEnv):
         links, bulb = sensors[3:].reshape(-1, 3), self._parts(vector)[1]
         pressed = (links[:, 2].min() < TABLE + FINGER - PRESS) | (bulb[2] < REST - PRESS)
         return data, vector, {"pressed": pressed}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         joints = state.data.qpos[: ARM + FINGERS]

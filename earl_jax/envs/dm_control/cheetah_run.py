@@ -55,16 +55,10 @@ class CheetahRun(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.027)
     state_size: ClassVar[int] = 17
     action_size: ClassVar[int] = 6
+    goal_states: ClassVar[np.ndarray] = np.zeros((1, 0), np.float32)
+    initial_states: ClassVar[np.ndarray] = np.zeros((1, 0), np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(1000)
     control_step: ClassVar[float] = 0.01
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return np.zeros((1, 0), np.float32)
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return np.zeros((1, 0), np.float32)
 
     def reset(self, key: jax.Array) -> State:
         table = assets.starts(self.name)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import ContinuingDefaults, Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import NextState, State
@@ -55,12 +55,9 @@ class FishSwim(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.098)
     state_size: ClassVar[int] = 33
     action_size: ClassVar[int] = 5
+    goal_states: ClassVar[np.ndarray] = TARGETS.reshape(-1, 3).astype(np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(1000)
     control_step: ClassVar[float] = 0.04
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return TARGETS.reshape(-1, 3).astype(np.float32)
 
     @property
     def initial_states(self) -> np.ndarray:
@@ -83,10 +80,6 @@ class FishSwim(MujocoEnv):
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, _observed(data), {}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         return state.data.replace(mocap_pos=state.info["goal"][None])

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import physics
-from earl_jax.envs.features import ContinuingDefaults, Starts, View
+from earl_jax.envs.features import ContinuingDefaults, Starts
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
@@ -172,10 +172,6 @@ class FrankaKitchen(MujocoEnv):
         data = data.replace(mocap_pos=_target(state, action)[None])
         vector, changed = self._observe(data, state.info["noise"])
         return data, vector, {**changed, "sites": sensors[: 3 * len(rewards.SITES)].reshape(-1, 3)}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         robot, objects = state.data.qpos[: rewards.ROBOT], state.info["goal"][rewards.FIRST[rewards.ROBOT :]]

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.features import ContinuingDefaults, Map, View
+from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.minitaur import body
 from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
 from earl_jax.envs.mujoco_env import MujocoEnv
@@ -85,6 +85,8 @@ class MinitaurPen(MujocoEnv):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
     state_size: ClassVar[int] = 30
     action_size: ClassVar[int] = MOTORS
+    goal_states: ClassVar[np.ndarray] = GOALS
+    initial_states: ClassVar[np.ndarray] = np.zeros((1, 2), np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(2000)
     control_step: ClassVar[float] = 0.01
 
@@ -109,14 +111,6 @@ class MinitaurPen(MujocoEnv):
         """0.1 for the dense reward, as released for such tasks."""
         return 10.0 if self.sparse else 0.1
 
-    @property
-    def goal_states(self) -> np.ndarray:
-        return GOALS
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return np.zeros((1, 2), np.float32)
-
     def reset(self, key: jax.Array) -> State:
         goal_key, body_key, battery_key = jax.random.split(key, 3)
         qpos, qvel, warmstart = (jnp.asarray(part, jnp.float32) for part in STANDING)
@@ -134,10 +128,6 @@ class MinitaurPen(MujocoEnv):
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, observed(data), {}
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         upright = jnp.asarray(STANDING[0][2:], jnp.float32)

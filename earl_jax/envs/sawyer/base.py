@@ -15,7 +15,6 @@ import numpy as np
 
 from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
-from earl_jax.envs.features import View
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
@@ -124,10 +123,6 @@ class Sawyer(MujocoEnv):
     def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
         position = vector[-3:]
         return self.start_at(self.joints_at(position), position, goal)
-
-    @property
-    def view(self) -> View:
-        return super().view._replace(render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         object_joints = self.joints_at(state.info["goal"][-3:])

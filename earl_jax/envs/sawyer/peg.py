@@ -87,6 +87,7 @@ class SawyerPeg(Sawyer):
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.10, device=109.0, warp=5.6)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(400, train_horizon=50_000)
     demo_count: ClassVar[int] = 10
+    pose: ClassVar[Pose] = HOME
     radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
     object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
@@ -105,10 +106,6 @@ class SawyerPeg(Sawyer):
         arm = np.tile(np.array([*HOME.hand, HOME.grip], np.float32), (len(HEADS), 1))
         height = np.full((len(HEADS), 1), LOW[2])
         return np.concatenate([arm, HEADS, height], axis=1)[:, self.observed_indices]
-
-    @property
-    def pose(self) -> Pose:
-        return HOME
 
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)

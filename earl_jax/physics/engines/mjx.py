@@ -1,7 +1,6 @@
 """MJX in its JAX or its Warp implementation: one program simulates all lanes."""
 
 import functools
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -31,19 +30,9 @@ def _model(simulator: "Simulator") -> tuple[Any, Any]:
         return model, mjx.make_data(host, impl=implementation, **budget)
 
 
+@functools.partial(jax.jit, static_argnums=0)
 def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
-    """Return the result of `Simulator.step`."""
-    return _program(simulator)(state, command)
-
-
-@functools.cache
-def _program(simulator: "Simulator") -> Callable[[PhysicsState, jax.Array], tuple[PhysicsState, jax.Array]]:
-    """Return the control step of `simulator` under `jit`, so that Python traces MJX once for all programs with it."""
-    return jax.jit(functools.partial(_step, simulator))
-
-
-def _step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tuple[PhysicsState, jax.Array]:
-    """Return the result of `Simulator.step`.
+    """Return the result of `Simulator.step`. It is under `jit`, so that Python traces MJX once for all programs with it.
 
     The scan carries the integration state only, so XLA removes the rest of `Data`. Its first sensor values, which
     nothing reads, depend on the state: JAX traces a batch of lanes twice if a part of the carry has lanes only at the end.

@@ -12,6 +12,7 @@ class Wrapper:
         """Wrap `env`, which has `reset` and the four-tuple `step` of old gym."""
         self.env = env
         self.num_interventions = 0
+        self._steps = 0
 
     def __getattr__(self, name: str) -> Any:
         """Return the attribute of the wrapped env."""
@@ -22,4 +23,5 @@ class Wrapper:
     def reset(self) -> np.ndarray:
         """Return the first observation [s + g] after an intervention, which is counted."""
         self.num_interventions += 1
+        self._steps = 0
         return self.env.reset()

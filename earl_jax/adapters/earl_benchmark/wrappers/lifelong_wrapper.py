@@ -18,12 +18,6 @@ class LifelongWrapper(Wrapper):
         super().__init__(env)
         self.lifelong_return = 0.0
         self._frequency = goal_change_frequency
-        self._steps = 0
-
-    def reset(self) -> np.ndarray:
-        """Return the first observation [s + g] after an intervention, which is counted."""
-        self._steps = 0
-        return super().reset()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
         """Return observation, reward, done and info; the reward is that of the old goal, the observation has the new one."""

@@ -17,12 +17,6 @@ class PersistentStateWrapper(Wrapper):
         super().__init__(env)
         self.total_steps = 0
         self._horizon = episode_horizon
-        self._steps = 0
-
-    def reset(self) -> np.ndarray:
-        """Return the first observation [s + g] after an intervention, which is counted."""
-        self._steps = 0
-        return super().reset()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
         """Return observation, reward, done and info of the wrapped env, done also where a reset is due."""
