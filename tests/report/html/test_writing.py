@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from earl_jax.cli.report import report
+from earl_jax.cli.inspect_runs import report
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.html import writing
