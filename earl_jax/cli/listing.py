@@ -15,6 +15,8 @@ from earl_jax.options.presets import PRESETS
 from earl_jax.options.values import value_text
 
 WIDTH = 80
+LONGEST = 30
+"""Letters of a name for which the overview has room; a longer one makes its own line longer."""
 MORE = "earl-jax list NAME describes one of them with its options; --json prints all."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
@@ -98,10 +100,11 @@ def _overview(everything: dict[str, Any]) -> str:
     """Return a line for each task and each method, and the names of learners and presets."""
     lines = []
     for kind in ("tasks", "methods"):
-        size = max(10, *map(len, everything[kind])) + 2
+        size = min(max(10, *map(len, everything[kind])), LONGEST)
         for number, described in enumerate(everything[kind].values()):
-            start = f"{kind if number == 0 else '':<9}{described['name']:<{size}}"
-            lines.append(start + textwrap.shorten(_summary(described), WIDTH - len(start), placeholder="..."))
+            start = f"{kind if number == 0 else '':<9}{described['name']:<{size}}  "
+            room = max(WIDTH - len(start), WIDTH // 4)
+            lines.append(start + textwrap.shorten(_summary(described), room, placeholder="..."))
         lines.append("")
     lines += [f"{kind:<9}{', '.join(everything[kind])}" for kind in ("learners", "presets")]
     return "\n".join([*lines, MORE])

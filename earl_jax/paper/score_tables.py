@@ -4,7 +4,6 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 import functools
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,6 +33,8 @@ CHOSEN_RULE = (
     "of the same tasks, which favours them."
 )
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
+LONGEST = 40
+"""Letters of a label in the picture at most."""
 
 
 def report(number: int, folders: Sequence[Path]) -> Report:
@@ -145,7 +146,8 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
     axis.use_sticky_edges = False
     for position, row in enumerate(rows):
         _draw_row(axis, position, row, palette[row["algo"]])
-    names = [textwrap.shorten(method_title(row["label"]), 40, placeholder=" …") for row in rows]
+    titles = [method_title(row["label"]) for row in rows]
+    names = [title if len(title) <= LONGEST else f"{title[: LONGEST - 1]}…" for title in titles]
     slanted = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in rows) else {}
     axis.set_xticks(range(len(rows)), names, fontsize="small", **slanted)
     axis.set(title=task_title(rows[0]["env"]), xlim=(-0.6, len(rows) - 0.4))

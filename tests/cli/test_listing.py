@@ -85,10 +85,12 @@ def test_the_text_fits_eighty_columns_and_that_of_all_names_a_screen(arguments, 
     assert [text for text in texts if text not in out] == []
 
 
-def test_a_long_name_stays_apart_from_its_summary():
-    described = {"a_method_of_a_long_name": {"name": "a_method_of_a_long_name", "summary": "Wait."}}
+@pytest.mark.parametrize("length", [24, 90])
+def test_a_long_name_stays_apart_from_its_summary(length):
+    name = "m" * length
+    described = {name: {"name": name, "summary": "Wait."}}
     everything = {"tasks": described, "methods": described, "learners": {}, "presets": {}}
-    assert "\nmethods  a_method_of_a_long_name  Wait.\n" in listing._overview(everything)
+    assert f"\nmethods  {name}  Wait.\n" in listing._overview(everything)
 
 
 def test_json_describes_one_name_or_all():
