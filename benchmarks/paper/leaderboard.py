@@ -6,17 +6,17 @@ assets/published/leaderboard.csv, from which `earl-jax report` shows them beside
 folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows again.
 """
 
-import argparse
 import math
 import re
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from scipy import stats
 
-from benchmarks.output import RESULTS, ROOT, csv_text, folded, pages_with, write_files
+from benchmarks.output import RESULTS, ROOT, folded, pages_with, write_files
 from benchmarks.paper.cells import commit_of
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
@@ -26,7 +26,7 @@ from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
-from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, score_text, values_of
+from earl_jax.report.leaderboard import HEADER, Row, ranked, run_row, score_text, values_of
 from earl_jax.report.published import (
     LEVELS,
     RECONSTRUCTED,
@@ -38,7 +38,7 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import MethodRuns, by_method, options_text, pooling_key, read
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.tables import markdown_table, millions, number_text
+from earl_jax.report.tables import csv_text, markdown_table, millions, number_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
@@ -117,12 +117,8 @@ def _paper_row(env: str, algo: str) -> Row:
         seeds=SEEDS,
         steps=length,
         deployed=score_text(env, *deployed),
-        wide="-",
         continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
-        alive="-",
         crossings=tuple(millions(crossings.get(level)) for level in LEVELS),
-        chosen="-",
-        commit="-",
         score=float(deployed.value),
     )
 
@@ -140,19 +136,14 @@ def _newer_row(row: dict[str, str]) -> Row:
         seeds=seeds,
         steps=int(row["steps"]),
         deployed=score_text(row["env"], mean, float(low), float(high)),
-        wide="-",
-        continuing="-",
-        alive="-",
         crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS),
-        chosen="-",
-        commit="-",
         score=mean,
     )
 
 
 def rows_text(rows: list[Row]) -> str:
     """Return the rows as the file that ships with the package."""
-    return csv_text([{name: values[name] for name in COLUMNS} for values in map(values_of, rows)])
+    return csv_text(list(map(values_of, rows)))
 
 
 def scores_text(rows: list[Row]) -> str:
@@ -262,15 +253,12 @@ def files() -> dict[Path, str]:
     return {**pages_with(tables), ROWS: rows_text(rows), TESTS: csv_text(tested)}
 
 
-def main() -> None:
-    """Write the page, with a new run if one is given."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--add", type=Path, metavar="RUN", help="run folder to add")
-    run = parser.parse_args().add
+def main(run: Annotated[Path | None, tyro.conf.arg(name="add", metavar="RUN")] = None) -> None:
+    """Write the page, with the run folder to add if one is given."""
     if run:
         print(add(run))
     write_files(files())
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

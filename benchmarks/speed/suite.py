@@ -23,9 +23,10 @@ from typing import Any, Literal
 import jax
 import tyro
 
-from benchmarks.output import RESULTS, ROOT, csv_text, save
+from benchmarks.output import RESULTS, ROOT, save
 from benchmarks.speed.peers.common import cores
 from benchmarks.speed.peers.plan import LIMIT_S, Job, plan, ratios
+from earl_jax.report.tables import csv_text
 
 PEERS = ROOT / ".cache" / "peers"
 REQUIREMENTS = Path(__file__).parent / "peers" / "requirements.txt"

@@ -4,6 +4,7 @@ The file has the published scores and the runs of this repository; `python -m be
 docs/leaderboard.md from the same rows.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -27,7 +28,10 @@ HEADER = (
 
 
 class Row(NamedTuple):
-    """A row of the leaderboard as texts; the rows of a task are sorted by `score`, the mean deployed score, highest first."""
+    """A row of the leaderboard as texts; the rows of a task are sorted by `score`, the mean deployed score, highest first.
+
+    A text of what a row does not have is `-`.
+    """
 
     env: str
     method: str
@@ -35,13 +39,13 @@ class Row(NamedTuple):
     seeds: int
     steps: int
     deployed: str
-    wide: str
-    continuing: str
-    alive: str
-    crossings: tuple[str, ...]
-    chosen: str
-    commit: str
-    score: float
+    wide: str = "-"
+    continuing: str = "-"
+    alive: str = "-"
+    crossings: tuple[str, ...] = ("-",) * len(LEVELS)
+    chosen: str = "-"
+    commit: str = "-"
+    score: float = math.nan
 
     @property
     def texts(self) -> list[str]:
@@ -51,14 +55,15 @@ class Row(NamedTuple):
 
 
 CROSSINGS = tuple(f"to_{level}" for level in LEVELS)
-COLUMNS = tuple(column for name in Row._fields for column in (CROSSINGS if name == "crossings" else (name,)))
-"""The columns of the file."""
+"""The columns of the file that have the crossings."""
 
 
 def values_of(row: Row) -> dict[str, Any]:
-    """Return a row as the values of `COLUMNS`; scores are rounded to six digits after the point."""
-    values = row._asdict() | dict(zip(CROSSINGS, row.crossings, strict=True)) | {"score": round(row.score, 6)}
-    return {name: values[name] for name in COLUMNS}
+    """Return a row by the columns of the file; scores are rounded to six digits after the point."""
+    values: dict[str, Any] = {}
+    for name, value in row._asdict().items():
+        values |= dict(zip(CROSSINGS, value, strict=True)) if name == "crossings" else {name: value}
+    return values | {"score": round(row.score, 6)}
 
 
 def shipped_rows() -> list[Row]:

@@ -14,7 +14,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.tables import steps_text
+from earl_jax.report.tables import number_text, steps_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import made_by
 
@@ -49,11 +49,11 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
 
 def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
     score = PublishedScore(row["published_mean"], row["published_stderr"])
-    published = "–" if score.mean == "-" else score.text.replace("-", "−")
-    cells = {SIZE: "not run", PUBLISHED: published, VERDICT: _verdict(row)}
+    cells = {SIZE: "not run", PUBLISHED: _typeset(score.text), VERDICT: _verdict(row)}
     if line is not None:
         digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-        texts = {name: number_text(value, digits) for name, value in row.items() if isinstance(value, float)}
+        style = f",.{digits}f"
+        texts = {name: _typeset(number_text(value, style)) for name, value in row.items() if isinstance(value, float)}
         cells |= {
             SIZE: f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}",
             MEAN: f"{texts['mean']} ({texts['stderr']})",
@@ -131,16 +131,16 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
         for lane, seed in enumerate(line.seeds):
             values = [scores[lane]]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
-            texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
+            texts = [_typeset(number_text(value, ".4g" if abs(value) < 1000 else ",.0f")) for value in values]
             rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
     return {"head": head, "rows": rows}
 
 
-def number_text(value: float, digits: int) -> str:
-    """Return a number with `digits` after the point, `–` for nan."""
-    return "–" if math.isnan(value) else f"{value:,.{digits}f}".replace("-", "−")
+def _typeset(number: str) -> str:
+    """Return the text of a number with the signs of print: `−` for minus, and `–` where `-` stands for nothing."""
+    return "–" if number == "-" else number.replace("-", "−")
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
