@@ -84,7 +84,7 @@ def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_say
     write_run(folder, DOOR, "vaprl", rising(2, 3), metrics={"critic_loss": 2.0}, **FORMER)
     config = json.loads((folder / "config.json").read_text())
     (folder / "config.json").write_text(json.dumps({**config, "provenance": {"commit": "f" * 40}}))
-    rows = cells.cells(tmp_path)
+    rows = cells.cells(cells.read_runs(tmp_path))
     assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
     [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]
     assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")
