@@ -32,6 +32,8 @@ CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
     "of the same tasks, which favours them."
 )
+TESTS = ("task", "method", "steps", "ours", "published", "difference [95 %]", "p", "adjusted p", "verdict", "chosen")
+"""The columns of the table of tests."""
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
 LONGEST = 40
 """Letters of a label in the picture at most."""
@@ -83,25 +85,13 @@ def _tests(tested: Sequence[Row]) -> str:
     """Return a table of the tests against the published scores, or a line that there is none."""
     if not tested:
         return "No run can be tested against the paper."
-    header = [
-        "task",
-        "method",
-        "steps",
-        "ours",
-        "published",
-        "difference [95 %]",
-        "p",
-        "adjusted p",
-        "verdict",
-        "chosen",
-    ]
     lines = []
     for row in tested:
         style = f".{DIGITS.get(row['metric'], 4)}f"
         means = [format(row[name], style) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
         lines.append([*names, *means, *compared_texts(row, style, "difference_"), row["chosen"]])
-    return f"{markdown_table(header, lines)}\n\n{CHOSEN_RULE}"
+    return f"{markdown_table(TESTS, lines)}\n\n{CHOSEN_RULE}"
 
 
 def _faults(number: int, trained: Sequence[Row]) -> str:
