@@ -1,7 +1,6 @@
 """The tables of the pages follow from the kept runs, and say what was not run."""
 
 import itertools
-import json
 import shutil
 
 import jax
@@ -13,7 +12,7 @@ from benchmarks.output import RESULTS, read_csv, with_tables
 from benchmarks.paper import cells, differences, grid, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
-from tests.report.run_files import DOOR, constant, rising, write_run
+from tests.report.run_files import DOOR, change_config, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
 VARIANT = f"{DOOR}/vaprl/{cells.FORMER_VAPRL}"
@@ -82,8 +81,7 @@ def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
 def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_says_so(tmp_path):
     folder = tmp_path / VARIANT
     write_run(folder, DOOR, "vaprl", rising(2, 3), metrics={"critic_loss": 2.0}, **FORMER)
-    config = json.loads((folder / "config.json").read_text())
-    (folder / "config.json").write_text(json.dumps({**config, "provenance": {"commit": "f" * 40}}))
+    change_config(folder, provenance={"commit": "f" * 40})
     rows = cells.cells(cells.read_runs(tmp_path))
     assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
     [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.paper import leaderboard
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.report.leaderboard import shipped_rows
-from tests.report.run_files import DOOR, write_page_run
+from tests.report.run_files import DOOR, change_config, write_page_run
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
 
@@ -32,9 +32,9 @@ def written(path, scores, algo="naive", **options):
 
 
 def change(folder, **values):
-    config = json.loads((folder / "config.json").read_text())
-    config["provenance"] |= {"commit": "0123456789abcdef", **values.pop("provenance", {})}
-    (folder / "config.json").write_text(json.dumps({**config, **values}))
+    provenance = json.loads((folder / "config.json").read_text())["provenance"]
+    provenance |= {"commit": "0123456789abcdef", **values.pop("provenance", {})}
+    change_config(folder, provenance=provenance, **values)
 
 
 def test_the_rows_that_ship_are_read_as_they_were_written():
