@@ -86,11 +86,6 @@ def with_tables(page: str, tables: Mapping[str, str]) -> str:
     return page
 
 
-def folded(summary: str, table: str) -> str:
-    """Return a table that opens at a click on its summary."""
-    return f"<details markdown><summary>{summary}</summary>\n\n{table}\n\n</details>"
-
-
 def write_files(files: Mapping[Path, str]) -> None:
     """Write texts to their paths."""
     for path, text in files.items():

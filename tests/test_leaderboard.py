@@ -111,7 +111,7 @@ def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(t
 def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     for name, env, options in (("on", "sawyer_peg", {}), ("off", "sawyer_peg", {"corrected": 0.0}), ("on", DOOR, {})):
         written(tmp_path / "leaderboard" / env / name, SCORES, "cfbrl", env=env, **options)
-    labels = [(group.env, group.label) for group, _ in leaderboard.entries(tmp_path)]
+    labels = [(group.env, group.label) for group in leaderboard.entries(tmp_path)]
     assert labels == [
         (DOOR, "cfbrl"),
         ("sawyer_peg", "cfbrl (corrected=0)"),

@@ -8,7 +8,6 @@ in the folders of tasks, and the tables `grid` and `summary` of the pages.
 """
 
 import itertools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,13 @@ from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.paper.artefact import methods_on, training_steps
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import published_rows, table_text, verdict_text, with_verdicts
+from earl_jax.report.leaderboard import commit_of
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
 from earl_jax.report.tables import csv_text, interval_text, markdown_table, millions
-from earl_jax.runs.provenance import made_by, short_commit
+from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
@@ -53,11 +53,6 @@ def read_runs(root: Path = RUNS) -> list[MethodRuns]:
     return read_methods([folders[0] for folders in choices if folders])
 
 
-def folder_of(run: MethodRuns) -> Path:
-    """Return the folder of the run of a cell."""
-    return run.curves.runs[0].path
-
-
 def cells(runs: Sequence[MethodRuns]) -> list[Row]:
     """Return a row for each of the paper's cells, of which those without one of `runs` have a verdict only."""
     tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs)) if row["age"] == 1.0}
@@ -68,15 +63,14 @@ def cells(runs: Sequence[MethodRuns]) -> list[Row]:
 
 def _measured(run: MethodRuns, test: Row) -> Row:
     """Return what the row of a cell has of its run and of the test of it."""
-    folder = folder_of(run)
     ends = {"low": "mean_low", "high": "mean_high", "difference_low": "low", "difference_high": "high"}
     return {
         **test,
         **{name: test[end] for name, end in ends.items()},
-        "run": folder.as_posix().rpartition(f"/{run.env}/")[2],
+        "run": run.curves.runs[0].path.as_posix().rpartition(f"/{run.env}/")[2],
         "chosen": chosen_words(run.curves),
         "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
-        "commit": short_commit(commit_of(folder)),
+        "commit": short_commit(commit_of(run.curves)),
     }
 
 
@@ -85,11 +79,6 @@ def _cell(env: str, algo: str, measured: Row) -> Row:
     score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
     names = {"env": env, "algo": algo, "of": training_steps(env), "printed": score.text if score else None}
     return {**{name: measured.get(name) for name in COLUMNS}, **names}
-
-
-def commit_of(folder: Path) -> str:
-    """Return the commit that made the run of `folder`, or the release where it was made by a wheel."""
-    return made_by(json.loads((folder / "config.json").read_text())["provenance"])
 
 
 def cells_text(rows: list[Row]) -> str:
@@ -145,7 +134,7 @@ def draw() -> None:
         if env in LIVES:
             pictures["lives"] = CONTINUING
         for name, metric in pictures.items():
-            folders = list(map(folder_of, of_task))
+            folders = [folder.path for run in of_task for folder in run.curves.runs]
             picture = RUNS / env / f"{name}.png"
             shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=10, published=True))
 

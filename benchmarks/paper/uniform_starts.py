@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from benchmarks.output import RESULTS, pages_with, read_csv, write_files
-from benchmarks.paper.cells import RUNS, TABLETOP, commit_of
+from benchmarks.paper.cells import RUNS, TABLETOP
 from earl_jax import assets
 from earl_jax.envs import Env, State
 from earl_jax.envs.tabletop import FREE
@@ -27,6 +27,7 @@ from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.statistics import relative_drop
 from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
+from earl_jax.report.leaderboard import commit_of
 from earl_jax.report.runs import read
 from earl_jax.report.tables import csv_text, interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
@@ -63,8 +64,9 @@ def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequ
     """
     length, rows = training_steps(TABLETOP), list(known)
     for folder in sorted(file.parent for file in root.rglob("policies.npz")):
-        run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(folder) or "")}
-        if int(read(folder).steps[-1]) == length and not any(run.items() <= row.items() for row in known):
+        curves = read(folder)
+        run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(curves))}
+        if int(curves.steps[-1]) == length and not any(run.items() <= row.items() for row in known):
             rows = [row for row in rows if row["run"] != run["run"]]
             rows += [{**run, **row} for row in _run_rows(folder, episodes)]
     return rows

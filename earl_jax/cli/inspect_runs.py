@@ -58,11 +58,10 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     from earl_jax.runs.provenance import made_by
     from earl_jax.training.result import printable
 
-    origin = values["provenance"] if isinstance(values["provenance"], dict) else {}
     texts = result.summary(window)
     del texts["metrics"]
     texts |= {
-        "made by": printable(f"earl-jax {made_by(origin) or 'of an unknown version'}"),
+        "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
         "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
         "in Python": values["load"],
         "metrics": f"means over {len(result.seeds)} seeds at step {result.steps[-1]:,}"

@@ -17,7 +17,7 @@ from earl_jax.report.published import LEVELS, chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import interval_text, millions, step_interval
-from earl_jax.runs.provenance import short_commit
+from earl_jax.runs.provenance import made_by, short_commit
 
 TABLE = "leaderboard"
 OURS = "earl_jax"
@@ -84,7 +84,7 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return {env: sorted(members, key=lambda row: -row.score) for env, members in by_task.items()}
 
 
-def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
+def run_row(group: MethodRuns, source: str = OURS) -> Row:
     """Return the row of a run: scores by the default `Window`, each with its 95 % interval over seeds."""
     curves = group.curves._replace(window=DEFAULT)
     deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
@@ -101,9 +101,15 @@ def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(map(step_interval, level_crossings(curves).values())),
         chosen=chosen_words(curves),
-        commit=short_commit(commit) or "-",
+        commit=short_commit(commit_of(curves)) or "-",
         score=float(seed_scores(curves).mean()),
     )
+
+
+def commit_of(curves: Curves) -> str:
+    """Return the commit or the release that made the runs, `several` if they differ, or an empty text without any."""
+    commits = {made_by(run.recorded().get("provenance")) for run in curves.runs}
+    return commits.pop() if len(commits) == 1 else "several"
 
 
 def score_text(env: str, value: float, low: float, high: float) -> str:

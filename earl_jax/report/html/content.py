@@ -15,7 +15,6 @@ from earl_jax.report.html.page_tables import (
     leaderboard,
     paper_table,
     provenance,
-    recorded,
     seed_table,
 )
 from earl_jax.report.published import INTERVAL_RULE, TEST_RULE
@@ -107,7 +106,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
 
 def _run_card(line: Line, run: RunFolder) -> dict[str, Any]:
     """Return the card of one run: its length, its options, the command that repeats it, its whole config."""
-    whole = recorded(run)
+    whole = run.recorded()
     return {
         "line": line,
         "path": str(run.path),

@@ -1,7 +1,6 @@
 """The tables of one task as text: the paper's tables 1 and 2, the leaderboard, tests of differences, final scores of seeds."""
 
 import itertools
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -89,9 +88,7 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
 def _board_row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
     group = line.group
-    commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
-    named = group._replace(label=label(group.algo, line.curves.options))
-    return run_row(named, commits.pop() if len(commits) == 1 else "several", HERE)
+    return run_row(group._replace(label=label(group.algo, line.curves.options)), HERE)
 
 
 def _identity(row: Row) -> tuple[object, ...]:
@@ -143,14 +140,9 @@ def _typeset(number: str) -> str:
     return "–" if number == "-" else number.replace("-", "−")
 
 
-def recorded(run: RunFolder) -> dict[str, Any]:
-    """Return the whole config.json of a run, with its provenance."""
-    return json.loads(run.config_file.read_text())
-
-
 def provenance(run: RunFolder) -> dict[str, str]:
     """Return the machine and the version of each package from a run's config, as texts; `unknown` for what it lacks."""
-    known = recorded(run).get("provenance")
+    known = run.recorded().get("provenance")
     known = known if isinstance(known, dict) else {}
     versions = known.get("versions")
     values = {name: known.get(name) for name in MACHINE} | {"commit": made_by(known) or None}
