@@ -8,6 +8,7 @@ in the folders of tasks, and the tables `grid` and `summary` of the pages.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -86,17 +87,13 @@ def cells_text(rows: list[Row]) -> str:
     return markdown_table(HEADER, [_line(row) for row in rows])
 
 
-def _tested(row: Row) -> bool:
-    return row["p"] is not None and row["p"] == row["p"]
-
-
 def _line(row: Row) -> list[str]:
     names = [row["env"], row["algo"] + (", former defaults" if row["run"] not in (None, row["algo"]) else "")]
     printed, of = row["printed"] or "-", millions(row["of"])
     if row["seeds"] is None:
         return [*names, *"--", of, *"----", row["verdict"], "-", printed, *"--"]
     style, tests = ".3f" if make(row["env"]).sparse else ".0f", [*"---"]
-    if _tested(row):
+    if row["p"] is not None and not math.isnan(row["p"]):
         difference = interval_text(row["difference"], row["difference_low"], row["difference_high"], style)
         tests = [format(row["other_mean"], style), difference, f"{row['p_holm']:.2g}"]
     return [
