@@ -30,17 +30,20 @@ SUMS = (
 )
 
 
-def redraw(out: Path) -> list[Path]:
-    """Return the files written into `out`, a folder for each table and figure."""
+def reports() -> dict[str, Report]:
+    """Return the report of every table and figure, from the kept data."""
     runs = sorted(path.parent for path in KEPT.glob("runs/*/*/*/metrics.csv"))
     suite = [path for path in runs if path.parts[-3] in ARTEFACTS["figure2"].tasks]
     tasks = [path for path in runs if path not in suite]
     tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
     folders = {"table1": tasks, "table2": tasks, "figure5": tasks, "figure2": suite, "tradeoff": tradeoff}
-    written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
-    rows = read_csv(KEPT / "figure4" / "figure4_seeds.csv")
-    reports = {"figure3": visits(), "figure4": figure4.report_of(rows)}
-    written += [path for name, report in reports.items() for path in report.write(name, out / name)]
+    made = {name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()}
+    return {**made, "figure3": visits(), "figure4": figure4.report_of(read_csv(KEPT / "figure4" / "figure4_seeds.csv"))}
+
+
+def redraw(out: Path) -> list[Path]:
+    """Return the files written into `out`, a folder for each table and figure."""
+    written = [path for name, report in reports().items() for path in report.write(name, out / name)]
     for path in written:
         if path.suffix == ".png":
             shrink(path)

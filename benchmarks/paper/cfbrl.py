@@ -135,13 +135,14 @@ def options_text() -> str:
     """
     rows, values = [], {}
     for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
-        base = _option_scores(OPTIONS / env / "default")
-        rows.append(_option_line(env, "default", base))
-        for folder in sorted(path for path in (OPTIONS / env).iterdir() if path.name != "default"):
-            scores = _option_scores(folder)
-            rows.append(_option_line(env, folder.name, scores))
-            tests = [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
-            values[env, folder.name] = float(np.nanmin(holm(tests)))
+        others = sorted(path.name for path in (OPTIONS / env).iterdir() if path.name != "default")
+        runs = {name: read(OPTIONS / env / name) for name in ("default", *others)}
+        scores = {name: [window_scores(run, metric, 200_000) for metric in MEASURES] for name, run in runs.items()}
+        for name, own in scores.items():
+            rows.append([env, name, *(interval_text(*mean_interval(score, rate=True)) for score in own)])
+        for name in others:
+            tests = [permutation(*pair).p for pair in zip(scores[name], scores["default"], strict=True)]
+            values[env, name] = float(np.nanmin(holm(tests)))
     header = ("task", "options", *MEASURES.values())
     clear = [f"{name} on {env} ({p:.2g})" for (env, name), p in values.items() if p < LEVEL]
     smallest = (
@@ -150,15 +151,6 @@ def options_text() -> str:
         f"{min(values.values()):.2g}."
     )
     return f"{markdown_table(header, rows)}\n\n{smallest}"
-
-
-def _option_scores(folder: Path) -> list[np.ndarray]:
-    curves = read(folder)
-    return [window_scores(curves, metric, 200_000) for metric in MEASURES]
-
-
-def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
-    return [env, name, *(interval_text(*mean_interval(score, rate=True)) for score in scores)]
 
 
 def learning_text() -> str:
