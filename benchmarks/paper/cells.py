@@ -11,7 +11,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from benchmarks.output import RESULTS, pages_with, shrink, write_files
 from benchmarks.paper import grid
@@ -24,7 +23,7 @@ from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
-from earl_jax.report.tables import csv_text, interval_text, markdown_table, millions
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "paper"
@@ -42,7 +41,6 @@ COLUMNS = (
     "env", "algo", "run", "of", "printed", "seeds", "other_seeds", "steps", "mean", "other_mean", "low", "high", "difference",
     "difference_low", "difference_high", "p", "p_holm", "detectable", "chosen", "largest_critic_loss", "commit", "verdict",
 )  # fmt: skip
-Row = dict[str, Any]
 
 
 def read_runs(root: Path = RUNS) -> list[MethodRuns]:

@@ -11,7 +11,6 @@ made, and the table says `not run`. Writes results/paper/{pairs.csv,pairs.md}, t
 import dataclasses
 import itertools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
-from earl_jax.report.tables import csv_text, interval_text, markdown_table, millions, number_text
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
 DOOR, CHEETAH = "sawyer_door", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
@@ -33,8 +32,6 @@ HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, 
 LEAST = 0.001
 """The least p that is printed as a number."""
 FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
-
-Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)

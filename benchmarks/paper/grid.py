@@ -21,7 +21,7 @@ from earl_jax.report.style import (
     step_axis,
     task_title,
 )
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import Row, markdown_table
 
 WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TELL}"}
 WHOLE = 0.95
@@ -34,7 +34,6 @@ LEGEND = (
 )
 SMOOTH = 10
 OURS = {"color": "#0072B2"}
-Row = dict[str, Any]
 
 
 def text(rows: Sequence[Row]) -> str:

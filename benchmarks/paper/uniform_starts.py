@@ -10,7 +10,7 @@ between comments in docs/results.md is written, from that file.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
 from earl_jax.report.leaderboard import commit_of
 from earl_jax.report.runs import read
-from earl_jax.report.tables import csv_text, interval_text, markdown_table
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 from earl_jax.training.loading import load_policies
@@ -41,8 +41,6 @@ KINDS = {"initial": None, "within_2.5": 2.5, "within_2.8": 2.8}
 RELEASED = "within_2.5"
 HEADER = ("run", "seeds", "from s0 [95 %]", "within 2.5 [95 %]", "drop, % [95 %]", "published drop, %",
           "within 2.8 [95 %]", "drop, % [95 %]")  # fmt: skip
-
-Row = dict[str, Any]
 
 
 def within(env: Env, limit: float) -> Callable[[jax.Array], State]:

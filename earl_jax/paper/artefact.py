@@ -16,12 +16,11 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_steps
 from earl_jax.report.style import save
-from earl_jax.report.tables import write
+from earl_jax.report.tables import Row, write
 
 PAGES = Path(__file__).parent / "pages"
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
 Options = dict[str, Any]
-Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.scores import deployed_area
+from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
-from earl_jax.report.paper_rows import table_scores
+from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.published import LEVELS, crossings_beside, published_beside, released_beside
 from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text, read_methods
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
@@ -29,7 +29,6 @@ from earl_jax.report.style import (
 )
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
-CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
 SMOOTH = " (trailing 10)"
 
 

@@ -4,7 +4,6 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from earl_jax.report.published import (
 from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import method_order, task_order
+from earl_jax.report.tables import Row
 
 HEADINGS = {
     1: "Table 1: deployed performance of the final policy",
@@ -42,7 +42,7 @@ TESTED = (
 """The columns of the test, which are None without one."""
 
 
-def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]]:
+def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[Row]:
     """Return the rows of table `number` in the paper's order: those of `groups`, and published ones not run."""
     names = [(row["env"], row["algo"]) for row in assets.published(f"table{number}")]
     names += [(group.env, group.algo) for group in groups]
@@ -55,7 +55,7 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
     return rows
 
 
-def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str, Any]:
+def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> Row:
     table = f"table{number}"
     score = published_beside(table, group.curves) if group else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
@@ -81,7 +81,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
     return row
 
 
-def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[str, Any]:
+def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> Row:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
     curves, released = group.curves, released_beside(group.curves)
     if released is None:
@@ -105,7 +105,7 @@ def table_scores(number: int, curves: Curves, step: int | None = None) -> np.nda
     return curves.metrics[CONTINUING][:, until][:, -1]
 
 
-def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
+def _measured(number: int, group: MethodRuns | None) -> Row:
     """Return the scores of the seeds of `group`, all of them None without a run."""
     names = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
     if group is None:
@@ -118,7 +118,7 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     return dict(zip(names, values, strict=True))
 
 
-def share_of_steps(row: dict[str, Any]) -> str:
+def share_of_steps(row: Row) -> str:
     """Return, as `at 12 % of the steps`, the share of the published ones that a shorter run has; else an empty text."""
     least = row["published_steps_low"]
     if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:
