@@ -1,6 +1,5 @@
 """The leaderboard follows from the run folders, and takes only runs that keep its rules."""
 
-import json
 import shutil
 
 import numpy as np
@@ -23,18 +22,13 @@ def run(tmp_path):
 def written(path, scores, algo="naive", **options):
     """Write a run that evaluates every 10,000 steps with ten episodes, and has success from wide starts."""
     steps = [10_000 * number for number in range(1, scores.shape[1] + 1)]
-    folder = write_page_run(path, algo, scores, steps=steps, **options)
-    table = (folder / "metrics.csv").read_text().splitlines()
-    wide = [f"{line},{WIDE if number == 0 else 0.25}" for number, line in enumerate(table)]
-    (folder / "metrics.csv").write_text("\n".join(wide) + "\n")
+    folder = write_page_run(path, algo, scores, steps=steps, metrics={WIDE: 0.25}, **options)
     change(folder, eval_episodes=10)
     return folder
 
 
-def change(folder, **values):
-    provenance = json.loads((folder / "config.json").read_text())["provenance"]
-    provenance |= {"commit": "0123456789abcdef", **values.pop("provenance", {})}
-    change_config(folder, provenance=provenance, **values)
+def change(folder, provenance=None, **values):
+    change_config(folder, provenance={"commit": "0123456789abcdef", **(provenance or {})}, **values)
 
 
 def test_the_rows_that_ship_are_read_as_they_were_written():
