@@ -12,15 +12,7 @@ from earl_jax.paper.artefact import METHODS, methods_on, training_steps
 from earl_jax.report.plots import AXES, RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, released_beside, share_text
 from earl_jax.report.runs import MethodRuns
-from earl_jax.report.style import (
-    legend_below,
-    matplotlib,
-    method_title,
-    new_figure,
-    save,
-    step_axis,
-    task_title,
-)
+from earl_jax.report.style import legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table
 
 WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TELL}"}

@@ -109,11 +109,7 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
     notes = [
-        RULE.format(
-            test=TESTS[test],
-            window=rows[0]["mean_over"],
-            intervals=INTERVALS,
-        ),
+        RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS),
         *([OPTIMISM] if len(rows) > 1 else []),
     ]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])

@@ -9,14 +9,7 @@ from typing import Any
 from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
-from earl_jax.report.html.page_tables import (
-    UNKNOWN,
-    difference_table,
-    leaderboard,
-    paper_table,
-    provenance,
-    seed_table,
-)
+from earl_jax.report.html.page_tables import UNKNOWN, difference_table, leaderboard, paper_table, provenance, seed_table
 from earl_jax.report.published import INTERVAL_RULE, TEST_RULE
 from earl_jax.report.runs import options_text
 from earl_jax.report.scores import SMOOTH
