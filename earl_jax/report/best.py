@@ -108,10 +108,8 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
-    notes = [
-        RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS),
-        *([OPTIMISM] if len(rows) > 1 else []),
-    ]
+    rule = RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS)
+    notes = [rule, OPTIMISM] if len(rows) > 1 else [rule]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
 

@@ -25,13 +25,7 @@ HERE = "this page"
 TableRow = tuple[Line | None, str, Sequence[str]]
 """A row of a table: its line if it is one of the page's, the method with options in brackets, and cells as text."""
 ARROWS = {"above": "▲ ", "below": "▼ "}
-HEAD = SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT = (
-    "seeds × steps",
-    "mean (s.e.)",
-    "95 % of the mean",
-    "published",
-    "verdict",
-)
+HEAD = ("seeds × steps", "mean (s.e.)", "95 % of the mean", "published", "verdict")
 """The columns of the paper's tables."""
 
 
@@ -47,18 +41,15 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
-    score = PublishedScore(row["published_mean"], row["published_stderr"])
-    cells = {SIZE: "not run", PUBLISHED: _typeset(score.text), VERDICT: _verdict(row)}
-    if line is not None:
-        digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-        style = f",.{digits}f"
-        texts = {name: _typeset(number_text(value, style)) for name, value in row.items() if isinstance(value, float)}
-        cells |= {
-            SIZE: f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}",
-            MEAN: f"{texts['mean']} ({texts['stderr']})",
-            INTERVAL: f"[{texts['low']}, {texts['high']}]".replace("[–, –]", "–"),
-        }
-    return line, row["label"], [cells.get(name, "") for name in HEAD]
+    published = _typeset(PublishedScore(row["published_mean"], row["published_stderr"]).text)
+    if line is None:
+        return None, row["label"], ["not run", "", "", published, _verdict(row)]
+    digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
+    names = ("mean", "stderr", "low", "high")
+    mean, error, low, high = (_typeset(number_text(row[name], f",.{digits}f")) for name in names)
+    size = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
+    interval = "–" if low == "–" else f"[{low}, {high}]"
+    return line, row["label"], [size, f"{mean} ({error})", interval, published, _verdict(row)]
 
 
 def _verdict(row: dict[str, Any]) -> str:
