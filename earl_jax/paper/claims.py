@@ -124,7 +124,10 @@ def _printed(claim: Claim) -> Row:
     """Return the columns of the test by the printed means and standard errors; {} where they are not printed."""
     scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
     samples = [sample for score in scores if score and (sample := score.sample)]
-    return comparison_columns(*samples) if len(samples) == 2 else {}
+    if len(samples) < 2:
+        return {}
+    first, second = samples
+    return comparison_columns(first, second)
 
 
 def _names(row: Row) -> list[str]:

@@ -81,7 +81,7 @@ def _parts(methods: Sequence[Row]) -> dict[str, str]:
             row["seeds"],
             interval_text(*estimate_of(row, "initial", "initial_")),
             interval_text(*estimate_of(row, "uniform", "uniform_")),
-            interval_text(*(100 * end for end in estimate_of(row, "drop", "drop_")), ".1f"),
+            interval_text(*Estimate(*(100 * end for end in estimate_of(row, "drop", "drop_"))), ".1f"),
             _percent(row["published_drop"]),
             row["verdict"],
         ]
