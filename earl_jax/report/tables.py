@@ -172,13 +172,9 @@ def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str
 
 def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
     """Return a LaTeX `tabular` for the package booktabs."""
-    rows = [" & ".join(map(_latex_text, line)) + r" \\" for line in (header, *lines)]
+    rows = [" & ".join(str(cell).translate(LATEX) for cell in line) + r" \\" for line in (header, *lines)]
     rows = [r"\begin{tabular}{" + "l" * len(header) + "}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
-
-
-def _latex_text(value: Any) -> str:
-    return str(value).translate(LATEX)
 
 
 def shown_table(header: Sequence[str], lines: Sequence[Sequence[Any]], width: int | None) -> str:
