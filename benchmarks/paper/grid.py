@@ -116,15 +116,11 @@ def _draw_cell(axis: Any, group: MethodRuns | None) -> None:
 
 
 def _add_legend(figure: Any) -> None:
-    from matplotlib.lines import Line2D
-
-    lines = {"Ours, mean over seeds": (OURS["color"], 1.4, 1.0), "Ours, each seed": (OURS["color"], 0.8, 0.4)}
-    lines |= {
-        "Published, mean": (RELEASED["color"], 1.4, 1.0),
-        "Published, each of five seeds": (RELEASED["color"], 0.8, 0.4),
+    mean, seed = {"linewidth": 1.4}, {"linewidth": 0.8, "alpha": 0.4}
+    entries = {
+        "Ours, mean over seeds": {**OURS, **mean},
+        "Ours, each seed": {**OURS, **seed},
+        "Published, mean": {**RELEASED, **mean},
+        "Published, each of five seeds": {**RELEASED, **seed},
     }
-    handles = {
-        name: Line2D([], [], color=colour, linewidth=width, alpha=alpha)
-        for name, (colour, width, alpha) in lines.items()
-    }
-    legend_below(figure, handles, len(handles))
+    legend_below(figure, entries, len(entries))

@@ -144,12 +144,11 @@ def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
 
 
 def _add_legend(figure: Any, axes: Any) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = legend_entries(axes[0])
-    handles["Published, final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
-    handles["Published mean reaches 0.5, 0.9"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
-    legend_below(figure, handles, min(len(handles), 4 if axes.shape[1] < 3 else 8), fontsize="small")
+    entries = legend_entries(axes[0]) | {
+        "Published, final value": {"color": "0.5", "linestyle": "--", "linewidth": 2},
+        "Published mean reaches 0.5, 0.9": {"color": "0.5", "linestyle": "", "marker": "X", "markersize": 7},
+    }
+    legend_below(figure, entries, min(len(entries), 4 if axes.shape[1] < 3 else 8), fontsize="small")
 
 
 FIGURE5 = Artefact("figure5", PAPER_TASKS, runs_of(*METHODS), report)

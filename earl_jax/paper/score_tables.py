@@ -149,13 +149,12 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
 
 
 def _add_legend(figure: Any) -> None:
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    ours = Line2D([], [], marker="o", color="black", linewidth=1.8)
+    ours = {"marker": "o", "color": "black", "linewidth": 1.8}
     published = Patch(color="0.6", alpha=0.45)
-    handles = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
-    legend_below(figure, handles, 2, fontsize="small")
+    entries = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
+    legend_below(figure, entries, 2, fontsize="small")
 
 
 TABLE1, TABLE2 = (
