@@ -113,7 +113,7 @@ def step_kernels(text: str) -> list[Kernel]:
 
 
 def main(
-    envs: Positional[tuple[str, ...]],
+    envs: Positional[tuple[str, ...]] = ("sawyer_door",),
     algo: str = "naive",
     lanes: int = 5,
     set: tuple[str, ...] = ("precision=bf16",),
