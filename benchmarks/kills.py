@@ -6,8 +6,6 @@ Then the next run starts. Every run must end with the tables of an uninterrupted
 checkpoints. A kill hits the launcher of a sweep alone: its worker must end with it. Writes a row per kill beside the json.
 """
 
-import argparse
-import csv
 import dataclasses
 import math
 import random
@@ -19,13 +17,15 @@ import time
 from pathlib import Path
 from typing import Any
 
+import tyro
+
 from benchmarks.output import emit
 from earl_jax import list_algos
+from earl_jax.report.tables import csv_text
 from earl_jax.runs import archive, checkpoint
 
 TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=40"]
 CLI = [sys.executable, "-m", "earl_jax.cli"]
-FIELDS = ["subject", "run", "command", "seconds", "rows", "newest", "writing", "outlived"]
 PATIENCE = 10.0
 """Seconds after which a worker counts as one that does not end with its launcher."""
 OWN = {"vaprl": ["refresh_every=40", "value_samples=2"]}
@@ -68,7 +68,7 @@ def training(name: str, task: str, algo: str, steps: int, options: list[str], *o
     return Subject(name, ("train", task, "--algo", algo, "--seeds", "2", *lengths, *others, "--set", *TINY, *options))
 
 
-def subjects(root: Path) -> dict[str, Subject]:
+def all_subjects(root: Path) -> dict[str, Subject]:
     """Return all subjects by name; `root` receives the grid of the sweep."""
     grid, table = root / "grid.toml", "tabletop_organization"
     grid.write_text(GRID)
@@ -183,33 +183,21 @@ def measure(subject: Subject, count: int, seed: int, root: Path) -> tuple[list[d
     return kills, summary
 
 
-def main() -> None:
-    """Kill, compare, and write both files."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50, help="kills of each subject")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--subjects", nargs="+", default=["fbrl"], metavar="NAME")
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    kills, summaries = [], []
+def main(kills: int = 50, seed: int = 0, subjects: tuple[str, ...] = ("fbrl",), out: Path | None = None) -> None:
+    """Kill each subject so many times, compare, and write both files."""
+    rows, summaries = [], []
     with tempfile.TemporaryDirectory() as root:
-        every = subjects(Path(root))
-        for name in arguments.subjects:
-            rows, summary = measure(every[name], arguments.kills, arguments.seed, Path(root, name))
-            kills += rows
+        every = all_subjects(Path(root))
+        for name in subjects:
+            killed, summary = measure(every[name], kills, seed, Path(root, name))
+            rows += killed
             summaries.append(summary)
-    out = f" --out {arguments.out}" if arguments.out else ""
-    names = " ".join(arguments.subjects)
-    command = f"python -m benchmarks.kills --kills {arguments.kills} --seed {arguments.seed} --subjects {names}{out}"
-    emit({"seed": arguments.seed, "subjects": summaries}, arguments.out, command)
-    if arguments.out:
-        with arguments.out.with_suffix(".csv").open("w", newline="") as handle:
-            writer = csv.DictWriter(handle, FIELDS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(kills)
+    emit({"seed": seed, "subjects": summaries}, out)
+    if out:
+        out.with_suffix(".csv").write_text(csv_text(rows))
     if any(summary["equal_tables"] < summary["runs"] for summary in summaries):
         raise SystemExit(1)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

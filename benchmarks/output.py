@@ -1,7 +1,6 @@
 """What benchmarks write: results with the command and the versions that made them, and tables in pages."""
 
 import csv
-import io
 import json
 import shlex
 import sys
@@ -9,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from earl_jax.report.tables import csv_text
 from earl_jax.runs.provenance import provenance
 
 RESULTS = Path(__file__).parent / "results"
@@ -18,19 +18,18 @@ MARKS = "<!-- {} -->", "<!-- end of {} -->"
 """The comments before and after a table in a page."""
 
 
-def emit(report: dict[str, Any], path: Path | None, command: str | None = None) -> None:
+def emit(report: dict[str, Any], path: Path | None) -> None:
     """Print `report` as one JSON line, and save it to `path` unless that is None."""
     print(json.dumps(report))
     if path:
-        save(path, report, command)
+        save(path, report)
 
 
-def save(path: Path, report: dict[str, Any], command: str | None = None) -> None:
-    """Write `report` to `path` with versions, platform, commit and `command`, by default that of this process."""
-    if command is None:
-        module = getattr(sys.modules["__main__"], "__spec__", None)
-        arguments = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
-        command = shlex.join(["python", "-m", module.name if module else "", *arguments])
+def save(path: Path, report: dict[str, Any]) -> None:
+    """Write `report` to `path` with versions, platform, commit and the command of this process."""
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    arguments = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
+    command = shlex.join(["python", "-m", module.name if module else "", *arguments])
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"command": command, **report, "provenance": provenance()}, indent=1) + "\n")
 
@@ -39,16 +38,6 @@ def save_rows(path: Path, rows: Sequence[Mapping[str, Any]], **about: Any) -> No
     """Write `rows` to `path`.csv and, with `about` as by `save`, to `path`.json."""
     save(path.with_suffix(".json"), {**about, "rows": rows})
     path.with_suffix(".csv").write_text(csv_text(rows))
-
-
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return `rows` as csv; a row lacks the columns that it does not have."""
-    text = io.StringIO()
-    columns = dict.fromkeys(name for row in rows for name in row)
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def shrink(picture: Path) -> None:
@@ -95,11 +84,6 @@ def with_tables(page: str, tables: Mapping[str, str]) -> str:
             raise ValueError(f"the page lacks {start} or {end}")
         page = f"{before}{start}\n\n{table}\n\n{end}{after}"
     return page
-
-
-def folded(summary: str, table: str) -> str:
-    """Return a table that opens at a click on its summary."""
-    return f"<details markdown><summary>{summary}</summary>\n\n{table}\n\n</details>"
 
 
 def write_files(files: Mapping[Path, str]) -> None:

@@ -21,10 +21,9 @@ from earl_jax import assets
 from earl_jax.envs import Env, chosen_engine, with_engine
 from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import deployed
-from earl_jax.report.runs import read
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import policies_step
-from earl_jax.training import Policy, load_policies
+from earl_jax.training import Policy, load, load_policies
 from earl_jax.training.policy import actor_of_arrays, arrays_of_actor
 
 PRETRAINED = assets.root() / "pretrained"
@@ -101,7 +100,7 @@ def _packed(arrays: dict[str, np.ndarray], lanes: list[int]) -> tuple[bytes, lis
 
 def _training_scores(folder: Path) -> dict[str, Any]:
     """Return the score of every seed, which tells how typical the shipped seeds are."""
-    score = read(folder).score
+    score = load(folder).score()
     return {"evaluations": score.evaluations, score.metric: np.round(score.scores, 6).tolist()}
 
 

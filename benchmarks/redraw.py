@@ -7,13 +7,13 @@ figure3_visits.npz and figure 4 of figure4_seeds.csv. With --out, only these are
 files are those that the modules of benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+import tyro
 
 from benchmarks.output import RESULTS, read_csv, shrink, write_files
-from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, lives, uniform_starts
+from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.envs import make
 from earl_jax.paper import figure3, figure4
@@ -21,7 +21,7 @@ from earl_jax.paper.artefact import Report
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
-PAGES = (cells, differences, lives, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
+PAGES = (cells, differences, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
 """The modules that write tables into pages."""
 SUMS = (
     "These maps are sums over five seeds (tabletop) or three, because earlier versions kept no others: a line counts them as "
@@ -30,17 +30,20 @@ SUMS = (
 )
 
 
-def redraw(out: Path) -> list[Path]:
-    """Return the files written into `out`, a folder for each table and figure."""
+def reports() -> dict[str, Report]:
+    """Return the report of every table and figure, from the kept data."""
     runs = sorted(path.parent for path in KEPT.glob("runs/*/*/*/metrics.csv"))
     suite = [path for path in runs if path.parts[-3] in ARTEFACTS["figure2"].tasks]
     tasks = [path for path in runs if path not in suite]
     tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
     folders = {"table1": tasks, "table2": tasks, "figure5": tasks, "figure2": suite, "tradeoff": tradeoff}
-    written = [path for name, made in folders.items() for path in ARTEFACTS[name].write(made, out / name)]
-    rows = read_csv(KEPT / "figure4" / "figure4_seeds.csv")
-    reports = {"figure3": visits(), "figure4": figure4.report_of(rows)}
-    written += [path for name, report in reports.items() for path in report.write(name, out / name)]
+    made = {name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()}
+    return {**made, "figure3": visits(), "figure4": figure4.report_of(read_csv(KEPT / "figure4" / "figure4_seeds.csv"))}
+
+
+def redraw(out: Path) -> list[Path]:
+    """Return the files written into `out`, a folder for each table and figure."""
+    written = [path for name, report in reports().items() for path in report.write(name, out / name)]
     for path in written:
         if path.suffix == ".png":
             shrink(path)
@@ -57,13 +60,10 @@ def visits() -> Report:
     return report._replace(parts=parts, tables={"": report.tables[""]})
 
 
-def main() -> None:
-    """Write everything, or with --out, what `redraw` makes."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, help="other folder than benchmarks/results/reproduce")
-    out = parser.parse_args().out
-    print(*redraw(out or KEPT), sep="\n")
-    if out is None:
+def main(out: Path = KEPT) -> None:
+    """Write everything, or into another folder `out` than results/reproduce what `redraw` makes."""
+    print(*redraw(out), sep="\n")
+    if out == KEPT:
         for module in PAGES:
             write_files(module.files())
         for module in (cells, differences, cfbrl, learners):
@@ -71,4 +71,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

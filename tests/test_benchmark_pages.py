@@ -1,7 +1,6 @@
 """The tables of the pages follow from the kept runs, and say what was not run."""
 
 import itertools
-import json
 import shutil
 
 import jax
@@ -13,7 +12,8 @@ from benchmarks.output import RESULTS, read_csv, with_tables
 from benchmarks.paper import cells, differences, grid, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
-from tests.report.run_files import DOOR, constant, rising, write_run
+from earl_jax.paper.reproduce import ARTEFACTS
+from tests.report.run_files import DOOR, change_config, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
 VARIANT = f"{DOOR}/vaprl/{cells.FORMER_VAPRL}"
@@ -71,20 +71,19 @@ def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the
     assert lines["Sawyer peg"][0] == "not run"
 
 
-def test_the_kept_tables_are_redrawn_from_the_kept_runs(tmp_path):
+def test_the_kept_tables_are_redrawn_from_the_kept_runs():
     """The numbers of docs/results.md, from every metrics.csv and config.json, and the data of figures 3 and 4."""
-    tables = [path.relative_to(tmp_path) for path in redraw.redraw(tmp_path) if path.suffix == ".md"]
-    assert len(tables) == 7
-    for path in tables:
-        assert (tmp_path / path).read_text() == (redraw.KEPT / path).read_text(), path
+    reports = redraw.reports()
+    assert reports.keys() == ARTEFACTS.keys()
+    for name, report in reports.items():
+        assert report.text(name) == (redraw.KEPT / name / f"{name}.md").read_text(), name
 
 
 def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_says_so(tmp_path):
     folder = tmp_path / VARIANT
     write_run(folder, DOOR, "vaprl", rising(2, 3), metrics={"critic_loss": 2.0}, **FORMER)
-    config = json.loads((folder / "config.json").read_text())
-    (folder / "config.json").write_text(json.dumps({**config, "provenance": {"commit": "f" * 40}}))
-    rows = cells.cells(tmp_path)
+    change_config(folder, provenance={"commit": "f" * 40})
+    rows = cells.cells(cells.read_runs(tmp_path))
     assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
     [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]
     assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")

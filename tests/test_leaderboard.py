@@ -1,6 +1,5 @@
 """The leaderboard follows from the run folders, and takes only runs that keep its rules."""
 
-import json
 import shutil
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from benchmarks.paper import leaderboard
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.report.leaderboard import shipped_rows
-from tests.report.run_files import DOOR, write_page_run
+from tests.report.run_files import DOOR, change_config, write_page_run
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
 
@@ -23,18 +22,13 @@ def run(tmp_path):
 def written(path, scores, algo="naive", **options):
     """Write a run that evaluates every 10,000 steps with ten episodes, and has success from wide starts."""
     steps = [10_000 * number for number in range(1, scores.shape[1] + 1)]
-    folder = write_page_run(path, algo, scores, steps=steps, **options)
-    table = (folder / "metrics.csv").read_text().splitlines()
-    wide = [f"{line},{WIDE if number == 0 else 0.25}" for number, line in enumerate(table)]
-    (folder / "metrics.csv").write_text("\n".join(wide) + "\n")
+    folder = write_page_run(path, algo, scores, steps=steps, metrics={WIDE: 0.25}, **options)
     change(folder, eval_episodes=10)
     return folder
 
 
-def change(folder, **values):
-    config = json.loads((folder / "config.json").read_text())
-    config["provenance"] |= {"commit": "0123456789abcdef", **values.pop("provenance", {})}
-    (folder / "config.json").write_text(json.dumps({**config, **values}))
+def change(folder, provenance=None, **values):
+    change_config(folder, provenance={"commit": "0123456789abcdef", **(provenance or {})}, **values)
 
 
 def test_the_rows_that_ship_are_read_as_they_were_written():
@@ -111,7 +105,7 @@ def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(t
 def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     for name, env, options in (("on", "sawyer_peg", {}), ("off", "sawyer_peg", {"corrected": 0.0}), ("on", DOOR, {})):
         written(tmp_path / "leaderboard" / env / name, SCORES, "cfbrl", env=env, **options)
-    labels = [(group.env, group.label) for group, _ in leaderboard.entries(tmp_path)]
+    labels = [(group.env, group.label) for group in leaderboard.entries(tmp_path)]
     assert labels == [
         (DOOR, "cfbrl"),
         ("sawyer_peg", "cfbrl (corrected=0)"),

@@ -1,32 +1,35 @@
 """The paper's 27 cells from the runs in results/paper: `python -m benchmarks.paper.cells`.
 
 A cell is a task and a method, trained at the paper's settings. It is tested against the paper's five seeds as `earl-jax
-compare --against published` does. Writes cells.csv, cells.md, cells.png, curves.png and lives.png in the folders of tasks, and
-the tables `grid` and `summary` of the pages.
+compare --against published` does, on some tasks also by the rewards of its life (`--metric continuing/reward`), p adjusted by
+Holm over the methods of a task. The paper has no rewards of the oracle's life, and those of R3L on the door are not tested
+(assets/published/faults.csv). Writes cells.csv, cells.md, lives.csv, lives.md, claims.md, cells.png, curves.png and lives.png
+in the folders of tasks, and the tables `grid` and `summary` of the pages.
 """
 
-import json
+import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from benchmarks.output import RESULTS, csv_text, pages_with, shrink, write_files
+from benchmarks.output import RESULTS, pages_with, shrink, write_files
 from benchmarks.paper import grid
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.paper.artefact import methods_on, training_steps
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import published_rows, table_text, verdict_text, with_verdicts
+from earl_jax.report.leaderboard import commit_of
+from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
 from earl_jax.report.runs import MethodRuns, read_methods
-from earl_jax.report.tables import interval_text, markdown_table, millions
-from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.provenance import made_by, short_commit
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions
+from earl_jax.runs.provenance import short_commit
 
 RUNS = RESULTS / "paper"
 TABLETOP, PEG = "tabletop_organization", "sawyer_peg"
 LIVES = (TABLETOP, "sawyer_door", "franka_kitchen")
-"""Tasks of which the rewards of the life are drawn: some of them differ from the released ones."""
+"""Tasks of which the rewards of the life are tested and drawn: some of them differ from the released ones."""
 FORMER_VAPRL = "no_nearest_fallback-no_unmet_goals"
 """Variant of runs of VaPRL with the defaults that it had until 2026-11-23."""
 NOT_RUN = "not run"
@@ -38,41 +41,36 @@ COLUMNS = (
     "env", "algo", "run", "of", "printed", "seeds", "other_seeds", "steps", "mean", "other_mean", "low", "high", "difference",
     "difference_low", "difference_high", "p", "p_holm", "detectable", "chosen", "largest_critic_loss", "commit", "verdict",
 )  # fmt: skip
-Row = dict[str, Any]
 
 
-def cells(root: Path = RUNS) -> list[Row]:
-    """Return a row for each of the paper's cells, of which those without a run have a verdict only."""
+def read_runs(root: Path = RUNS) -> list[MethodRuns]:
+    """Return the run of each of the paper's cells that has one: of VaPRL where it has no other, that with its former defaults."""
+    cells = [root / env / algo for env in PAPER_TASKS for algo in methods_on(env)]
+    choices = [
+        [folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()] for cell in cells
+    ]
+    return read_methods([folders[0] for folders in choices if folders])
+
+
+def cells(runs: Sequence[MethodRuns]) -> list[Row]:
+    """Return a row for each of the paper's cells, of which those without one of `runs` have a verdict only."""
+    tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs)) if row["age"] == 1.0}
+    measured = {(run.env, run.algo): _measured(run, tests[run.env, run.label]) for run in runs}
     names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env)]
-    folders = {name: folder for name in names if (folder := _folder(root.joinpath(*name)))}
-    runs = read_methods(list(folders.values()))
-    tests = {(row["env"], row["first"]): row for row in comparisons_at_ages(runs) if row["age"] == 1.0}
-    measured = {}
-    for run in runs:
-        test, folder = tests[run.env, run.label], folders[run.env, run.algo]
-        ends = {"low": "mean_low", "high": "mean_high", "difference_low": "low", "difference_high": "high"}
-        measured[run.env, run.algo] = {
-            **test,
-            **{name: test[end] for name, end in ends.items()},
-            "run": folder.relative_to(root / run.env).as_posix(),
-            "chosen": chosen_words(run.curves),
-            "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
-            "commit": short_commit(commit_of(folder)),
-        }
     return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
 
 
-def comparisons_at_ages(runs: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
-    """Return the comparisons of `runs` with the paper at each age, p adjusted over the methods of a task at an age.
-
-    The `metric` is by default the deployed score.
-    """
-    return with_verdicts(published_rows(runs, metric))
-
-
-def _folder(cell: Path) -> Path | None:
-    """Return the folder of the run of a cell, which is VaPRL's with its former defaults where it has no other; None without."""
-    return next((folder for folder in (cell, cell / FORMER_VAPRL) if (folder / "metrics.csv").exists()), None)
+def _measured(run: MethodRuns, test: Row) -> Row:
+    """Return what the row of a cell has of its run and of the test of it."""
+    ends = {"low": "mean_low", "high": "mean_high", "difference_low": "low", "difference_high": "high"}
+    return {
+        **test,
+        **{name: test[end] for name, end in ends.items()},
+        "run": run.curves.runs[0].path.as_posix().rpartition(f"/{run.env}/")[2],
+        "chosen": chosen_words(run.curves),
+        "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
+        "commit": short_commit(commit_of(run.curves)),
+    }
 
 
 def _cell(env: str, algo: str, measured: Row) -> Row:
@@ -82,18 +80,9 @@ def _cell(env: str, algo: str, measured: Row) -> Row:
     return {**{name: measured.get(name) for name in COLUMNS}, **names}
 
 
-def commit_of(folder: Path) -> str:
-    """Return the commit that made the run of `folder`, or the release where it was made by a wheel."""
-    return made_by(json.loads((folder / "config.json").read_text())["provenance"])
-
-
 def cells_text(rows: list[Row]) -> str:
     """Return the rows of `cells` as a markdown table."""
     return markdown_table(HEADER, [_line(row) for row in rows])
-
-
-def _tested(row: Row) -> bool:
-    return row["p"] is not None and row["p"] == row["p"]
 
 
 def _line(row: Row) -> list[str]:
@@ -102,7 +91,7 @@ def _line(row: Row) -> list[str]:
     if row["seeds"] is None:
         return [*names, *"--", of, *"----", row["verdict"], "-", printed, *"--"]
     style, tests = ".3f" if make(row["env"]).sparse else ".0f", [*"---"]
-    if _tested(row):
+    if row["p"] is not None and not math.isnan(row["p"]):
         difference = interval_text(row["difference"], row["difference_low"], row["difference_high"], style)
         tests = [format(row["other_mean"], style), difference, f"{row['p_holm']:.2g}"]
     return [
@@ -114,33 +103,33 @@ def _line(row: Row) -> list[str]:
 
 def files() -> dict[Path, str]:
     """Return the tables as files, and the pages that show some of them."""
-    rows = cells()
-    groups = read_methods(run_folders(rows))
-    claims = "\n\n".join(claims_text(number, groups) for number in (1, 2))
+    runs = read_runs()
+    rows, ages = cells(runs), with_verdicts(published_rows(runs))
+    lives = with_verdicts(published_rows([run for run in runs if run.env in LIVES], CONTINUING))
+    lives = [row for row in lives if row["age"] == 1.0]
+    claims = "\n\n".join(claims_text(number, runs) for number in (1, 2))
     tables = {"grid": grid.text(rows), "summary": grid.summary(rows)}
     return {
         RUNS / "cells.csv": csv_text(rows),
-        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(comparisons_at_ages(groups))}\n",
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(ages)}\n",
+        RUNS / "lives.csv": csv_text(lives),
+        RUNS / "lives.md": f"{table_text(lives)}\n",
         RUNS / "claims.md": f"{claims}\n",
         **pages_with(tables),
     }
 
 
-def run_folders(rows: list[Row]) -> list[Path]:
-    """Return the folders of the runs of cells."""
-    return [RUNS / row["env"] / row["run"] for row in rows if row["seeds"]]
-
-
 def draw() -> None:
     """Draw all cells, the deployed scores of each task, and the rewards of the life of some, over the released ones."""
-    rows = [row for row in cells() if row["seeds"]]
-    grid.draw(read_methods(run_folders(rows)), RUNS / "cells.png")
-    for env in dict.fromkeys(row["env"] for row in rows):
-        folders = [RUNS / env / row["run"] for row in rows if row["env"] == env]
-        pictures = {"curves": RunFolder.open(folders[0]).config.deployed_metric}
+    runs = read_runs()
+    grid.draw(runs, RUNS / "cells.png")
+    for env, own in itertools.groupby(runs, lambda run: run.env):
+        of_task = list(own)
+        pictures = {"curves": of_task[0].curves.deployed_metric}
         if env in LIVES:
-            pictures["lives"] = "continuing/reward"
+            pictures["lives"] = CONTINUING
         for name, metric in pictures.items():
+            folders = [folder.path for run in of_task for folder in run.curves.runs]
             picture = RUNS / env / f"{name}.png"
             shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=10, published=True))
 

@@ -7,9 +7,8 @@ examples/cfbrl/README.md too, and the picture results/cfbrl/curves.png.
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.output import RESULTS, pages_with, write_files
@@ -19,7 +18,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import Curves, read
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.style import AXES, task_title
+from earl_jax.report.style import AXES, draw_band, new_figure, task_title
 from earl_jax.report.tables import interval_text, markdown_table, millions, step_interval
 
 LONG, OPTIONS, LEARNING = RESULTS / "leaderboard", RESULTS / "cfbrl", RESULTS / "cfbrl_learning"
@@ -136,13 +135,14 @@ def options_text() -> str:
     """
     rows, values = [], {}
     for env in sorted(path.name for path in OPTIONS.iterdir() if path.is_dir()):
-        base = _option_scores(OPTIONS / env / "default")
-        rows.append(_option_line(env, "default", base))
-        for folder in sorted(path for path in (OPTIONS / env).iterdir() if path.name != "default"):
-            scores = _option_scores(folder)
-            rows.append(_option_line(env, folder.name, scores))
-            tests = [permutation(score, other).p for score, other in zip(scores, base, strict=True)]
-            values[env, folder.name] = float(np.nanmin(holm(tests)))
+        others = sorted(path.name for path in (OPTIONS / env).iterdir() if path.name != "default")
+        runs = {name: read(OPTIONS / env / name) for name in ("default", *others)}
+        scores = {name: [window_scores(run, metric, 200_000) for metric in MEASURES] for name, run in runs.items()}
+        for name, own in scores.items():
+            rows.append([env, name, *(interval_text(*mean_interval(score, rate=True)) for score in own)])
+        for name in others:
+            tests = [permutation(*pair).p for pair in zip(scores[name], scores["default"], strict=True)]
+            values[env, name] = float(np.nanmin(holm(tests)))
     header = ("task", "options", *MEASURES.values())
     clear = [f"{name} on {env} ({p:.2g})" for (env, name), p in values.items() if p < LEVEL]
     smallest = (
@@ -151,15 +151,6 @@ def options_text() -> str:
         f"{min(values.values()):.2g}."
     )
     return f"{markdown_table(header, rows)}\n\n{smallest}"
-
-
-def _option_scores(folder: Path) -> list[np.ndarray]:
-    curves = read(folder)
-    return [window_scores(curves, metric, 200_000) for metric in MEASURES]
-
-
-def _option_line(env: str, name: str, scores: list[np.ndarray]) -> list[str]:
-    return [env, name, *(interval_text(*mean_interval(score, rate=True)) for score in scores)]
 
 
 def learning_text() -> str:
@@ -212,7 +203,7 @@ def dense_text() -> str:
         own, other = (seed_scores(run, step=end) for run in runs)
         test = permutation(own, other)
         intervals = interval_of(runs[0], own), interval_of(runs[1], other), (test.difference, test.low, test.high)
-        texts = [f"{value:.0f} [{low:.0f}, {high:.0f}]" for value, low, high in intervals]
+        texts = [interval_text(*interval, ".0f") for interval in intervals]
         lines.append([env, millions(end), *texts, f"{test.p:.2g}"])
     return markdown_table(("task", "steps", "CFBRL", "naive RL", "difference [95 %]", "p"), lines)
 
@@ -241,7 +232,7 @@ def _spans(curves: Curves) -> Iterator[list[str]]:
 
 def draw() -> None:
     """Draw the curves of the long runs: a column a task, means with 95 % bands over 100,000 steps."""
-    figure, grid = plt.subplots(2, len(RUNS), figsize=(11, 5.5), sharex="col", sharey=True, layout="constrained")
+    figure, grid = new_figure(2, len(RUNS), (11, 5.5), sharex="col", sharey=True)
     for column, (env, names) in zip(grid.T, RUNS.items(), strict=True):
         for axes, metrics in zip(column, ((DEPLOYED, WIDE), (FORWARD, BACK)), strict=True):
             for style, name in zip(("-", "--"), names, strict=False):
@@ -252,15 +243,13 @@ def draw() -> None:
         axes.set_ylabel(text)
         axes.legend(loc="lower right", fontsize=8)
     figure.savefig(OPTIONS / "curves.png", dpi=120)
-    plt.close(figure)
 
 
-def _draw_lines(axes: plt.Axes, curves: Curves, metrics: tuple[str, ...], style: str) -> None:
+def _draw_lines(axes: Any, curves: Curves, metrics: tuple[str, ...], style: str) -> None:
     for color, metric in zip(("C0", "C1"), metrics, strict=True):
         scores = trailing_mean(curves.steps, np.nan_to_num(curves.metrics[metric]))
-        mean, low, high = band(scores, rate=True)
-        axes.plot(curves.steps / 1e6, mean, style, color=color, label=MEASURES[metric] if style == "-" else None)
-        axes.fill_between(curves.steps / 1e6, low, high, color=color, alpha=0.15, lw=0)
+        line = {"linestyle": style, "linewidth": 1.5, "label": MEASURES[metric] if style == "-" else None}
+        draw_band(axes, curves.steps / 1e6, band(scores, rate=True), color, **line)
     axes.set_ylim(0, 1.03)
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.output import RESULTS, csv_text, pages_with, read_csv, write_files
+from benchmarks.output import RESULTS, pages_with, read_csv, write_files
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.report.runs import read
 from earl_jax.report.scores import interval_of
-from earl_jax.report.tables import interval_text, markdown_table
+from earl_jax.report.tables import csv_text, interval_text, markdown_table
 
 RUNS = RESULTS / "cloning"
 TASKS = "sawyer_peg", "sawyer_door", "tabletop_organization"

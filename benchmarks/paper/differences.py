@@ -10,30 +10,28 @@ made, and the table says `not run`. Writes results/paper/{pairs.csv,pairs.md}, t
 
 import dataclasses
 import itertools
-import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.output import csv_text, write_files
-from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells
+from benchmarks.output import write_files
+from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells, read_runs
 from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval, permutation
+from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
 from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
-from earl_jax.report.tables import interval_text, markdown_table, millions
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
 DOOR, CHEETAH = "sawyer_door", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
+LEAST = 0.001
+"""The least p that is printed as a number."""
 FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
-
-Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,12 +130,11 @@ def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
 
 
 def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
-    own, other = mean_interval(scores, rate=bool((scores >= 0).all())), Sample.of(others)
+    own, test = mean_interval(scores, rate=bool((scores >= 0).all())), comparison_columns(scores, others)
     return {
         "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
-        "seeds": len(scores), "other_seeds": other.seeds, "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        "other_mean": other.mean, **comparison_columns(Sample.of(scores), other, permutation(scores, others)),
-        "mean_over": "episodes from such starts",
+        "seeds": len(scores), "other_seeds": len(others), "mean": own.value, "mean_low": own.low, "mean_high": own.high,
+        **test, "mean_over": "episodes from such starts",
     }  # fmt: skip
 
 
@@ -180,7 +177,7 @@ def _line(row: Row) -> list[str]:
     return [
         f"{row['env']} {first}, {row['seeds']} seeds", f"{second}, {row['other_seeds']} seeds",
         millions(row["steps"]), _interval(row, "mean", "mean_low", "mean_high"), _number(row, row["other_mean"]),
-        _interval(row, "difference", "low", "high"), _number(row, row["p"], 2), _number(row, row["p_holm"], 2), settled,
+        _interval(row, "difference", "low", "high"), *(number_text(row[p], ".2g", LEAST) for p in ("p", "p_holm")), settled,
     ]  # fmt: skip
 
 
@@ -195,13 +192,9 @@ def _cell_line(row: Row) -> list[str]:
     return [*names, millions(row["steps"]), mean, f"{row['other_mean']:.3f}", *"---", f"run; {verdict_text(row)}"]
 
 
-def _number(row: Row, value: float, digits: int = 3) -> str:
-    """Return a number: p with significant `digits`, a success with three decimals, a return with none."""
-    if math.isnan(value):
-        return "-"
-    if digits == 2:
-        return "<0.001" if value < 0.001 else f"{value:.2g}"
-    return f"{value:.0f}" if row["env"] == CHEETAH else f"{value:.3f}"
+def _number(row: Row, value: float) -> str:
+    """Return a success with three decimals, or a return with none."""
+    return number_text(value, ".0f" if row["env"] == CHEETAH else ".3f")
 
 
 def _interval(row: Row, *names: str) -> str:
@@ -212,7 +205,7 @@ def _interval(row: Row, *names: str) -> str:
 def files() -> dict[Path, str]:
     """Return the tests as files."""
     rows = comparisons()
-    return {RUNS / "pairs.csv": csv_text(rows), RUNS / "pairs.md": f"{table(rows, cells())}\n\n{FAMILY}\n"}
+    return {RUNS / "pairs.csv": csv_text(rows), RUNS / "pairs.md": f"{table(rows, cells(read_runs()))}\n\n{FAMILY}\n"}
 
 
 def draw() -> None:

@@ -12,16 +12,8 @@ from earl_jax.paper.artefact import METHODS, methods_on, training_steps
 from earl_jax.report.plots import AXES, RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, released_beside, share_text
 from earl_jax.report.runs import MethodRuns
-from earl_jax.report.style import (
-    legend_below,
-    matplotlib,
-    method_title,
-    new_figure,
-    save,
-    step_axis,
-    task_title,
-)
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.style import legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
+from earl_jax.report.tables import Row, markdown_table
 
 WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TELL}"}
 WHOLE = 0.95
@@ -34,7 +26,6 @@ LEGEND = (
 )
 SMOOTH = 10
 OURS = {"color": "#0072B2"}
-Row = dict[str, Any]
 
 
 def text(rows: Sequence[Row]) -> str:
@@ -125,15 +116,11 @@ def _draw_cell(axis: Any, group: MethodRuns | None) -> None:
 
 
 def _add_legend(figure: Any) -> None:
-    from matplotlib.lines import Line2D
-
-    lines = {"Ours, mean over seeds": (OURS["color"], 1.4, 1.0), "Ours, each seed": (OURS["color"], 0.8, 0.4)}
-    lines |= {
-        "Published, mean": (RELEASED["color"], 1.4, 1.0),
-        "Published, each of five seeds": (RELEASED["color"], 0.8, 0.4),
+    mean, seed = {"linewidth": 1.4}, {"linewidth": 0.8, "alpha": 0.4}
+    entries = {
+        "Ours, mean over seeds": {**OURS, **mean},
+        "Ours, each seed": {**OURS, **seed},
+        "Published, mean": {**RELEASED, **mean},
+        "Published, each of five seeds": {**RELEASED, **seed},
     }
-    handles = {
-        name: Line2D([], [], color=colour, linewidth=width, alpha=alpha)
-        for name, (colour, width, alpha) in lines.items()
-    }
-    legend_below(figure, handles, len(handles))
+    legend_below(figure, entries, len(entries))

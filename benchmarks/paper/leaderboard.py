@@ -6,18 +6,17 @@ assets/published/leaderboard.csv, from which `earl-jax report` shows them beside
 folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows again.
 """
 
-import argparse
 import math
 import re
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from scipy import stats
 
-from benchmarks.output import RESULTS, ROOT, csv_text, folded, pages_with, write_files
-from benchmarks.paper.cells import commit_of
+from benchmarks.output import RESULTS, ROOT, pages_with, write_files
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
@@ -26,7 +25,7 @@ from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
-from earl_jax.report.leaderboard import COLUMNS, HEADER, Row, ranked, run_row, score_text, values_of
+from earl_jax.report.leaderboard import HEADER, Row, commit_of, ranked, run_row, score_text, values_of
 from earl_jax.report.published import (
     LEVELS,
     RECONSTRUCTED,
@@ -38,7 +37,7 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import MethodRuns, by_method, options_text, pooling_key, read
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.tables import markdown_table, millions, number_text
+from earl_jax.report.tables import csv_text, markdown_table, millions, number_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
@@ -64,18 +63,14 @@ def folders(root: Path = RESULTS) -> list[Path]:
     return sorted(file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
 
 
-def entries(root: Path = RESULTS) -> list[tuple[MethodRuns, str]]:
-    """Return the runs of the leaderboard with the commit of each, by task and method.
+def entries(root: Path = RESULTS) -> list[MethodRuns]:
+    """Return the runs of the leaderboard by task and method.
 
     Folders with the same task, method and options would be one method with more seeds; they are kept apart here,
     because their commits can differ.
     """
-    runs = [
-        (curves, short_commit(commit_of(folder))) for folder in folders(root) if (curves := read(folder)).comparable
-    ]
-    commits = {id(curves): commit for curves, commit in runs}
-    groups = by_method([curves for curves, _ in runs])
-    return [(_named(group, groups), commits[id(group.curves)]) for group in groups]
+    groups = by_method([curves for curves in map(read, folders(root)) if curves.comparable])
+    return [_named(group, groups) for group in groups]
 
 
 def _named(group: MethodRuns, groups: list[MethodRuns]) -> MethodRuns:
@@ -88,9 +83,9 @@ def _named(group: MethodRuns, groups: list[MethodRuns]) -> MethodRuns:
     return group._replace(label=f"{group.algo} ({text})" if text else group.algo)
 
 
-def rows_of(runs: list[tuple[MethodRuns, str]]) -> list[Row]:
+def rows_of(runs: list[MethodRuns]) -> list[Row]:
     """Return the rows of our runs and the published ones, by task and deployed mean."""
-    by_task = ranked([run_row(group, commit) for group, commit in runs] + published_rows())
+    by_task = ranked([*map(run_row, runs), *published_rows()])
     return [row for env in PAPER_TASKS for row in by_task.get(env, [])]
 
 
@@ -117,12 +112,8 @@ def _paper_row(env: str, algo: str) -> Row:
         seeds=SEEDS,
         steps=length,
         deployed=score_text(env, *deployed),
-        wide="-",
         continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
-        alive="-",
         crossings=tuple(millions(crossings.get(level)) for level in LEVELS),
-        chosen="-",
-        commit="-",
         score=float(deployed.value),
     )
 
@@ -140,27 +131,23 @@ def _newer_row(row: dict[str, str]) -> Row:
         seeds=seeds,
         steps=int(row["steps"]),
         deployed=score_text(row["env"], mean, float(low), float(high)),
-        wide="-",
-        continuing="-",
-        alive="-",
         crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS),
-        chosen="-",
-        commit="-",
         score=mean,
     )
 
 
 def rows_text(rows: list[Row]) -> str:
     """Return the rows as the file that ships with the package."""
-    return csv_text([{name: values[name] for name in COLUMNS} for values in map(values_of, rows)])
+    return csv_text(list(map(values_of, rows)))
 
 
 def scores_text(rows: list[Row]) -> str:
-    """Return a table for each task, with intervals of the deployed score alone."""
+    """Return a table for each task that opens at a click, with intervals of the deployed score alone."""
     parts = []
     for env, of_task in ranked(rows).items():
         header, *lines = [_shown(texts) for texts in (HEADER, *(row.texts for row in of_task))]
-        parts.append(f"### {env}\n\n{folded(f'{len(lines)} rows', markdown_table(header, lines))}")
+        summary = f"<details markdown><summary>{len(lines)} rows</summary>"
+        parts.append(f"### {env}\n\n{summary}\n\n{markdown_table(header, lines)}\n\n</details>")
     return "\n\n".join(parts)
 
 
@@ -170,14 +157,14 @@ def _shown(texts: Sequence[str]) -> list[str]:
     return [named[name] if name in WHOLE else named[name].partition(" [")[0] for name in PAGE]
 
 
-def tests(runs: list[tuple[MethodRuns, str]]) -> list[dict[str, Any]]:
+def tests(runs: list[MethodRuns]) -> list[dict[str, Any]]:
     """Return the tests of two questions a task, each a family of Holm's adjustment.
 
     Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which
     further runs of a method from its longest.
     """
     rows = []
-    for first, second in _pairs([group for group, _ in runs]):
+    for first, second in _pairs(runs):
         question = "methods" if first.algo != second.algo else f"runs of {first.algo}"
         if min(first.curves.seeds, second.curves.seeds) >= FEWEST_SEEDS:
             rows.append({"question": question, **pair_row(first, second)})
@@ -233,7 +220,7 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
     _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
-    commit = commit_of(run)
+    commit = commit_of(curves)
     releases = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
     _require(bool(commit), "its config.json has neither a commit nor a release")
     _require(not commit.endswith(CHANGED), f"{short_commit(commit)} lacks changes that it was trained with")
@@ -262,15 +249,12 @@ def files() -> dict[Path, str]:
     return {**pages_with(tables), ROWS: rows_text(rows), TESTS: csv_text(tested)}
 
 
-def main() -> None:
-    """Write the page, with a new run if one is given."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--add", type=Path, metavar="RUN", help="run folder to add")
-    run = parser.parse_args().add
+def main(run: Annotated[Path | None, tyro.conf.arg(name="add", metavar="RUN")] = None) -> None:
+    """Write the page, with the run folder to add if one is given."""
     if run:
         print(add(run))
     write_files(files())
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -23,13 +23,11 @@ def table() -> str:
     scores = [seed_scores(run) for run in curves]
     lines = []
     for name, run, own in zip(NAMES, curves, scores, strict=True):
-        result = permutation(own, scores[0])
-        others = (
-            [interval_text(result.difference, result.low, result.high), f"{result.p:.2g}"]
-            if name != "sac"
-            else ["-", "-"]
-        )
-        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*interval_of(run, own)), *others])
+        test = ["-", "-"]
+        if name != "sac":
+            difference, low, high, p = permutation(own, scores[0])
+            test = [interval_text(difference, low, high), f"{p:.2g}"]
+        lines.append([name, len(own), millions(run.steps[-1]), interval_text(*interval_of(run, own)), *test])
     return markdown_table(("learner", "seeds", "steps", "success [95 %]", "difference to SAC [95 %]", "p"), lines)
 
 

@@ -8,17 +8,17 @@ the release draws them), or within 2.8 (the whole table, `earl-jax evaluate --st
 between comments in docs/results.md is written, from that file.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
 
-from benchmarks.output import RESULTS, csv_text, pages_with, read_csv, write_files
-from benchmarks.paper.cells import RUNS, TABLETOP, commit_of
+from benchmarks.output import RESULTS, pages_with, read_csv, write_files
+from benchmarks.paper.cells import RUNS, TABLETOP
 from earl_jax import assets
 from earl_jax.envs import Env, State
 from earl_jax.envs.tabletop import FREE
@@ -27,8 +27,9 @@ from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.statistics import relative_drop
 from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
+from earl_jax.report.leaderboard import commit_of
 from earl_jax.report.runs import read
-from earl_jax.report.tables import interval_text, markdown_table
+from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 from earl_jax.training.loading import load_policies
@@ -40,8 +41,6 @@ KINDS = {"initial": None, "within_2.5": 2.5, "within_2.8": 2.8}
 RELEASED = "within_2.5"
 HEADER = ("run", "seeds", "from s0 [95 %]", "within 2.5 [95 %]", "drop, % [95 %]", "published drop, %",
           "within 2.8 [95 %]", "drop, % [95 %]")  # fmt: skip
-
-Row = dict[str, Any]
 
 
 def within(env: Env, limit: float) -> Callable[[jax.Array], State]:
@@ -63,8 +62,9 @@ def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequ
     """
     length, rows = training_steps(TABLETOP), list(known)
     for folder in sorted(file.parent for file in root.rglob("policies.npz")):
-        run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(folder) or "")}
-        if int(read(folder).steps[-1]) == length and not any(run.items() <= row.items() for row in known):
+        curves = read(folder)
+        run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(curves))}
+        if int(curves.steps[-1]) == length and not any(run.items() <= row.items() for row in known):
             rows = [row for row in rows if row["run"] != run["run"]]
             rows += [{**run, **row} for row in _run_rows(folder, episodes)]
     return rows
@@ -105,8 +105,7 @@ def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:
     own, (released, whole) = success["initial"], (success[kind] for kind in ("within_2.5", "within_2.8"))
     published = assets.published_row("figure4", algo=run.partition("/")[0]).get("drop_percent", "-")
     texts = [interval_text(*mean_interval(scores, rate=True)) for scores in (own, released, whole)]
-    drops = ["{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in relative_drop(own, other)))
-             for other in (released, whole)]  # fmt: skip
+    drops = [interval_text(*(100 * end for end in relative_drop(own, other)), ".1f") for other in (released, whole)]
     return [run, str(len(own)), texts[0], texts[1], drops[0], published, texts[2], drops[1]]
 
 
@@ -115,14 +114,12 @@ def files() -> dict[Path, str]:
     return pages_with({"starts": table(read_seeds())})
 
 
-def main() -> None:
-    """Evaluate if asked, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--evaluate", action="store_true", help="evaluate the runs that are not in the file")
-    if parser.parse_args().evaluate:
+def main(new: Annotated[bool, tyro.conf.arg(name="evaluate")] = False) -> None:
+    """Evaluate the runs that are not in the file if asked, and write the table."""
+    if new:
         SEEDS.write_text(csv_text(evaluate(known=read_csv(SEEDS))))
     write_files(files())
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -10,16 +10,13 @@ table; writes OUT.json and OUT.csv.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import tyro
 
 from benchmarks.output import RESULTS, read_csv, save_rows
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper.artefact import methods_on, training_steps
-from earl_jax.report.tables import markdown_table
-
-Row = dict[str, Any]
+from earl_jax.report.tables import Row, markdown_table
 
 
 def budget(rates: Sequence[Row], overhead: float = 0.0) -> list[Row]:

@@ -8,15 +8,16 @@ other, and with `--list` every kernel with its shape and its place in our code. 
 not belong there, or a loop inside the step shows up here at once. Times need a GPU: `python -m benchmarks.speed.profile`.
 """
 
-import argparse
 import re
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+import tyro
 from jax.experimental import topologies
+from tyro.conf import Positional
 
 from earl_jax.algos import make_algo
+from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
 from earl_jax.training.init import init_train_state, replay_capacity
@@ -111,26 +112,23 @@ def step_kernels(text: str) -> list[Kernel]:
     return max((kernels_of(body, parts) for body in bodies), key=len)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(
+    envs: Positional[tuple[str, ...]] = ("sawyer_door",),
+    algo: str = "naive",
+    lanes: int = 5,
+    set: tuple[str, ...] = ("precision=bf16",),
+    list: bool = False,
+) -> None:
+    """Print the kernels of each task; `set` has name=value options of the method, and with `list` every kernel is printed."""
     jax.config.update("jax_platforms", "cpu")  # the CUDA packages need no GPU to compile
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("envs", nargs="+")
-    parser.add_argument("--algo", default="naive")
-    parser.add_argument("--lanes", type=int, default=5)
-    parser.add_argument("--set", nargs="*", default=["precision=bf16"], help="name=value options of the method")
-    parser.add_argument("--list", action="store_true", help="print every kernel")
-    given = parser.parse_args(arguments)
-    for env in given.envs:
-        options = dict(pair.split("=", 1) for pair in given.set)
-        kernels = step_kernels(compile_step(env, given.algo, given.lanes, **options))
+    for env in envs:
+        kernels = step_kernels(compile_step(env, algo, lanes, **parse_options(set)))
         copies = sum(kernel.kind == "copy" for kernel in kernels)
         longest = max(kernel.depth for kernel in kernels)
-        print(
-            f"{env} {given.algo}, {given.lanes} lanes: {len(kernels)} kernels, {copies} of them copies, longest chain {longest}"
-        )
-        for kernel in kernels if given.list else []:
+        print(f"{env} {algo}, {lanes} lanes: {len(kernels)} kernels, {copies} of them copies, longest chain {longest}")
+        for kernel in kernels if list else []:
             print(f"{kernel.depth:4} {kernel.name:40} {kernel.kind:12} {kernel.shape[:60]:60} {kernel.place[-80:]}")
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

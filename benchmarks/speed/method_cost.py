@@ -13,7 +13,6 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -24,7 +23,7 @@ from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.cli.xla_flags import set_flags
 from earl_jax.options.environment import own_cores
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import Row, markdown_table
 
 ROOT = RESULTS / "method_cost"
 METHODS = (
@@ -32,7 +31,6 @@ METHODS = (
 )  # fmt: skip
 """Methods, each with options as `--set` takes them; the others are compared with the first."""
 HEADER = ("method", "steps/s", "ratio to the first")
-Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)

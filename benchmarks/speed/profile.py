@@ -10,7 +10,6 @@ import gzip
 import itertools
 import json
 import re
-import statistics
 import tempfile
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ import numpy as np
 import tyro
 
 from benchmarks.output import RESULTS, save_rows
+from benchmarks.speed.peers.common import median_s
 from benchmarks.speed.training import make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import MujocoEnv, resolved_engine
@@ -37,12 +37,8 @@ TRACED = 40
 
 def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
     """Return the median milliseconds of one of the `steps` of `call`, after one untimed call."""
-    times = []
-    for _ in range(repeats + 1):
-        began = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - began)
-    return 1e3 * statistics.median(times[1:]) / steps
+    call()
+    return 1e3 * median_s(call, repeats) / steps
 
 
 def host_milliseconds(problem: Problem, state: TrainState, repeats: int = 50) -> float:

@@ -23,9 +23,10 @@ from typing import Any, Literal
 import jax
 import tyro
 
-from benchmarks.output import RESULTS, ROOT, csv_text, save
-from benchmarks.speed.peers.common import cores
+from benchmarks.output import RESULTS, ROOT, save
 from benchmarks.speed.peers.plan import LIMIT_S, Job, plan, ratios
+from earl_jax.options.environment import own_cores
+from earl_jax.report.tables import csv_text
 
 PEERS = ROOT / ".cache" / "peers"
 REQUIREMENTS = Path(__file__).parent / "peers" / "requirements.txt"
@@ -117,7 +118,7 @@ def read_row(process: subprocess.Popen, seconds: float) -> dict[str, Any]:
 def machine() -> str:
     """Return the name of this machine's results: `cpu2` for two cores, `h200` for that GPU."""
     if jax.default_backend() == "cpu":
-        return f"cpu{cores()}"
+        return f"cpu{len(own_cores())}"
     kind = jax.devices()[0].device_kind
     model = re.search(r"\b[A-Z]+\d+", kind)
     return (model.group() if model else kind.replace(" ", "-")).lower()
@@ -125,7 +126,10 @@ def machine() -> str:
 
 def save_rows(rows: list[dict[str, Any]], path: Path, options: Options) -> None:
     """Write the rows so far, and the ratios between them, as json and csv."""
-    save(path, {"suite": options.suite, "cores": cores(), "note": options.note, "ratios": ratios(rows), "rows": rows})
+    save(
+        path,
+        {"suite": options.suite, "cores": len(own_cores()), "note": options.note, "ratios": ratios(rows), "rows": rows},
+    )
     flat = [{name: row.get(name) for name in COLUMNS} for row in rows]
     for row, source in zip(flat, rows, strict=True):
         row["versions"] = " ".join(f"{name}={value}" for name, value in source.get("versions", {}).items())
@@ -151,7 +155,7 @@ def main(options: Options) -> None:
     until = time.monotonic() + LIMIT_S[options.suite]
     rows: list[dict[str, Any]] = []
     device = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    for job in plan(options.suite, device, cores()):
+    for job in plan(options.suite, device, len(own_cores())):
         if options.only and job.peer not in options.only:
             continue
         python = sys.executable if job.ours else options.peer_python

@@ -4,7 +4,6 @@ Writes OUT.json and OUT.csv. A lane-step is one control step and one gradient st
 """
 
 import itertools
-import statistics
 import time
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import jax
 import tyro
 
 from benchmarks.output import RESULTS, save_rows
+from benchmarks.speed.peers.common import median_s
 from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make, resolved_engine
 from earl_jax.protocol import Protocol
@@ -43,13 +43,14 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     """Return compile seconds and the median steps per second of `algo` on task `name` with `lanes` lanes."""
     problem, method, state = make_training(name, algo, lanes, 100_000)
     program, compiled = compile_steps(problem, method, state, steps)
-    times = []
-    for _ in range(repeats + 1):
-        began = time.perf_counter()
+
+    def advance() -> None:
+        nonlocal state
         state = program(method, state)
         jax.block_until_ready(state.step)
-        times.append(time.perf_counter() - began)
-    rate = steps / statistics.median(times[1:])
+
+    advance()
+    rate = steps / median_s(advance, repeats)
     return {
         "env": name, "engine": resolved_engine(problem.env), "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
         "steps_per_s": round(rate, 1),

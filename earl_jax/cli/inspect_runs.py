@@ -1,10 +1,78 @@
-"""Commands that inspect runs: evaluate, plot, table, best, compare."""
+"""Commands that inspect runs: show, evaluate, plot, table, best, compare, report."""
 
+import contextlib
 import itertools
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from earl_jax.cli.arguments import JSON, Engine, Labels, Last, Metric, Positional, WindowSteps, emit, replacing
+from earl_jax.cli.arguments import (
+    JSON,
+    Engine,
+    Labels,
+    Last,
+    Metric,
+    Positional,
+    WindowSteps,
+    emit,
+    print_line,
+    replacing,
+)
+from earl_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from earl_jax.metrics.scores import Window
+    from earl_jax.training import Result
+
+
+def show(folder: Positional[Path], last: Last = None, window: WindowSteps = None, json: JSON = False) -> None:
+    """Show a run: its task, method and options, the steps it has reached, its newest metrics, and its policies.
+
+    Args:
+        folder: Run folder. It needs no checkpoint.
+    """
+    from earl_jax.metrics.scores import Window
+    from earl_jax.training.loading import policies_at
+    from earl_jax.training.result import load
+
+    result, chosen = load(folder), Window.of(last, window)
+    run = result.folder
+    assert run is not None
+    values = {
+        "folder": str(folder),
+        "config": result.config.values,
+        "engine": result.engine,
+        "provenance": run.recorded().get("provenance"),
+        "step": result.step,
+        "finished": result.finished,
+        "score": None,
+        "policies": policies_at(run),
+        "metrics": {name: numbers[:, -1].tolist() for name, numbers in result.metrics.items()},
+        "load": f"earl_jax.load({str(folder)!r})",
+    }
+    with contextlib.suppress(InputError):  # no evaluation yet
+        values["score"] = result.score(chosen)._asdict()
+    emit(values, json, _text(result, values, chosen))
+
+
+def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
+    """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
+    from earl_jax.runs.provenance import made_by
+    from earl_jax.training.result import printable
+
+    texts = result.summary(window)
+    del texts["metrics"]
+    texts |= {
+        "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
+        "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
+        "in Python": values["load"],
+        "metrics": f"means over {len(result.seeds)} seeds at step {result.steps[-1]:,}"
+        if len(result.steps)
+        else "none",
+    }
+    lines = [f"{title + ':':<10} {text}" for title, text in texts.items()]
+    means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
+    width = max(map(len, means), default=0)
+    return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])
 
 
 def evaluate(
@@ -141,3 +209,38 @@ def compare(
         with replacing(path):
             write_comparison(rows, path)
     emit({"rows": rows}, json, table_text(rows, terminal_width()))
+
+
+def report(
+    folders: Positional[tuple[Path, ...]],
+    out: Path = Path("report.html"),
+    watch: bool = False,
+    every: float = 30.0,
+    videos: bool = False,
+    last: Last = None,
+    window: WindowSteps = None,
+) -> None:
+    """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
+
+    Args:
+        folders: Run folders, or folders that contain them, such as those of a sweep or of a reproduction.
+        out: Page to write, .html. An existing page is replaced.
+        watch: Write the page again whenever a run changes, for a sweep in progress, until Ctrl-C. In a browser it reloads.
+        every: Seconds between two looks at the runs with --watch.
+        videos: Render six seconds of a policy of each run with policies.npz, its median seed, for the page. It takes some
+            seconds a run, and needs the extra render.
+    """
+    import jax
+
+    jax.config.update("jax_platforms", "cpu")  # an accelerator is not needed, and may be busy with training
+    from earl_jax.metrics.scores import Window
+    from earl_jax.report.html.media import PolicyVideos
+    from earl_jax.report.html.writing import watch_page, write_page
+
+    policies, chosen = PolicyVideos(print_line) if videos else None, Window.of(last, window)
+    if watch:
+        watch_page(folders, out, every, print_line, policies=policies, window=chosen)
+        return
+    with replacing(out):
+        page = write_page(folders, out, policies=policies, window=chosen)
+    print(f"{page}: {page.stat().st_size / 1e6:.1f} MB")

@@ -15,14 +15,10 @@ from earl_jax import __version__
 from earl_jax.cli.arguments import REGISTRY, join_seeds
 from earl_jax.cli.episodes import demos, export, import_demos, render
 from earl_jax.cli.help_text import readable
-from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, table
+from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, report, show, table
 from earl_jax.cli.listing import list_
-from earl_jax.cli.paper import reproduce
 from earl_jax.cli.quickstart import quickstart
-from earl_jax.cli.report import report
-from earl_jax.cli.search import search
-from earl_jax.cli.show import show
-from earl_jax.cli.sweep import sweep
+from earl_jax.cli.sweep import reproduce, search, sweep
 from earl_jax.cli.train import refuse_options, resume, train
 from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error

@@ -1,4 +1,4 @@
-"""The command that trains a grid of runs: sweep."""
+"""Commands that train many runs: sweep, search, reproduce."""
 
 import itertools
 from pathlib import Path
@@ -11,9 +11,11 @@ from earl_jax.cli.arguments import (
     Minutes,
     PerDevice,
     Positional,
+    Set,
     Slurm,
     emit,
     parse_minutes,
+    parse_options,
     print_line,
 )
 
@@ -67,3 +69,96 @@ def sweep(
         emit(values, json, "")
     if outcome.failed:
         raise SystemExit(1)
+
+
+def search(
+    space: Positional[Path],
+    out: Path = Path("runs/search"),
+    trials: int = 32,
+    batch: int = 8,
+    rungs: int = 3,
+    seed: int = 0,
+    devices: Devices = None,
+    minutes: Minutes = None,
+    json: JSON = False,
+) -> None:
+    """Search for the options that score highest, with Optuna, in batches of runs. After a kill, repeat the command.
+
+    Args:
+        space: Sweep file of one task and one method, in which options have distributions (docs/sweeps.md).
+        out: Folder of the runs and of search.journal, which has all trials.
+        trials: Number of options to try.
+        batch: Number of runs that train together, as lanes of one program where only floats differ.
+        rungs: Number of steps at which runs are scored; those below the median end there. 1 lets all run to their end.
+        seed: Random seed of the options; the seeds of training are in the file.
+    """
+    limit = parse_minutes(minutes)
+    from earl_jax.sweeps.search import STATES, TRIALS
+    from earl_jax.sweeps.search import search as run_search
+
+    lines: list[str] = []
+    history = run_search(
+        space,
+        out,
+        trials,
+        batch,
+        rungs,
+        seed,
+        devices=devices,
+        emit=lines.append if json else print_line,
+        minutes=limit,
+    )
+    done = [trial for trial in history if trial.state == "done"]
+    best = max(done, key=lambda trial: trial.scores[max(trial.scores)], default=None)
+    counts = {state: sum(trial.state == state for trial in history) for state in STATES.values()}
+    text = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    if best:
+        text += f"; best {best.scores[max(best.scores)]:.4g} with {best.options}"
+    values = {"out": str(out), **counts, "lines": lines, "trials": [trial._asdict() for trial in history]}
+    values |= {"best": best._asdict() if best else None, "stopped": counts["running"] > 0 or len(history) < trials}
+    emit(values, json, f"{out / TRIALS}: {text}\nrank them with intervals and tests: earl-jax best {out}")
+
+
+def reproduce(
+    name: Positional[Literal["table1", "table2", "figure2", "figure3", "figure4", "figure5", "tradeoff"]],
+    scale: Literal["smoke", "short", "full"] = "smoke",
+    out: Path | None = None,
+    tasks: tuple[str, ...] = (),
+    seeds: int | None = None,
+    steps: int | None = None,
+    max_lanes: int | None = None,
+    devices: Devices = None,
+    per_device: PerDevice = None,
+    minutes: Minutes = None,
+    set: Set = (),
+) -> None:
+    """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
+
+    Args:
+        name: Table or figure, or the trade-off of learning against interventions that the conclusion names.
+        scale: smoke trains one task for a few hundred steps; short, a tenth of the published steps; full, all of them.
+        out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
+        tasks: Tasks to include. By default those of the scale.
+        seeds: Number of seeds. By default 2, 3 or 5, as the scale has.
+        steps: Training steps of each seed. By default those of the scale.
+        max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
+    """
+    limit = parse_minutes(minutes)
+    from earl_jax.paper import reproduce as paper
+
+    paths = paper.reproduce(
+        name,
+        scale,
+        out,
+        tasks=tasks,
+        seeds=seeds,
+        steps=steps,
+        options=parse_options(itertools.chain(*set)),
+        max_lanes=max_lanes,
+        devices=devices,
+        per_device=per_device,
+        minutes=limit,
+        emit=print_line,
+    )
+    for path in paths:
+        print(path)

@@ -1,5 +1,6 @@
 """Commands that train one run: train, resume."""
 
+import dataclasses
 import inspect
 import itertools
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
-from earl_jax.cli.catalog import stored
+from earl_jax.cli.listing import stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO, Preset, named_preset
 from earl_jax.options.schedule import Schedule
@@ -82,26 +83,25 @@ def train(
     from earl_jax.training import api
 
     join_hosts(hosts)
+    lengths = {
+        "steps": steps,
+        "eval_every": eval_every,
+        "eval_episodes": eval_episodes,
+        "checkpoint_every": checkpoint_every,
+    }
     if config is None:
         task, method, rules, known_seeds, schedule = _by_name(env, algo, learner, setting, preset, steps, set)
     else:
-        every = {"eval_every": eval_every, "eval_episodes": eval_episodes, "checkpoint_every": checkpoint_every}
-        _refuse_changes(env, algo=algo, learner=learner, steps=steps, **every, preset=preset, setting=setting, set=set)
+        _refuse_changes(env, algo=algo, learner=learner, **lengths, preset=preset, setting=setting, set=set)
         task, method, rules, known_seeds, schedule = _of_run(config)
-    schedule = schedule.changed(
-        steps=steps, eval_every=eval_every, eval_episodes=eval_episodes, checkpoint_every=checkpoint_every
-    )
     result = api.train(
         task,
         method,
         setting=rules,
         engine=engine,
         seeds=known_seeds if seeds is None else seeds,
-        steps=schedule.steps,
-        eval_every=schedule.eval_every,
-        eval_episodes=schedule.eval_episodes,
+        **dataclasses.asdict(schedule.changed(**lengths)),
         out=out,
-        checkpoint_every=schedule.checkpoint_every,
         logs=[*itertools.chain(*log), *_video_logs(videos)],
         overwrite=overwrite,
         progress=True,

@@ -16,12 +16,11 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_steps
 from earl_jax.report.style import save
-from earl_jax.report.tables import write
+from earl_jax.report.tables import Row, write
 
 PAGES = Path(__file__).parent / "pages"
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
 Options = dict[str, Any]
-Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,19 +44,20 @@ class Report(NamedTuple):
     page: str | None = None
     """The name of the page's text in the folder pages, by default that of the artefact."""
 
-    def write(self, name: str, out: Path) -> list[Path]:
-        """Write `name`*.csv, `name`.md and `name`.png into the folder `out`, and return them.
+    def text(self, name: str) -> str:
+        """Return the page of artefact `name`: pages/`page`.md with the parts in their places, without empty paragraphs."""
+        page = (PAGES / f"{self.page or name}.md").read_text().format(**self.parts)
+        return re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n"
 
-        The page is pages/`page`.md with the parts in their places; paragraphs without text are left out.
-        """
+    def write(self, name: str, out: Path) -> list[Path]:
+        """Write `name`*.csv, `name`.md and `name`.png into the folder `out`, and return them."""
         out.mkdir(parents=True, exist_ok=True)
         tables = {out / f"{name}{end}.csv": rows for end, rows in self.tables.items()}
         for path, rows in tables.items():
             write(rows, path)
-        page = (PAGES / f"{self.page or name}.md").read_text().format(**self.parts)
-        text = out / f"{name}.md"
-        text.write_text(re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n")
-        return [*tables, text, save(self.figure, out / f"{name}.png")]
+        page = out / f"{name}.md"
+        page.write_text(self.text(name))
+        return [*tables, page, save(self.figure, out / f"{name}.png")]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.comparison import CANNOT_TELL, Comparison, Sample, permutation, welch
+from earl_jax.metrics.comparison import CANNOT_TELL
 from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
@@ -59,6 +59,9 @@ CLAIMS = (
 )
 """The comparisons of the text, but for those of `counted` and one that contradicts table 1 (assets/published/faults.csv). The
 text says of table 2 that VaPRL and R3L do better than naive RL; the tasks are ours, those where its means are so."""
+HEADER = (
+    "claim", "task", "comparison", "published", "adjusted p", "verdict", "ours", "steps", "adjusted p", "verdict",
+)  # fmt: skip
 NOT_RUN = "not run"
 WORDS = {"above": "as the text says", "below": "opposite to the text"}
 PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
@@ -72,24 +75,12 @@ CLAIM_RULE = (
 
 def claims_text(number: int, groups: Sequence[MethodRuns]) -> str:
     """Return a table of the tests of the claims about table `number`, and for table 2 what can be counted."""
-    header = [
-        "claim",
-        "task",
-        "comparison",
-        "published",
-        "adjusted p",
-        "verdict",
-        "ours",
-        "steps",
-        "adjusted p",
-        "verdict",
-    ]
     published, ours = claim_rows(number), claim_rows(number, groups)
     pairs = zip(published, ours, strict=True)
     lines = [[*_names(first), *_tests(first), *_tests(second, steps=True)] for first, second in pairs]
     for previous, line in reversed(list(itertools.pairwise(lines))):
         line[0] = "the same" if previous[0] == line[0] else line[0]
-    table = f"Claims of the paper's text:\n\n{markdown_table(header, lines)}\n\n{CLAIM_RULE}"
+    table = f"Claims of the paper's text:\n\n{markdown_table(HEADER, lines)}\n\n{CLAIM_RULE}"
     return f"{table}\n\n{counted(groups)}" if number == 2 else table
 
 
@@ -121,7 +112,7 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
         return {}
     scores = table_scores(claim.number, first, step)
     others = table_scores(claim.number, second, step) if claim.second else _beginning(first)
-    return {"steps": step, **_columns(Sample.of(scores), Sample.of(others), permutation(scores, others))}
+    return {"steps": step, **comparison_columns(scores, others)}
 
 
 def _beginning(curves: Curves) -> np.ndarray:
@@ -136,11 +127,7 @@ def _printed(claim: Claim) -> Row:
     if len(samples) < 2:
         return {}
     first, second = samples
-    return _columns(first, second, welch(first, second))
-
-
-def _columns(own: Sample, other: Sample, result: Comparison) -> Row:
-    return {"seeds": own.seeds, "other_seeds": other.seeds, **comparison_columns(own, other, result)}
+    return comparison_columns(first, second)
 
 
 def _names(row: Row) -> list[str]:

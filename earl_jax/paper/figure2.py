@@ -14,7 +14,7 @@ from earl_jax.algos import SAC
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval, welch
+from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval
 from earl_jax.metrics.scores import final_scores
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
@@ -162,9 +162,7 @@ def effects(arms: Arms) -> list[Row]:
 
 def _test(first: Point, second: Point) -> Row:
     """Return the columns of Welch's test of the scores of two points; three seeds have no significant permutation."""
-    samples = Sample.of(first.scores), Sample.of(second.scores)
-    seeds = {"seeds": samples[0].seeds, "other_seeds": samples[1].seeds}
-    return {**seeds, **comparison_columns(*samples, welch(*samples))}
+    return comparison_columns(Sample.of(first.scores), Sample.of(second.scores))
 
 
 def verdict(finding: str, effect: str, published: str | None) -> str:

@@ -83,10 +83,6 @@ def _format_final(axis: Any, rows: Sequence[Row]) -> None:
 
 
 def _add_legend(figure: Any, axes: Any, horizons: Sequence[int]) -> None:
-    from matplotlib.lines import Line2D
-
-    lines = {
-        f"Reset every {steps_text(horizon)}": Line2D([], [], color=_colour(horizon, horizons)) for horizon in horizons
-    }
+    lines = {f"Reset every {steps_text(horizon)}": {"color": _colour(horizon, horizons)} for horizon in horizons}
     updates = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
     legend_below(figure, lines | updates, -(-(len(horizons) + 2) // 2))

@@ -13,7 +13,6 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
-from earl_jax.report.published import FEW, FEW_SEEDS
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
@@ -21,6 +20,9 @@ from earl_jax.training import evaluate
 
 METHODS = ("fbrl", "vaprl", "oracle")
 EPISODES = 100
+FEW = 10
+"""Fewer seeds than this make a bootstrap interval unreliable."""
+FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
 COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 
 

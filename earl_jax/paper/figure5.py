@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.scores import deployed_area
+from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
-from earl_jax.report.paper_rows import table_scores
+from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.published import LEVELS, crossings_beside, published_beside, released_beside
 from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text, read_methods
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores, trailing
@@ -29,7 +29,6 @@ from earl_jax.report.style import (
 )
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
-CONTINUING, SUCCESS = "continuing/reward", "deployed/success"
 SMOOTH = " (trailing 10)"
 
 
@@ -145,12 +144,11 @@ def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
 
 
 def _add_legend(figure: Any, axes: Any) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = legend_entries(axes[0])
-    handles["Published, final value"] = Line2D([], [], color="0.5", linestyle="--", linewidth=2)
-    handles["Published mean reaches 0.5, 0.9"] = Line2D([], [], color="0.5", linestyle="", marker="X", markersize=7)
-    legend_below(figure, handles, min(len(handles), 4 if axes.shape[1] < 3 else 8), fontsize="small")
+    entries = legend_entries(axes[0]) | {
+        "Published, final value": {"color": "0.5", "linestyle": "--", "linewidth": 2},
+        "Published mean reaches 0.5, 0.9": {"color": "0.5", "linestyle": "", "marker": "X", "markersize": 7},
+    }
+    legend_below(figure, entries, min(len(entries), 4 if axes.shape[1] < 3 else 8), fontsize="small")
 
 
 FIGURE5 = Artefact("figure5", PAPER_TASKS, runs_of(*METHODS), report)

@@ -4,7 +4,6 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 import functools
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,18 @@ from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.runs import read_methods
-from earl_jax.report.style import (
-    AXES,
-    colours,
-    legend_below,
-    method_order,
-    method_title,
-    new_figure,
-    reach,
-    task_title,
-)
+from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
 from earl_jax.report.tables import markdown_table, millions, seeds_text
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
     "of the same tasks, which favours them."
 )
+TESTS = ("task", "method", "steps", "ours", "published", "difference [95 %]", "p", "adjusted p", "verdict", "chosen")
+"""The columns of the table of tests."""
 DIGITS = {"deployed/success": 3, "deployed/return": 2}
+LONGEST = 40
+"""Letters of a label in the picture at most."""
 
 
 def report(number: int, folders: Sequence[Path]) -> Report:
@@ -82,25 +76,13 @@ def _tests(tested: Sequence[Row]) -> str:
     """Return a table of the tests against the published scores, or a line that there is none."""
     if not tested:
         return "No run can be tested against the paper."
-    header = [
-        "task",
-        "method",
-        "steps",
-        "ours",
-        "published",
-        "difference [95 %]",
-        "p",
-        "adjusted p",
-        "verdict",
-        "chosen",
-    ]
     lines = []
     for row in tested:
         style = f".{DIGITS.get(row['metric'], 4)}f"
         means = [format(row[name], style) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
         lines.append([*names, *means, *compared_texts(row, style, "difference_"), row["chosen"]])
-    return f"{markdown_table(header, lines)}\n\n{CHOSEN_RULE}"
+    return f"{markdown_table(TESTS, lines)}\n\n{CHOSEN_RULE}"
 
 
 def _faults(number: int, trained: Sequence[Row]) -> str:
@@ -145,7 +127,8 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
     axis.use_sticky_edges = False
     for position, row in enumerate(rows):
         _draw_row(axis, position, row, palette[row["algo"]])
-    names = [textwrap.shorten(method_title(row["label"]), 40, placeholder=" …") for row in rows]
+    titles = [method_title(row["label"]) for row in rows]
+    names = [title if len(title) <= LONGEST else f"{title[: LONGEST - 1]}…" for title in titles]
     slanted = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in rows) else {}
     axis.set_xticks(range(len(rows)), names, fontsize="small", **slanted)
     axis.set(title=task_title(rows[0]["env"]), xlim=(-0.6, len(rows) - 0.4))
@@ -166,13 +149,12 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
 
 
 def _add_legend(figure: Any) -> None:
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    ours = Line2D([], [], marker="o", color="black", linewidth=1.8)
+    ours = {"marker": "o", "color": "black", "linewidth": 1.8}
     published = Patch(color="0.6", alpha=0.45)
-    handles = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
-    legend_below(figure, handles, 2, fontsize="small")
+    entries = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
+    legend_below(figure, entries, 2, fontsize="small")
 
 
 TABLE1, TABLE2 = (

@@ -31,7 +31,7 @@ from earl_jax.report.style import (
     task_order,
     task_title,
 )
-from earl_jax.report.tables import markdown_table
+from earl_jax.report.tables import markdown_table, number_text
 
 TASKS = ("tabletop_organization", "sawyer_door")
 METHODS = ("naive", "fbrl")
@@ -49,6 +49,8 @@ NAMES = {"epsilon": "at random", "budget": "on request"}
 """What the picture calls them."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
+LEAST = 0.001
+"""The least p that is printed as a number."""
 WORDS = {"above": "help", "below": "hurt"}
 """What more interventions do, by the verdict on the correlation."""
 Lines = dict[tuple[Any, ...], list[list[Row]]]
@@ -157,7 +159,7 @@ def _findings_table(lines: Lines) -> str:
             " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
             for score, style in (("interventions", ",.0f"), ("final", ".3f"))
         ]
-        numbers = [_number(correlation), *(_number(value, least=0.001) for value in (own_p, p))]
+        numbers = [number_text(correlation, ".3f"), *(number_text(value, ".3f", LEAST) for value in (own_p, p))]
         word = verdict(correlation, p)
         found = f"{CANNOT_TELL}; {_detectable(len(list(itertools.chain(*line)))):.2f} would be found"
         rows.append([*name, *ends, *numbers, WORDS.get(word, found)])
@@ -170,12 +172,6 @@ def _detectable(seeds: int) -> float:
     if seeds < 4:
         return math.nan
     return math.tanh((stats.norm.ppf(1 - LEVEL / 2) + stats.norm.ppf(POWER)) / math.sqrt(seeds - 3))
-
-
-def _number(value: float, least: float = -math.inf) -> str:
-    if math.isnan(value):
-        return "-"
-    return f"<{least:g}" if value < least else f"{value:.3f}"
 
 
 def _draw(lines: Lines) -> Any:

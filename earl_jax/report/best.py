@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, permutation, smallest_p, welch
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.published import FAMILY_RULE
@@ -68,10 +68,9 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
     for row, scores in tested:
-        other = Sample.of(scores)
-        result = permutation(leader, scores) if test == "permutation" else welch(Sample.of(leader), other)
-        columns = comparison_columns(Sample.of(leader), other, result, "difference_")
-        row |= {name: value for name, value in columns.items() if name in row} | {"other_seeds": len(leader)}
+        sides = (leader, scores) if test == "permutation" else (Sample.of(leader), Sample.of(scores))
+        columns = comparison_columns(*sides, "difference_") | {"seeds": len(scores), "other_seeds": len(leader)}
+        row |= {name: value for name, value in columns.items() if name in row}
         row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
     for row in with_verdicts([row for row, _ in tested]):
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
@@ -109,14 +108,8 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
-    notes = [
-        RULE.format(
-            test=TESTS[test],
-            window=rows[0]["mean_over"],
-            intervals=INTERVALS,
-        ),
-        *([OPTIMISM] if len(rows) > 1 else []),
-    ]
+    rule = RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS)
+    notes = [rule, OPTIMISM] if len(rows) > 1 else [rule]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
 

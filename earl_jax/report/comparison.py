@@ -9,16 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import (
-    CANNOT_TELL,
-    Comparison,
-    Sample,
-    detectable_difference,
-    holm,
-    permutation,
-    smallest_p,
-    welch,
-)
+from earl_jax.metrics.comparison import CANNOT_TELL, Sample, detectable_difference, holm, permutation, smallest_p, welch
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
@@ -122,8 +113,7 @@ def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, a
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
     step = int(age * common_steps(first.curves, second.curves)[1])
     scores, others = (seed_scores(runs.curves, step, metric) for runs in (first, second))
-    row = _row(first, step, scores, second.label, Sample.of(others), permutation(scores, others), metric)
-    return row | {"age": age}
+    return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
 
 def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
@@ -155,7 +145,7 @@ def _printed_rows(group: MethodRuns) -> list[Row]:
         return []
     step = int(group.curves.steps[-1])
     scores = seed_scores(group.curves)
-    row = _row(group, step, scores, f"published {score.text}", sample, welch(Sample.of(scores), sample))
+    row = _row(group, step, scores, f"published {score.text}", sample)
     if group.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
     elif step < length:
@@ -168,30 +158,35 @@ def _row(
     step: int,
     scores: np.ndarray,
     name: str,
-    other: Sample,
-    result: Comparison,
+    other: np.ndarray | Sample,
     metric: str | None = None,
 ) -> Row:
-    own = interval_of(first.curves, scores, metric)
+    own, test = interval_of(first.curves, scores, metric), comparison_columns(scores, other)
     return {
-        "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores), "other_seeds": other.seeds,
-        "mean": own.value, "mean_low": own.low, "mean_high": own.high, "other_mean": other.mean,
-        **comparison_columns(Sample.of(scores), other, result), "age": 1.0, "mean_over": first.curves.window.text,
+        "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores),
+        "other_seeds": test["other_seeds"], "mean": own.value, "mean_low": own.low, "mean_high": own.high,
+        **test, "age": 1.0, "mean_over": first.curves.window.text,
     }  # fmt: skip
 
 
-def comparison_columns(own: Sample, other: Sample, result: Comparison, prefix: str = "") -> Row:
-    """Return the columns of `result`, the test of the sample `own` against `other`, before `with_verdicts`.
+def comparison_columns(own: np.ndarray | Sample, other: np.ndarray | Sample, prefix: str = "") -> Row:
+    """Return the columns of the test of `own` against `other`, before `with_verdicts`.
 
-    The names of the ends of its interval start with `prefix`.
+    It is the permutation test of scores [N] of seeds, or Welch's where one of the two is a `Sample`. The names of the ends of
+    its interval start with `prefix`.
     """
+    first, second = (part if isinstance(part, Sample) else Sample.of(part) for part in (own, other))
+    result = welch(first, second) if isinstance(own, Sample) or isinstance(other, Sample) else permutation(own, other)
     return {
+        "seeds": first.seeds,
+        "other_seeds": second.seeds,
+        "other_mean": second.mean,
         "difference": result.difference,
         f"{prefix}low": result.low,
         f"{prefix}high": result.high,
         "p": result.p,
         "verdict": "",
-        "detectable": detectable_difference(own, other),
+        "detectable": detectable_difference(first, second),
     }
 
 

@@ -4,6 +4,7 @@ The file has the published scores and the runs of this repository; `python -m be
 docs/leaderboard.md from the same rows.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from earl_jax.report.published import LEVELS, chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import interval_text, millions, step_interval
-from earl_jax.runs.provenance import short_commit
+from earl_jax.runs.provenance import made_by, short_commit
 
 TABLE = "leaderboard"
 OURS = "earl_jax"
@@ -27,7 +28,10 @@ HEADER = (
 
 
 class Row(NamedTuple):
-    """A row of the leaderboard as texts; the rows of a task are sorted by `score`, the mean deployed score, highest first."""
+    """A row of the leaderboard as texts; the rows of a task are sorted by `score`, the mean deployed score, highest first.
+
+    A text of what a row does not have is `-`.
+    """
 
     env: str
     method: str
@@ -35,13 +39,13 @@ class Row(NamedTuple):
     seeds: int
     steps: int
     deployed: str
-    wide: str
-    continuing: str
-    alive: str
-    crossings: tuple[str, ...]
-    chosen: str
-    commit: str
-    score: float
+    wide: str = "-"
+    continuing: str = "-"
+    alive: str = "-"
+    crossings: tuple[str, ...] = ("-",) * len(LEVELS)
+    chosen: str = "-"
+    commit: str = "-"
+    score: float = math.nan
 
     @property
     def texts(self) -> list[str]:
@@ -51,14 +55,15 @@ class Row(NamedTuple):
 
 
 CROSSINGS = tuple(f"to_{level}" for level in LEVELS)
-COLUMNS = tuple(column for name in Row._fields for column in (CROSSINGS if name == "crossings" else (name,)))
-"""The columns of the file."""
+"""The columns of the file that have the crossings."""
 
 
 def values_of(row: Row) -> dict[str, Any]:
-    """Return a row as the values of `COLUMNS`; scores are rounded to six digits after the point."""
-    values = row._asdict() | dict(zip(CROSSINGS, row.crossings, strict=True)) | {"score": round(row.score, 6)}
-    return {name: values[name] for name in COLUMNS}
+    """Return a row by the columns of the file; scores are rounded to six digits after the point."""
+    values: dict[str, Any] = {}
+    for name, value in row._asdict().items():
+        values |= dict(zip(CROSSINGS, value, strict=True)) if name == "crossings" else {name: value}
+    return values | {"score": round(row.score, 6)}
 
 
 def shipped_rows() -> list[Row]:
@@ -79,7 +84,7 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return {env: sorted(members, key=lambda row: -row.score) for env, members in by_task.items()}
 
 
-def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
+def run_row(group: MethodRuns, source: str = OURS) -> Row:
     """Return the row of a run: scores by the default `Window`, each with its 95 % interval over seeds."""
     curves = group.curves._replace(window=DEFAULT)
     deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
@@ -96,9 +101,15 @@ def run_row(group: MethodRuns, commit: str, source: str = OURS) -> Row:
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(map(step_interval, level_crossings(curves).values())),
         chosen=chosen_words(curves),
-        commit=short_commit(commit) or "-",
+        commit=short_commit(commit_of(curves)) or "-",
         score=float(seed_scores(curves).mean()),
     )
+
+
+def commit_of(curves: Curves) -> str:
+    """Return the commit or the release that made the runs, `several` if they differ, or an empty text without any."""
+    commits = {made_by(run.recorded().get("provenance")) for run in curves.runs}
+    return commits.pop() if len(commits) == 1 else "several"
 
 
 def score_text(env: str, value: float, low: float, high: float) -> str:

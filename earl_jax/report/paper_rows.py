@@ -4,12 +4,10 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.comparison import Sample, permutation, welch
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
@@ -25,6 +23,7 @@ from earl_jax.report.published import (
 from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import method_order, task_order
+from earl_jax.report.tables import Row
 
 HEADINGS = {
     1: "Table 1: deployed performance of the final policy",
@@ -35,12 +34,15 @@ DESCRIPTIONS = {
     "last evaluation.",
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
-
-
 CONTINUING = "continuing/reward"
+TESTED = (
+    "tested_steps", "tested_mean", "other_mean", "other_seeds", "difference", "difference_low", "difference_high", "detectable",
+    "p", "p_holm",
+)  # fmt: skip
+"""The columns of the test, which are None without one."""
 
 
-def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]]:
+def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[Row]:
     """Return the rows of table `number` in the paper's order: those of `groups`, and published ones not run."""
     names = [(row["env"], row["algo"]) for row in assets.published(f"table{number}")]
     names += [(group.env, group.algo) for group in groups]
@@ -53,7 +55,7 @@ def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[dict[str, Any]
     return rows
 
 
-def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str, Any]:
+def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> Row:
     table = f"table{number}"
     score = published_beside(table, group.curves) if group else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
@@ -71,20 +73,7 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
         "published_high": high,
         "published_steps_low": steps_low,
         "published_steps_high": steps_high,
-        **dict.fromkeys(
-            (
-                "tested_steps",
-                "tested_mean",
-                "other_mean",
-                "other_seeds",
-                "difference",
-                "difference_low",
-                "difference_high",
-                "detectable",
-                "p",
-                "p_holm",
-            )
-        ),
+        **dict.fromkeys(TESTED),
         "verdict": "-",
     }
     if group:
@@ -92,24 +81,20 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> dict[str
     return row
 
 
-def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> dict[str, Any]:
+def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> Row:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
     curves, released = group.curves, released_beside(group.curves)
     if released is None:
         step, other = int(curves.steps[-1]), score and score.sample
         if not other or step < (published_steps(group.env) or (0, 0))[0]:
             return {}
-        scores = table_scores(number, curves, step)
-        result = welch(Sample.of(scores), other)
     else:
         first, step = common_steps(curves, released)
         if first > step or (number == 2 and CONTINUING not in released.metrics):
             return {}
-        scores, others = (table_scores(number, each, step) for each in (curves, released))
-        result, other = permutation(scores, others), Sample.of(others)
-    own = Sample.of(scores)
-    test = comparison_columns(own, other, result, "difference_")
-    return {"tested_steps": step, "tested_mean": own.mean, "other_mean": other.mean, "other_seeds": other.seeds, **test}
+        other = table_scores(number, released, step)
+    own = table_scores(number, curves, step)
+    return {"tested_steps": step, "tested_mean": float(own.mean()), **comparison_columns(own, other, "difference_")}
 
 
 def table_scores(number: int, curves: Curves, step: int | None = None) -> np.ndarray:
@@ -120,7 +105,7 @@ def table_scores(number: int, curves: Curves, step: int | None = None) -> np.nda
     return curves.metrics[CONTINUING][:, until][:, -1]
 
 
-def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
+def _measured(number: int, group: MethodRuns | None) -> Row:
     """Return the scores of the seeds of `group`, all of them None without a run."""
     names = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
     if group is None:
@@ -133,7 +118,7 @@ def _measured(number: int, group: MethodRuns | None) -> dict[str, Any]:
     return dict(zip(names, values, strict=True))
 
 
-def share_of_steps(row: dict[str, Any]) -> str:
+def share_of_steps(row: Row) -> str:
     """Return, as `at 12 % of the steps`, the share of the published ones that a shorter run has; else an empty text."""
     least = row["published_steps_low"]
     if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:

@@ -168,16 +168,14 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, published: bool) -> None:
     """Name the lines below the panels, with as many lines of text as their names need there."""
-    from matplotlib.lines import Line2D
-
     entries = {name: line.style for name, line in _legend_entries(lines).items()}
     entries |= {"Published, five seeds": RELEASED} if published else {}
     columns = min(layout.columns, len(entries))
     letters = int(layout.width / (LETTER * layout.points * columns)) - 6
-    handles = {textwrap.fill(name, letters): Line2D([], [], **style) for name, style in entries.items()}
-    height = max(sum(name.count("\n") + 1 for name in list(handles)[i::columns]) for i in range(columns))
+    filled = {textwrap.fill(name, letters): style for name, style in entries.items()}
+    height = max(sum(name.count("\n") + 1 for name in list(filled)[i::columns]) for i in range(columns))
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
-    legend_below(figure, handles, columns)
+    legend_below(figure, filled, columns)
 
 
 def _legend_entries(lines: Sequence[Line]) -> dict[str, Line]:

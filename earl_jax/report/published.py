@@ -44,11 +44,6 @@ INTERVAL_RULE = (
 RECONSTRUCTED = ("dhand_lightbulb",)
 """Tasks of the paper that were never released: ours are other tasks, so no published score stands beside their runs."""
 
-FEW = 10
-"""Fewer seeds than this make a bootstrap interval unreliable."""
-FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
-
-
 CHOSEN = {
     "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals"
 }  # fmt: skip

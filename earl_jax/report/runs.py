@@ -16,7 +16,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, count_diverged
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import PHASE_METRICS
-from earl_jax.metrics.scores import DEFAULT, Score, Window
+from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import method_order, task_order
@@ -47,11 +47,6 @@ class Curves(NamedTuple):
     def deployed_metric(self) -> str:
         """The metric that scores a deployed policy on this task."""
         return self.config.deployed_metric
-
-    @property
-    def score(self) -> Score:
-        """The deployed score."""
-        return Score.of(self.steps, self.metrics, self.deployed_metric, self.window)
 
     @property
     def diverged(self) -> int:

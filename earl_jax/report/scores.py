@@ -75,6 +75,7 @@ def row_of(curves: Curves, name: str) -> dict[str, Any]:
     """Return the row of one method under `name`, as `tabulate` describes it."""
     deployed, continuing = seed_scores(curves), curves.metrics["continuing/reward"][:, -1]
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
+    table1, table2 = (published_beside(table, curves) for table in ("table1", "table2"))
     return {
         "env": curves.config.env,
         "algo": name,
@@ -88,10 +89,10 @@ def row_of(curves: Curves, name: str) -> dict[str, Any]:
         "deployed_low": interval.low,
         "deployed_high": interval.high,
         "seeds_above_half": float((deployed > 0.5).mean()) if rates else None,
-        "published_deployed": _published("table1", curves),
+        "published_deployed": table1 and table1.text,
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),
-        "published_continuing": _published("table2", curves),
+        "published_continuing": table2 and table2.text,
         **life_values(curves.metrics, curves.window.count(curves.steps)),
         **_crossing_columns(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
@@ -125,8 +126,3 @@ def steps_per_reward(curves: Curves) -> float | None:
     recent = curves.metrics["continuing/recent"]
     rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
     return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
-
-
-def _published(table: str, curves: Curves) -> str | None:
-    score = published_beside(table, curves)
-    return f"{score.mean} ({score.stderr})" if score else None

@@ -72,10 +72,13 @@ def reach(estimate: Estimate) -> np.ndarray:
     return np.maximum(np.nan_to_num([value - low, high - value]), 0)
 
 
-def legend_below(figure: Any, handles: Mapping[str, Any], columns: int, **options: Any) -> None:
-    """Put a legend of `handles` by their labels below the axes of `figure`."""
+def legend_below(figure: Any, entries: Mapping[str, Any], columns: int, **options: Any) -> None:
+    """Put a legend of `entries` by their labels below the axes of `figure`: handles, or styles of lines."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], **entry) if isinstance(entry, dict) else entry for entry in entries.values()]
     place = {"loc": "outside lower center", "ncols": columns, "frameon": False, **options}
-    figure.legend(handles.values(), handles.keys(), **place)
+    figure.legend(handles, entries.keys(), **place)
 
 
 def legend_entries(axes: Iterable[Any]) -> dict[str, Any]:

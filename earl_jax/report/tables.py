@@ -1,11 +1,12 @@
 """Tables: the rows of run folders, and any rows as markdown, LaTeX, csv or text for a terminal."""
 
 import csv
+import io
 import math
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -149,12 +150,18 @@ def write(rows: Sequence[Row], path: Path) -> None:
     if path.suffix in (".md", ".tex"):
         run_table(rows).write(path)
     elif path.suffix == ".csv":
-        with path.open("w", newline="") as handle:
-            writer = csv.DictWriter(handle, rows[0], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        path.write_text(csv_text(rows))
     else:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return `rows` as csv with the columns of all of them; a cell is empty where its row has no such column."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
@@ -165,13 +172,9 @@ def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str
 
 def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
     """Return a LaTeX `tabular` for the package booktabs."""
-    rows = [" & ".join(map(_latex_text, line)) + r" \\" for line in (header, *lines)]
+    rows = [" & ".join(str(cell).translate(LATEX) for cell in line) + r" \\" for line in (header, *lines)]
     rows = [r"\begin{tabular}{" + "l" * len(header) + "}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
-
-
-def _latex_text(value: Any) -> str:
-    return str(value).translate(LATEX)
 
 
 def shown_table(header: Sequence[str], lines: Sequence[Sequence[Any]], width: int | None) -> str:
@@ -218,9 +221,14 @@ def interval_text(value: float, low: float, high: float, style: str = ".3f") -> 
     return f"{value:{style}} [{low:{style}}, {high:{style}}]"
 
 
-def number_text(value: float) -> str:
-    """Return a number with three digits, or without a fraction if it is larger; `-` for nan."""
-    return "-" if math.isnan(value) else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
+    """Return a number in a format, by default with three digits, or without a fraction if it is larger; `-` for nan.
+
+    A number below `least` is `<` and that.
+    """
+    if math.isnan(value):
+        return "-"
+    return f"<{least:g}" if value < least else format(value, style or (".3g" if abs(value) < 1000 else ",.0f"))
 
 
 def seeds_text(count: int) -> str:

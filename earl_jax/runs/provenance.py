@@ -6,7 +6,6 @@ import hashlib
 import json
 import platform
 import subprocess
-from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -86,9 +85,9 @@ def _sha256(path: Path) -> str | None:
     return base64.urlsafe_b64encode(digest).decode().rstrip("=")
 
 
-def made_by(values: Mapping[str, Any]) -> str:
-    """Return the commit that a provenance has, else its release, else an empty text."""
-    return values.get("commit") or values.get("release") or ""
+def made_by(values: Any) -> str:
+    """Return the commit that a recorded provenance has, else its release, else an empty text."""
+    return str(values.get("commit") or values.get("release") or "") if isinstance(values, dict) else ""
 
 
 def short_commit(commit: str, digits: int = 9) -> str:

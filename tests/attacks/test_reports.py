@@ -8,7 +8,7 @@ import pytest
 
 from tests.attacks.conftest import one_line
 from tests.cli.process import run
-from tests.report.run_files import rising, write_page_run
+from tests.report.run_files import change_config, rising, write_page_run
 
 HOSTILE = (
     "<script>alert(1)</script>", "</script><script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "'; alert(1); '", "<!--",
@@ -22,11 +22,6 @@ def runs_code(page):
     """Return whether one of the texts stands in the page unescaped, outside the data of its own scripts."""
     outside = re.sub(r"<script\b[^>]*>.*?</script>", "", page, flags=re.DOTALL)
     return any(part in outside for part in ("<script>alert", "<img src=x", "<svg/onload", "<style>*{", ">49<"))
-
-
-def changed(folder, **values):
-    file = folder / "config.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
 
 
 def write_labelled(root):
@@ -58,22 +53,24 @@ def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch)
         name = text.encode(errors="replace").decode().replace("/", "_") if where == "folder" else f"run{number}"
         folders.append(shutil.copytree(whole, tmp_path / "runs" / name))
         if where == "algo":
-            changed(folders[-1], algo=text)
+            change_config(folders[-1], algo=text)
         elif where == "provenance":
             fields = dict.fromkeys(("commit", "created", "python", "device"), text)
-            changed(folders[-1], provenance={**json.loads((whole / "config.json").read_text())["provenance"], **fields})
+            change_config(
+                folders[-1], provenance={**json.loads((whole / "config.json").read_text())["provenance"], **fields}
+            )
     code, _, err = run("report", *folders, "--out", "page.html")
     assert code == 0, err
     assert not runs_code((tmp_path / "page.html").read_text())
 
 
 BAD_RUNS = {
-    "unknown precision": lambda folder: changed(folder, options={"precision": "fp4"}),
-    "unknown option of the task": lambda folder: changed(folder, env_options={"x": 1}),
-    "unregistered class": lambda folder: changed(folder, env_class="a:b"),
+    "unknown precision": lambda folder: change_config(folder, options={"precision": "fp4"}),
+    "unknown option of the task": lambda folder: change_config(folder, env_options={"x": 1}),
+    "unregistered class": lambda folder: change_config(folder, env_class="a:b"),
     "config of brackets": lambda folder: (folder / "config.json").write_text("[" * 5000),
-    "provenance of a wrong type": lambda folder: changed(folder, provenance=5),
-    "versions of a wrong type": lambda folder: changed(folder, provenance={"versions": 5, "created": 7}),
+    "provenance of a wrong type": lambda folder: change_config(folder, provenance=5),
+    "versions of a wrong type": lambda folder: change_config(folder, provenance={"versions": 5, "created": 7}),
     "no table": lambda folder: (folder / "metrics.csv").unlink(),
     "damaged policies": lambda folder: (folder / "policies.npz").write_bytes(b"x"),
 }

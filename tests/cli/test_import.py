@@ -11,7 +11,7 @@ from earl_jax.report.runs import read
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import run, training
 from tests.conftest import MINE, own_registries, write_mine
-from tests.report.run_files import write_page_run
+from tests.report.run_files import change_config, write_page_run
 
 READERS = {"table": ["--json"], "best": ["--json"], "plot": ["--out", "x.png"], "report": ["--out", "x.html"]}
 
@@ -36,12 +36,6 @@ def own(trained, tmp_path, monkeypatch, registries):
     return tmp_path / "own"
 
 
-def edit_config(file, **values):
-    """Set entries of a config.json, or remove those that are None."""
-    config = {**json.loads(file.read_text()), **values}
-    file.write_text(json.dumps({key: value for key, value in config.items() if value is not None}))
-
-
 def test_a_run_is_read_without_its_classes(own):
     outputs = {command: run(command, "run", *options) for command, options in READERS.items()}
     assert {command: (code, err) for command, (code, _, err) in outputs.items()} == dict.fromkeys(READERS, (0, ""))
@@ -54,13 +48,13 @@ def test_a_run_is_read_without_its_classes(own):
 @pytest.mark.parametrize(("returns", "metric"), [(3.0, "deployed/success"), (-1.0, "deployed/return")])
 def test_the_reward_type_of_an_unknown_task_without_a_record_is_that_of_its_metrics(tmp_path, returns, metric):
     folder = write_page_run(tmp_path / "run", "naive", [[0.5, 1.0]], metrics={"deployed/return": returns})
-    edit_config(folder / "config.json", env="maze", reward_type=None, imports=None)
+    change_config(folder, env="maze", reward_type=None, imports=None)
     assert read(folder).deployed_metric == metric
 
 
 @pytest.mark.parametrize("command", [["resume"], ["evaluate"], ["render", "--acting", "policy"]])
 def test_a_command_that_needs_the_classes_names_the_file_and_never_runs_it(own, command):
-    edit_config(own / "run/config.json", imports=[{"file": "my file.py", "sha256": "0" * 64}])
+    change_config(own / "run", imports=[{"file": "my file.py", "sha256": "0" * 64}])
     (own / "my file.py").write_text("raise SystemExit('ran')")
     message = "this run was trained with my file.py (sha256 00000000): pass --import 'my file.py'"
     assert run(command[0], "run", *command[1:]) == (2, "", f"earl-jax: unknown task 'meadow': {message}\n")

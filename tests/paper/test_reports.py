@@ -208,7 +208,7 @@ def seed_rows(algo, *successes):
     return [{"algo": algo, "seed": seed, "success_initial": a, "success_uniform": b} for seed, (a, b) in pairs]
 
 
-def test_drops_of_figure_5_are_compared_with_the_published_ones(tmp_path):
+def test_drops_of_figure_4_are_compared_with_the_published_ones(tmp_path):
     rows = [row for algo in reversed(DROPS) for row in seed_rows(algo, *DROPS[algo][:2])]
     csv_file, seeds_file, text_file, picture = figure4.report_of(rows).write("figure4", tmp_path)
     methods = {row["algo"]: row for row in read_csv(csv_file)}

@@ -154,7 +154,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
         return Outcome(failed=0, unfinished=("tabletop_organization/fbrl/x",))
 
     monkeypatch.setattr(reproduce, "sweep", stop)
-    monkeypatch.setattr("earl_jax.cli.paper.print_line", lines.append)
+    monkeypatch.setattr("earl_jax.cli.sweep.print_line", lines.append)
     main(["reproduce", "table1", "--out", str(tmp_path / "out"), "--per-device", "auto", "--minutes", "5"])
     assert (given["minutes"].minutes, given["per_device"]) == (5, "auto")
     assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]

@@ -1,6 +1,7 @@
 """Run folders with metrics written by hand, and readers of the files that reports make of them."""
 
 import csv
+import json
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -68,6 +69,13 @@ def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), metrics=
     rewards = dict.fromkeys(("continuing/reward", "continuing/recent"), scores / 100)
     counts = dict.fromkeys(("interventions", "faults", "reached", *extra_counts), np.arange(1, scores.shape[1] + 1))
     return write_run(path, env, algo, scores, metrics={**rewards, **counts, **(metrics or {})}, **options)
+
+
+def change_config(run, **values):
+    """Write `values` to the config.json of `run`; None removes an entry."""
+    file = run / "config.json"
+    changed = {**json.loads(file.read_text()), **values}
+    file.write_text(json.dumps({name: value for name, value in changed.items() if value is not None}))
 
 
 def read_csv(path):

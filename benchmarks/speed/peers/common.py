@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.speed.peers import BEGAN
+from earl_jax.options.environment import own_cores
 
 TABLETOP, DOOR = "tabletop_organization", "sawyer_door"
 HIDDEN, BATCH, CAPACITY, LEARNING_RATE = (256, 256), 256, 100_000, 3e-4
@@ -40,16 +41,11 @@ def options(description: str | None, **extra: dict[str, Any]) -> argparse.Namesp
     return chosen
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def share_cores(number: int, processes: int) -> None:
     """Pin this process to the `number`-th part of the cores, so that parallel processes don't compete for them."""
     if processes == 1 or not hasattr(os, "sched_setaffinity"):
         return
-    cores = sorted(os.sched_getaffinity(0))
+    cores = own_cores()
     width = max(1, len(cores) // processes)
     first = number * width % len(cores)
     os.sched_setaffinity(0, cores[first : first + width])

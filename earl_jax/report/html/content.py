@@ -9,15 +9,7 @@ from typing import Any
 from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
-from earl_jax.report.html.page_tables import (
-    UNKNOWN,
-    difference_table,
-    leaderboard,
-    paper_table,
-    provenance,
-    recorded,
-    seed_table,
-)
+from earl_jax.report.html.page_tables import UNKNOWN, difference_table, leaderboard, paper_table, provenance, seed_table
 from earl_jax.report.published import INTERVAL_RULE, TEST_RULE
 from earl_jax.report.runs import options_text
 from earl_jax.report.scores import SMOOTH
@@ -107,7 +99,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
 
 def _run_card(line: Line, run: RunFolder) -> dict[str, Any]:
     """Return the card of one run: its length, its options, the command that repeats it, its whole config."""
-    whole = recorded(run)
+    whole = run.recorded()
     return {
         "line": line,
         "path": str(run.path),

@@ -1,7 +1,6 @@
 """The tables of one task as text: the paper's tables 1 and 2, the leaderboard, tests of differences, final scores of seeds."""
 
 import itertools
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +13,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.tables import steps_text
+from earl_jax.report.tables import number_text, steps_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import made_by
 
@@ -26,13 +25,7 @@ HERE = "this page"
 TableRow = tuple[Line | None, str, Sequence[str]]
 """A row of a table: its line if it is one of the page's, the method with options in brackets, and cells as text."""
 ARROWS = {"above": "▲ ", "below": "▼ "}
-HEAD = SIZE, MEAN, INTERVAL, PUBLISHED, VERDICT = (
-    "seeds × steps",
-    "mean (s.e.)",
-    "95 % of the mean",
-    "published",
-    "verdict",
-)
+HEAD = ("seeds × steps", "mean (s.e.)", "95 % of the mean", "published", "verdict")
 """The columns of the paper's tables."""
 
 
@@ -48,18 +41,15 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
-    score = PublishedScore(row["published_mean"], row["published_stderr"])
-    published = "–" if score.mean == "-" else score.text.replace("-", "−")
-    cells = {SIZE: "not run", PUBLISHED: published, VERDICT: _verdict(row)}
-    if line is not None:
-        digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-        texts = {name: number_text(value, digits) for name, value in row.items() if isinstance(value, float)}
-        cells |= {
-            SIZE: f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}",
-            MEAN: f"{texts['mean']} ({texts['stderr']})",
-            INTERVAL: f"[{texts['low']}, {texts['high']}]".replace("[–, –]", "–"),
-        }
-    return line, row["label"], [cells.get(name, "") for name in HEAD]
+    published = _typeset(PublishedScore(row["published_mean"], row["published_stderr"]).text)
+    if line is None:
+        return None, row["label"], ["not run", "", "", published, _verdict(row)]
+    digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
+    names = ("mean", "stderr", "low", "high")
+    mean, error, low, high = (_typeset(number_text(row[name], f",.{digits}f")) for name in names)
+    size = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
+    interval = "–" if low == "–" else f"[{low}, {high}]"
+    return line, row["label"], [size, f"{mean} ({error})", interval, published, _verdict(row)]
 
 
 def _verdict(row: dict[str, Any]) -> str:
@@ -89,9 +79,7 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
 def _board_row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
     group = line.group
-    commits = {provenance(run)["commit"].replace(UNKNOWN, "") for run in line.runs}
-    named = group._replace(label=label(group.algo, line.curves.options))
-    return run_row(named, commits.pop() if len(commits) == 1 else "several", HERE)
+    return run_row(group._replace(label=label(group.algo, line.curves.options)), HERE)
 
 
 def _identity(row: Row) -> tuple[object, ...]:
@@ -131,26 +119,21 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
         for lane, seed in enumerate(line.seeds):
             values = [scores[lane]]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
-            texts = [number_text(value, 0) if not abs(value) < 1000 else f"{value:.4g}" for value in values]
+            texts = [_typeset(number_text(value, ".4g" if abs(value) < 1000 else ",.0f")) for value in values]
             rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
     return {"head": head, "rows": rows}
 
 
-def number_text(value: float, digits: int) -> str:
-    """Return a number with `digits` after the point, `–` for nan."""
-    return "–" if math.isnan(value) else f"{value:,.{digits}f}".replace("-", "−")
-
-
-def recorded(run: RunFolder) -> dict[str, Any]:
-    """Return the whole config.json of a run, with its provenance."""
-    return json.loads(run.config_file.read_text())
+def _typeset(number: str) -> str:
+    """Return the text of a number with the signs of print: `−` for minus, and `–` where `-` stands for nothing."""
+    return "–" if number == "-" else number.replace("-", "−")
 
 
 def provenance(run: RunFolder) -> dict[str, str]:
     """Return the machine and the version of each package from a run's config, as texts; `unknown` for what it lacks."""
-    known = recorded(run).get("provenance")
+    known = run.recorded().get("provenance")
     known = known if isinstance(known, dict) else {}
     versions = known.get("versions")
     values = {name: known.get(name) for name in MACHINE} | {"commit": made_by(known) or None}

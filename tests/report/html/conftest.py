@@ -14,7 +14,7 @@ from earl_jax.report.html import media
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.runs import read_all
 from earl_jax.runs.files import RunWarning
-from tests.report.run_files import DOOR, TABLETOP, rising, write_page_run
+from tests.report.run_files import DOOR, TABLETOP, change_config, rising, write_page_run
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 """A text that would run a script if a page took it as HTML."""
@@ -55,12 +55,6 @@ class Reader(html.parser.HTMLParser):
     def numbers(self):
         """Return the numbers from which the page's script draws plots."""
         return json.loads(self.unpacked("numbers"))
-
-
-def change_config(run, **values):
-    """Write `values` to the config.json of `run`."""
-    file = run / "config.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
 
 
 def read_lines(*folders):

@@ -10,8 +10,8 @@ from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows
 from earl_jax.report.runs import gather
-from tests.report.html.conftest import change_config, read_lines
-from tests.report.run_files import DOOR, TABLETOP, constant, rising, write_page_run
+from tests.report.html.conftest import read_lines
+from tests.report.run_files import DOOR, TABLETOP, change_config, constant, rising, write_page_run
 
 
 def cells(table):

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from earl_jax.cli.report import report
+from earl_jax.cli.inspect_runs import report
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.html import writing
@@ -16,8 +16,8 @@ from earl_jax.report.html.writing import watch_page, write_page
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
 from tests.conftest import tiny_train
-from tests.report.html.conftest import EVIL, Reader, change_config
-from tests.report.run_files import rising, write_page_run
+from tests.report.html.conftest import EVIL, Reader
+from tests.report.run_files import change_config, rising, write_page_run
 
 pytest.importorskip("jinja2", reason="reports need the extra 'report'")
 pytest.importorskip("plotly", reason="reports need the extra 'report'")
