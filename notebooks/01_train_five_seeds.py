@@ -36,7 +36,6 @@ from IPython.display import Image
 
 import earl_jax
 from earl_jax.envs.tabletop import COASTERS, HOME, LIMIT
-from earl_jax.metrics.comparison import mean_interval
 from earl_jax.options.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 
@@ -96,7 +95,7 @@ result = earl_jax.train(
 """
 Left, the deployed setting: every 10,000 steps the policy is evaluated from fresh starts, without
 learning. Right, the continuing setting: the reward that the agent earned during training. The line is
-the mean over seeds, the band Student's 95 % interval of that mean.
+the mean over seeds, the band its 95 % interval.
 """
 
 # %%
@@ -106,18 +105,18 @@ Image(plot_runs([RUNS / "fbrl"], RUNS / "curves.png"), width=900)
 """
 ## Read the numbers
 
-Single evaluations of a young policy vary a lot, so look at the mean of the last few. Seeds differ a lot
-too, which is why we train five of them and print an interval beside every mean.
+Single evaluations of a young policy vary a lot, so the score of a seed is the mean of its last five. Seeds
+differ a lot too, which is why we train five of them and print a 95 % interval beside the mean. Every command
+of `earl-jax` prints this score.
 """
 
 # %%
-last = result.metrics["deployed/success"][:, -3:].mean(axis=1)
+score = result.score()
 rewards = result.metrics["continuing/reward"][:, -1]
-for seed, success, reward in zip(result.seeds, last, rewards, strict=True):
+for seed, success, reward in zip(result.seeds, score.scores, rewards, strict=True):
     print(f"seed {seed}: success {success:.2f}, reward per step {reward:.4f}")
-mean = mean_interval(last)
-share = f"{np.mean(last > 0.5):.0%} of the seeds over 0.5"
-print(f"mean {mean.value:.2f}, 95 % interval [{mean.low:.2f}, {mean.high:.2f}], {share}")
+print(score)
+print(f"{np.mean(np.array(score.scores) > 0.5):.0%} of the seeds over 0.5")
 print(f"interventions: {result.metrics['interventions'][:, -1].astype(int).tolist()}")
 
 # %% [markdown]
@@ -149,7 +148,7 @@ goal's coaster as a circle.
 """
 
 # %%
-best = int(last.argmax())
+best = int(np.argmax(score.scores))
 policy = result.policy(best)
 
 

@@ -46,7 +46,7 @@ from earl_jax.report.tables import run_table, tabulate
 TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
 METHODS = ["fbrl", "naive"]
 SEEDS = 5
-STEPS, EVERY = (200, 100) if TINY else (200_000, 10_000)
+STEPS, EVERY = (200, 100) if TINY else (100_000, 5_000)
 OPTIONS = {**PRESETS["quick"].options, "random_steps": min(1000, EVERY)}
 RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
 
@@ -94,8 +94,8 @@ Markdown(run_table(tabulate(folders)).text())
 
 Single evaluations are noisy: 20 episodes of a policy that succeeds half of the time have a standard error
 of 0.11, even if all seeds are equal. So a seed's score is the mean of its last five evaluations. The
-summary is the mean with Student's 95 % interval, which is wide for a few seeds, and the share of the seeds
-that reach 0.5: methods fail in some seeds more often than they fail a little in all.
+summary is the mean with a 95 % interval, which is wide for a few seeds, and the share of the seeds that
+reach 0.5: methods fail in some seeds more often than they fail a little in all.
 """
 
 # %%
@@ -103,7 +103,7 @@ curves = {algo: read(RUNS / algo) for algo in METHODS}
 success = {algo: curves[algo].metrics["deployed/success"] for algo in METHODS}
 scores = {algo: values[:, -5:].mean(axis=1) for algo, values in success.items()}
 for algo, values in scores.items():
-    mean, low, high = mean_interval(values)
+    mean, low, high = mean_interval(values, rate=True)
     share = f"{np.mean(values > 0.5):.0%} over 0.5"
     print(f"{algo:6} mean {mean:.2f} [{low:.2f}, {high:.2f}], {share}  seeds", values.round(2).tolist())
 
@@ -114,8 +114,9 @@ for algo, values in scores.items():
 Overlapping intervals do not show that two methods are equal, and requiring disjoint intervals is stricter
 than 95 %. The question is about the difference. The permutation test asks how often a difference this large
 would come about if the seeds were dealt to the methods by chance. With few seeds only a large difference
-can be told from 0; the last number says how large. `earl-jax compare` prints the same for run folders, with
-Holm's correction if there are several pairs.
+can be told from 0; the last number says how large. The verdict is the test's. The interval is Welch's, and
+near p = 0.05 the two can disagree. `earl-jax compare` prints the same for run folders, with Holm's correction
+if there are several pairs.
 """
 
 # %%
@@ -136,7 +137,7 @@ columns = zip(*(success[algo].T for algo in METHODS), strict=True)
 gaps = np.array([welch(Sample.of(first), Sample.of(second)) for first, second in columns])
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 for algo in METHODS:
-    mean, low, high = mean_interval(success[algo])
+    mean, low, high = mean_interval(success[algo], rate=True)
     left.plot(steps, mean, color=palette[algo], label=algo)
     left.fill_between(steps, low, high, color=palette[algo], alpha=0.2, linewidth=0)
 left.legend(frameon=False)
@@ -162,7 +163,7 @@ while FBRL spends steps on the way home.
 # %%
 earned = {algo: curves[algo].metrics["continuing/reward"][:, -1] for algo in METHODS}
 for algo, values in earned.items():
-    estimate = mean_interval(values)
+    estimate = mean_interval(values, rate=True)
     print(f"{algo:6} C(A) {estimate.value:.4f} [{estimate.low:.4f}, {estimate.high:.4f}]")
 gap = permutation(*(earned[algo] for algo in METHODS))
 print(f"difference {gap.difference:+.4f} [{gap.low:+.4f}, {gap.high:+.4f}], p = {gap.p:.2g}: {gap.verdict}")

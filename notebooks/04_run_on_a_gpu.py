@@ -158,12 +158,12 @@ Image(plot_runs([RUNS / "vaprl"], RUNS / "curves.png"), width=900)
 ## More seeds
 
 Five seeds give a mean. Fifty seeds show the distribution behind it: whether most agents are alike, or some
-learn and others never do. The interval is Student's of the mean.
+learn and others never do. The band is the 95 % interval of the mean.
 """
 
 # %%
 last = result.metrics["deployed/success"][:, -5:].mean(axis=1)
-final = mean_interval(last)
+final = mean_interval(last, rate=True)
 figure, axis = plt.subplots(figsize=(5.5, 3), layout="constrained")
 axis.hist(last, bins=np.linspace(0, 1, 21).tolist(), color="C0", rwidth=0.9)
 axis.axvspan(
