@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from benchmarks.output import RESULTS, read_csv, shrink, write_files
-from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, uniform_starts
+from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, lives, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.envs import make
 from earl_jax.paper import figure3, figure4
@@ -21,7 +21,7 @@ from earl_jax.paper.artefact import Report
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
-PAGES = (cells, differences, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
+PAGES = (cells, differences, lives, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
 """The modules that write tables into pages."""
 SUMS = (
     "These maps are sums over five seeds (tabletop) or three, because earlier versions kept no others: a line counts them as "

@@ -21,11 +21,12 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
 from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
+from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
-DOOR, CHEETAH = "sawyer_door", "cheetah_run"
+DOOR, KITCHEN, CHEETAH = "sawyer_door", "franka_kitchen", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
@@ -36,10 +37,14 @@ FAMILY = "In this table a family has the tests of one difference on a task, at a
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled."""
+    """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled.
+
+    They are compared by the `metric`, by default the deployed score.
+    """
 
     first: tuple[str, ...]
     second: tuple[str, ...]
+    metric: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +111,9 @@ DIFFERENCES = (
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps", (
         Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
     )),
+    Difference("13", "the kitchen's life: reward scale 1; the release's default for dense rewards is 0.1", tuple(
+        Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/reward_scale_0.1",), CONTINUING) for algo in ("fbrl", "r3l")
+    )),
 )  # fmt: skip
 
 
@@ -147,7 +155,7 @@ def _pair_row(root: Path, pair: Pair) -> Row | None:
     if not all(sides):
         return None
     first, second = (_pooled(root, folders) for folders in sides)
-    return pair_row(first, second)
+    return pair_row(first, second, pair.metric)
 
 
 def _pooled(root: Path, folders: list[Path]) -> MethodRuns:

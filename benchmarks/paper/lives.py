@@ -1,0 +1,100 @@
+"""What the rewards of three lives look like beside the released ones: `python -m benchmarks.paper.lives`.
+
+Writes results/paper/lives_measures.{csv,md}: one number of each seed over the steps that both sides have, and the permutation
+test, p not adjusted. The measures were chosen after a look at the curves, so they describe a difference and confirm nothing.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.output import write_files
+from benchmarks.paper.cells import RUNS
+from earl_jax.metrics.comparison import permutation
+from earl_jax.metrics.crossings import trailing_mean
+from earl_jax.report.comparison import common_steps
+from earl_jax.report.paper_rows import CONTINUING
+from earl_jax.report.published import released_curves
+from earl_jax.report.runs import Curves, read
+from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text
+
+SHUT = 0.99
+"""The reward per step from which a door counts as shut all the time."""
+ALIKE = 0.3
+"""The difference of two rewards per step up to which they count as alike."""
+GOALS = 1 / 240
+"""Rewards per step of R3L's released lives on tabletop at their end."""
+HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
+
+
+def shut_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+    """Return the share [N] of the intervals between evaluations in which the door is shut all the time."""
+    return (rewards >= SHUT).mean(axis=1)
+
+
+def alike_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+    """Return the share [N] of pairs of successive intervals that have alike rewards per step."""
+    return (np.abs(np.diff(rewards)) < ALIKE).mean(axis=1)
+
+
+def lag(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+    """Return the steps [N] from a deployed success of 0.5 to half of `GOALS`, trailing means; the end where it is not reached."""
+    steps = curves.steps[: rewards.shape[1]]
+    deployed = curves.metrics["deployed/success"][:, : len(steps)]
+    return _first(steps, rewards, GOALS / 2) - _first(steps, deployed, 0.5)
+
+
+def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
+    reached = trailing_mean(steps, values) >= level
+    return np.where(reached.any(axis=1), steps[reached.argmax(axis=1)], steps[-1])
+
+
+Measure = Callable[[np.ndarray, Curves], np.ndarray]
+MEASURES: tuple[tuple[str, str, Measure], ...] = (
+    ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
+    ("franka_kitchen/fbrl", "share of successive intervals with alike rewards", alike_share),
+    ("franka_kitchen/fbrl/reward_scale_0.1", "share of successive intervals with alike rewards", alike_share),
+    ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
+)
+
+
+def measured(run: str, name: str, measure: Measure) -> Row:
+    """Return the row of a `run` below results/paper and its released counterpart."""
+    env, algo = run.split("/")[:2]
+    ours, released = read(RUNS / run), released_curves(env, algo)
+    assert released is not None
+    until = common_steps(ours, released)[1]
+    own, other = (measure(_rewards(curves, until), curves) for curves in (ours, released))
+    return {
+        "run": run, "measure": name, "steps": until, "mean": own.mean(), "published": other.mean(),
+        "p": permutation(own, other).p, "seeds": own.tolist(), "published_seeds": other.tolist(),
+    }  # fmt: skip
+
+
+def _rewards(curves: Curves, until: int) -> np.ndarray:
+    """Return the rewards per step [N, E] of the intervals between the evaluations up to the step `until`."""
+    steps = curves.steps[curves.steps <= until]
+    earned = curves.metrics[CONTINUING][:, : len(steps)] * steps
+    return np.diff(earned, prepend=0) / np.diff(steps, prepend=0)
+
+
+def files() -> dict[Path, str]:
+    """Return the rows as files."""
+    rows = [measured(*entry) for entry in MEASURES]
+    path = RUNS / "lives_measures"
+    return {
+        path.with_suffix(".csv"): csv_text(rows),
+        path.with_suffix(".md"): markdown_table(HEADER, map(_line, rows)) + "\n",
+    }
+
+
+def _line(row: Row) -> list[str]:
+    style = ",.0f" if row["measure"].startswith("steps") else ".2f"
+    own, other = ("; ".join(number_text(value, style) for value in row[side]) for side in ("seeds", "published_seeds"))
+    means = [number_text(row[side], style) for side in ("mean", "published")]
+    return [row["run"], row["measure"], millions(row["steps"]), *means, f"{row['p']:.2g}", own, other]
+
+
+if __name__ == "__main__":
+    write_files(files())
