@@ -172,7 +172,8 @@ for goal, axis in zip(env.goal_states, axes, strict=True):
     axis.plot(*obs[:until, 2:4].T, color="C1", linewidth=2.5)
     axis.plot(*HOME[2:], "s", color="C1")
     axis.plot(*goal[2:4], "o", markersize=14, fillstyle="none", color="black")
-    axis.set(xlim=(-LIMIT, LIMIT), ylim=(-LIMIT, LIMIT), aspect="equal", title=f"{until} steps")
+    axis.set(xlim=(-LIMIT, LIMIT), ylim=(-LIMIT, LIMIT), aspect="equal", title=f"{until} steps", xlabel="x")
+axes[0].set_ylabel("y")
 plt.show()
 
 # %% [markdown]

@@ -33,7 +33,7 @@ import numpy as np
 from IPython.display import Image, Markdown
 
 import earl_jax
-from earl_jax.metrics.comparison import Sample, detectable_difference, mean_interval, permutation, welch
+from earl_jax.metrics.comparison import Sample, band, detectable_difference, mean_interval, permutation, welch
 from earl_jax.options.presets import PRESETS
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
@@ -137,15 +137,15 @@ columns = zip(*(success[algo].T for algo in METHODS), strict=True)
 gaps = np.array([welch(Sample.of(first), Sample.of(second)) for first, second in columns])
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 for algo in METHODS:
-    mean, low, high = mean_interval(success[algo], rate=True)
+    mean, low, high = band(success[algo], rate=True)
     left.plot(steps, mean, color=palette[algo], label=algo)
     left.fill_between(steps, low, high, color=palette[algo], alpha=0.2, linewidth=0)
 left.legend(frameon=False)
-left.set(title="Deployed success, mean", ylim=(-0.02, 1.02))
+left.set(ylabel="deployed success", ylim=(-0.02, 1.02))
 right.plot(steps, gaps[:, 0], color="black")
 right.fill_between(steps, gaps[:, 1], gaps[:, 2], color="black", alpha=0.15, linewidth=0)
 right.axhline(0, color="gray", linewidth=0.8)
-right.set_title(f"{METHODS[0]} minus {METHODS[1]}")
+right.set_ylabel(f"deployed success, {METHODS[0]} minus {METHODS[1]}")
 for axis in (left, right):
     step_axis(axis, "environment steps of a seed")
     axis.grid(alpha=0.3)
