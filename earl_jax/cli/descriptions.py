@@ -14,12 +14,10 @@ import numpy as np
 
 from earl_jax import algos, envs
 from earl_jax.algos.learner import learner_class
-from earl_jax.cli.listing import CATALOG, LOCATE, names
+from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_NUMBERS, names
 from earl_jax.errors import InputError
 from earl_jax.physics.engine_choice import ENGINES
 
-TASK_NUMBERS = ("observation_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon")
-"""The attributes of a task that its description has."""
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")

@@ -1,45 +1,25 @@
-"""The command that describes tasks, methods, learners and presets: list. It imports only the classes of other packages.
-
-Importing the package's own loads jax, which takes about two seconds. `make catalog` therefore stores their descriptions in
-catalog.json, and a test compares the two.
-"""
+"""The command that describes tasks, methods, learners and presets: list. It imports only the classes of other packages."""
 
 import dataclasses
-import functools
-import json
 import textwrap
 from importlib.metadata import EntryPoint
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
-from earl_jax import algos, assets, envs
-from earl_jax.algos import learner
+from earl_jax import assets
+from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import JSON, Positional, emit
+from earl_jax.cli.catalog import LOCATE, names, stored
 from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
 from earl_jax.options.values import value_text
 
-CATALOG = Path(__file__).with_name("catalog.json")
-LOCATE = {"task": envs.locate_env, "method": algos.locate_algo, "learner": learner.locate_learner}
 WIDTH = 80
 LONGEST = 30
 """Letters of a name for which the overview has room; a longer one makes its own line longer."""
 MORE = "earl-jax list NAME describes one of them with its options; --json prints all."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
-
-
-def names() -> dict[str, list[str]]:
-    """Return the names of all tasks, methods, learners and presets, by kind."""
-    known = {"task": envs.list_envs(), "method": algos.list_algos(), "learner": learner.list_learners()}
-    return {**known, "preset": list(PRESETS)}
-
-
-@functools.cache
-def stored() -> dict[str, Any]:
-    """Return the stored descriptions by class, and under `shared` the options of every learner."""
-    return json.loads(CATALOG.read_text())
 
 
 def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
@@ -58,7 +38,7 @@ def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
         raise InputError(f"there is no task, method, learner or preset {name!r}; {choices(name, known)}")
     described = describe(kind, name)
     if kind == "method":
-        described = {**described, "learner": {**stored()["shared"], **describe("learner", learner.DEFAULT)["options"]}}
+        described = {**described, "learner": {**stored()["shared"], **describe("learner", DEFAULT)["options"]}}
     if kind == "learner":
         described = {**described, "shared": stored()["shared"]}
     emit(described, json, _details(described))
@@ -147,9 +127,7 @@ def _details(described: dict[str, Any]) -> str:
         lines += ["", *_wrap(paragraph)] if paragraph != described["summary"] else []
     lines += _policies_text(described)
     lines += _options_text("options", described.get("options"))
-    lines += _options_text(
-        f"options of the learner {learner.DEFAULT}; --learner takes another", described.get("learner")
-    )
+    lines += _options_text(f"options of the learner {DEFAULT}; --learner takes another", described.get("learner"))
     lines += _options_text("options that every learner has", described.get("shared"))
     return "\n".join(line.rstrip() for line in lines)
 

@@ -21,7 +21,7 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
 )
-from earl_jax.cli.listing import stored
+from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO, Preset, named_preset
 from earl_jax.options.schedule import Schedule
