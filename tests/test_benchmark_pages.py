@@ -83,7 +83,8 @@ def test_a_cell_without_a_run_of_todays_vaprl_has_that_of_the_former_one_and_say
     folder = tmp_path / VARIANT
     write_run(folder, DOOR, "vaprl", rising(2, 3), metrics={"critic_loss": 2.0}, **FORMER)
     change_config(folder, provenance={"commit": "f" * 40})
-    rows = cells.cells(cells.read_runs(tmp_path))
+    runs = cells.read_runs(tmp_path)
+    rows = cells.cells(runs, cells.paper_tests(runs))
     assert (len(rows), {row["verdict"] for row in rows if not row["seeds"]}) == (27, {"not run"})
     [line] = [line for line in cells.cells_text(rows).splitlines() if "f" * 9 in line]
     assert line.startswith("| sawyer_door | vaprl, former defaults | 2 |")

@@ -52,9 +52,17 @@ def read_runs(root: Path = RUNS) -> list[MethodRuns]:
     return read_methods([folders[0] for folders in choices if folders])
 
 
-def cells(runs: Sequence[MethodRuns]) -> list[Row]:
-    """Return a row for each of the paper's cells, of which those without one of `runs` have a verdict only."""
-    tests = {(row["env"], row["first"]): row for row in with_verdicts(published_rows(runs)) if row["age"] == 1.0}
+def paper_tests(runs: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
+    """Return the tests of `runs` against the paper at all ages, by the deployed score or another `metric`."""
+    return with_verdicts(published_rows(runs, metric))
+
+
+def cells(runs: Sequence[MethodRuns], tested: Sequence[Row]) -> list[Row]:
+    """Return a row for each of the paper's cells, of which those without one of `runs` have a verdict only.
+
+    `tested` are the `paper_tests` the runs.
+    """
+    tests = {(row["env"], row["first"]): row for row in tested if row["age"] == 1.0}
     measured = {(run.env, run.algo): _measured(run, tests[run.env, run.label]) for run in runs}
     names = [(env, algo) for env in PAPER_TASKS for algo in methods_on(env)]
     return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
@@ -104,14 +112,14 @@ def _line(row: Row) -> list[str]:
 def files() -> dict[Path, str]:
     """Return the tables as files, and the pages that show some of them."""
     runs = read_runs()
-    rows, ages = cells(runs), with_verdicts(published_rows(runs))
-    lives = with_verdicts(published_rows([run for run in runs if run.env in LIVES], CONTINUING))
-    lives = [row for row in lives if row["age"] == 1.0]
+    tested = paper_tests(runs)
+    rows = cells(runs, tested)
+    lives = [row for row in paper_tests([run for run in runs if run.env in LIVES], CONTINUING) if row["age"] == 1.0]
     claims = "\n\n".join(claims_text(number, runs) for number in (1, 2))
     tables = {"grid": grid.text(rows), "summary": grid.summary(rows)}
     return {
         RUNS / "cells.csv": csv_text(rows),
-        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(ages)}\n",
+        RUNS / "cells.md": f"{cells_text(rows)}\n\n{table_text(tested)}\n",
         RUNS / "lives.csv": csv_text(lives),
         RUNS / "lives.md": f"{table_text(lives)}\n",
         RUNS / "claims.md": f"{claims}\n",

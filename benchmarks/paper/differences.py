@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.output import write_files
-from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells, read_runs
+from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells, paper_tests, read_runs
 from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
@@ -212,8 +212,9 @@ def _interval(row: Row, *names: str) -> str:
 
 def files() -> dict[Path, str]:
     """Return the tests as files."""
-    rows = comparisons()
-    return {RUNS / "pairs.csv": csv_text(rows), RUNS / "pairs.md": f"{table(rows, cells(read_runs()))}\n\n{FAMILY}\n"}
+    rows, runs = comparisons(), read_runs()
+    own_cells = cells(runs, paper_tests(runs))
+    return {RUNS / "pairs.csv": csv_text(rows), RUNS / "pairs.md": f"{table(rows, own_cells)}\n\n{FAMILY}\n"}
 
 
 def draw() -> None:

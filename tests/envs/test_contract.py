@@ -107,6 +107,12 @@ KEPT = {
 """What long random use must not violate, although it is no fault: the bulb's height, joint limits, closed legs."""
 
 
+def test_the_goals_of_a_class_cannot_be_changed_for_all_its_tasks():
+    goals = make("tabletop_organization").goal_states
+    with pytest.raises(ValueError, match="read-only"):
+        goals[0] = 0
+
+
 @pytest.mark.parametrize("env", [*ENVS, *HELPED], ids=lambda env: env.name)
 def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
     def states(key, action, goal):
