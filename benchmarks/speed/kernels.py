@@ -19,6 +19,8 @@ from tyro.conf import Positional
 from earl_jax.algos import make_algo
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import make
+from earl_jax.physics import mjx_compat
+from earl_jax.physics.engines import c
 from earl_jax.protocol import Protocol
 from earl_jax.training.init import init_train_state, replay_capacity
 from earl_jax.training.plan import per_lane
@@ -61,7 +63,8 @@ def compile_step(env: str, algo: str, lanes: int, **options: Any) -> str:
     state = jax.eval_shape(
         lambda m, keys: init_train_state(problem, m, keys, capacity), method, seed_keys(range(lanes))
     )
-    jax.default_backend = lambda: "gpu"  # programs differ between backends where they are traced
+    for module in (jax, c, mjx_compat):  # programs differ between backends where they are traced
+        module.default_backend = lambda: "gpu"
     device = topologies.get_topology_desc("1x1x1", "cuda", target_config=H200, topology="1x1x1").devices[0]
     place = jax.sharding.SingleDeviceSharding(device)
     described = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place), (method, state))

@@ -6,7 +6,7 @@ step samples transitions that were stored before it, so that the host can simula
 released code has the same delay, due to a prefetched dataset.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,20 @@ from earl_jax.training.ordering import before_update, in_step_with_host, one_con
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
 
 
+class Started(NamedTuple):
+    """The control steps that all lanes have started: their actions [N, a], and what `Env.finish_step` takes."""
+
+    action: jax.Array
+    pending: PendingStep
+
+
+class Finished(NamedTuple):
+    """The lanes after a control step, and what the replay stores of it: the arguments of its `write`."""
+
+    lanes: LaneState
+    stored: tuple[Transition, jax.Array, jax.Array]
+
+
 def train_step(
     problem: Problem,
     method: Method,
@@ -37,10 +51,31 @@ def train_step(
     The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
     are drawn here if they are not given.
     """
-    lanes, step = state.lanes, state.step
-    controller = controller_of(method, lanes.phase)
+    started = start(problem, method, state.lanes, keys, warmup, state.step)
+    state, finished = finish(problem, method, state, started, keys, warmup, batch)
+    return store(state, finished)
+
+
+def start(
+    problem: Problem, method: Method, lanes: LaneState, keys: StepKeys, warmup: Warmup, step: jax.Array
+) -> Started:
+    """Return the control steps that the `lanes` start at `step []`."""
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
-    action, pending = act(method, lanes, keys.act)
+    return Started(*act(method, lanes, keys.act))
+
+
+def finish(
+    problem: Problem,
+    method: Method,
+    state: TrainState,
+    started: Started,
+    keys: StepKeys,
+    warmup: Warmup,
+    batch: TransitionBatch | None = None,
+) -> tuple[TrainState, Finished]:
+    """Return the state with a replay that was sampled, and the lanes after the update and the step that they `started`."""
+    lanes, step, (action, pending) = state.lanes, state.step, started
+    controller = controller_of(method, lanes.phase)
     if warmup is not True:
         pending, lanes, keys = in_step_with_host(pending, lanes, keys)
         if batch is None:
@@ -49,9 +84,14 @@ def train_step(
         update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, step))
         lanes = update(method, lanes, keys, batch)
         pending, lanes = in_step_with_host(pending, lanes)
-    finish = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=step))
-    lanes, transition, sampleable = finish(method, lanes, action, pending, keys)
-    return TrainState(lanes, replay_lib.write(state.replay, transition, sampleable, controller), step + 1)
+    finish_lanes = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=step))
+    lanes, transition, sampleable = finish_lanes(method, lanes, action, pending, keys)
+    return state, Finished(lanes, (transition, sampleable, controller))
+
+
+def store(state: TrainState, finished: Finished) -> TrainState:
+    """Return the state one step later, with the lanes and the transitions of the `finished` step."""
+    return TrainState(finished.lanes, replay_lib.write(state.replay, *finished.stored), state.step + 1)
 
 
 @jax.named_scope("act")

@@ -9,9 +9,9 @@ from earl_jax.algos.learner.replay import TransitionBatch, sample_own
 from earl_jax.algos.method import Method, controller_count
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
-from earl_jax.training.loop import sample, train_step
-from earl_jax.training.ordering import read_before_write
-from earl_jax.training.state import Problem, TrainState, Warmup, step_keys
+from earl_jax.training.loop import finish, sample, start, store, train_step
+from earl_jax.training.ordering import in_step_with_host, read_before_write
+from earl_jax.training.state import Problem, StepKeys, TrainState, Warmup, step_keys
 
 
 def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, warmup: Warmup = False) -> TrainState:
@@ -52,7 +52,29 @@ def _run_block(problem: Problem, method: Method, state: TrainState, steps: int, 
     if warmup is not True and _draws_ahead(problem, state):
         (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
         return state
+    if warmup is not True and host_simulates(problem, state):
+        return _start_ahead(problem, method, state, now, warmup)
     return jax.lax.scan(step, state, now)[0]
+
+
+def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: StepKeys, warmup: Warmup) -> TrainState:
+    """Return all lanes after the steps of `keys`, in a scan that starts each step before it stores the last one.
+
+    The host waits for the start of a step. Whatever follows it is computed while the host simulates.
+    """
+
+    def step(carry, keys):
+        (state, started), (now, following) = carry, keys
+        state, finished = finish(problem, method, state, started, now, warmup)
+        started = start(problem, method, finished.lanes, following, warmup, state.step + 1)
+        pending, stored = in_step_with_host(started.pending, finished.stored)
+        return (store(state, finished._replace(stored=stored)), started._replace(pending=pending)), None
+
+    first, last = (jax.tree.map(lambda leaf, number=number: leaf[number], keys) for number in (0, -1))
+    pairs = tuple(jax.tree.map(lambda leaf, part=part: leaf[part], keys) for part in (slice(None, -1), slice(1, None)))
+    started = start(problem, method, state.lanes, first, warmup, state.step)
+    (state, started), _ = jax.lax.scan(step, (state, started), pairs)
+    return store(*finish(problem, method, state, started, last, warmup))
 
 
 def _draws_ahead(problem: Problem, state: TrainState) -> bool:
