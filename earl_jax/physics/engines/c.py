@@ -24,8 +24,6 @@ CHANGED = ("time", "qpos", "qvel", "act", "qacc_warmstart", "memory")
 CONSTANT = ("mocap_pos", "mocap_quat", "constants")
 BOUND = ("time", "qpos", "qvel", "act")
 """The fields that are read from MuJoCo's batch after a control step."""
-NO_STAGE = 0
-"""MuJoCo's mjSTAGE_NONE: a forward pass up to it computes nothing."""
 ROW_COUNTS = 8
 """The largest number of numbers of rows for which a worker pool keeps threads and data."""
 
@@ -172,11 +170,6 @@ class Host:
             worker_pool = self.worker_pools[stream]
         return worker_pool.advance(rows)
 
-    def keep_awake(self, stream: int) -> None:
-        """Keep the threads of the pool of `stream` from sleeping until its next call."""
-        if stream in self.worker_pools:
-            self.worker_pools[stream].keep_awake()
-
 
 class WorkerPool:
     """The threads of one stream: a set of simulations for each of the last numbers of rows."""
@@ -184,7 +177,6 @@ class WorkerPool:
     def __init__(self, host: Host, threads: int):
         self.host, self.threads = host, threads
         self.simulations: dict[int, Simulations] = {}
-        self.last: Simulations | None = None
         self.lock = threading.Lock()
 
     def advance(self, rows: np.ndarray) -> np.ndarray:
@@ -196,14 +188,7 @@ class WorkerPool:
                     del self.simulations[next(iter(self.simulations))]
                 host, threads = self.host, self._threads(count)
                 self.simulations[count] = Simulations(host.simulator, host.model, host.memory, count, threads)
-            self.last = self.simulations[count]
-            return self.last.advance(rows)
-
-    def keep_awake(self) -> None:
-        """Give the threads of the last call a task without work. They sleep after 50 us without one."""
-        with self.lock:
-            if self.last is not None:
-                self.last.batch.forward(stage=NO_STAGE)
+            return self.simulations[count].advance(rows)
 
     def _threads(self, rows: int) -> int:
         """Return the number of threads that work on `rows`, of which the calling thread is one.

@@ -8,7 +8,6 @@ import ctypes
 import functools
 import queue
 import threading
-import time
 from collections.abc import Callable
 from ctypes import c_size_t, c_uint32, c_void_p
 from typing import Any, NamedTuple
@@ -22,13 +21,9 @@ DEPTH = 4
 PORTABLE_AND_MAPPED, UNTIMED, AT_LEAST = 3, 2, 0
 """CUDA's flags for host memory that is portable and mapped, for events without timing, and for a wait until >= a
 value."""
-NOT_READY = 600
-"""CUDA's code for an event that has not happened yet."""
-AWAKE_S = 1e-3
-"""Largest time for which the worker keeps its threads awake while it waits for rows, seconds."""
 FUNCTIONS = (
-    "cuCtxGetCurrent", "cuCtxSetCurrent", "cuEventCreate", "cuEventQuery", "cuEventRecord", "cuEventSynchronize",
-    "cuMemHostAlloc", "cuMemcpyDtoHAsync_v2", "cuMemcpyHtoDAsync_v2", "cuMemsetD32Async", "cuStreamWaitValue32_v2",
+    "cuCtxGetCurrent", "cuCtxSetCurrent", "cuEventCreate", "cuEventRecord", "cuEventSynchronize", "cuMemHostAlloc",
+    "cuMemcpyDtoHAsync_v2", "cuMemcpyHtoDAsync_v2", "cuMemsetD32Async", "cuStreamWaitValue32_v2",
 )  # fmt: skip
 """The functions of CUDA's driver that a stream calls."""
 
@@ -126,20 +121,12 @@ class Stream:
             try:
                 if job.number == 1:
                     _cuda("cuCtxSetCurrent", context)
-                self._wait(job.event)
+                _cuda("cuEventSynchronize", job.event)
                 self.events.append(job.event)
                 job.answer[:] = self.serve(job.rows, self.stream)
             except Exception as error:
                 self.error = error
             self.done[0] = job.number
-
-    def _wait(self, event: c_void_p) -> None:
-        """Wait for `event`, at first with the threads of `serve` awake: to wake them takes 0.1 ms on a virtual machine."""
-        keep_awake = getattr(self.serve, "keep_awake", None)
-        end = time.perf_counter() + AWAKE_S
-        while keep_awake and time.perf_counter() < end and driver().cuEventQuery(event) == NOT_READY:
-            keep_awake(self.stream)
-        _cuda("cuEventSynchronize", event)
 
     def _slot(self, kind: str, lanes: int, columns: int, number: int | None = None) -> HostRows:
         """Return page-locked rows [lanes, columns] for the job `number`, or the newest one; every `DEPTH`-th shares them.
