@@ -1,9 +1,9 @@
 """The one reset-free training step, for every method and all lanes at once.
 
-It reads as `act -> start_step -> learn(prepare(sample)) -> finish_step -> rules -> store`. The functions of one lane are
-vmapped. Between them the replay is read and written unbatched, because it is one buffer. The gradient step of a control
-step samples transitions that were stored before it, so that the host can simulate while the accelerator learns. The
-released code has the same delay, due to a prefetched dataset.
+It reads as `start -> update -> finish -> store`, and for one lane as `act -> env.start_step -> learn(prepare(sample)) ->
+env.finish_step -> rules`. The functions of one lane are vmapped. Between them the replay is read and written unbatched,
+because it is one buffer. The gradient step of a control step samples transitions that were stored before it, so that the
+host can simulate while the accelerator learns. The released code has the same delay, due to a prefetched dataset.
 """
 
 from typing import Any, NamedTuple
@@ -31,11 +31,8 @@ class Started(NamedTuple):
     pending: PendingStep
 
 
-class Finished(NamedTuple):
-    """The lanes after a control step, and what the replay stores of it: the arguments of its `write`."""
-
-    lanes: LaneState
-    stored: tuple[Transition, jax.Array, jax.Array]
+Stored = tuple[Transition, jax.Array, jax.Array]
+"""What the replay stores of a step of all lanes: the last arguments of its `write`."""
 
 
 def train_step(
@@ -52,19 +49,20 @@ def train_step(
     are drawn here if they are not given.
     """
     started = start(problem, method, state.lanes, keys, warmup, state.step)
-    state, finished = finish(problem, method, state, started, keys, warmup, batch)
-    return store(state, finished)
+    if warmup is not True:
+        state, started = update(problem, method, state, started, keys, warmup, batch)
+    return store(state, *finish(problem, method, state, started, keys))
 
 
 def start(
     problem: Problem, method: Method, lanes: LaneState, keys: StepKeys, warmup: Warmup, step: jax.Array
 ) -> Started:
-    """Return the control steps that the `lanes` start at `step []`."""
+    """Return the control steps that the `lanes` start with their actions at `step []`."""
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
     return Started(*act(method, lanes, keys.act))
 
 
-def finish(
+def update(
     problem: Problem,
     method: Method,
     state: TrainState,
@@ -72,26 +70,29 @@ def finish(
     keys: StepKeys,
     warmup: Warmup,
     batch: TransitionBatch | None = None,
-) -> tuple[TrainState, Finished]:
-    """Return the state with a replay that was sampled, and the lanes after the update and the step that they `started`."""
-    lanes, step, (action, pending) = state.lanes, state.step, started
-    controller = controller_of(method, lanes.phase)
-    if warmup is not True:
-        pending, lanes, keys = in_step_with_host(pending, lanes, keys)
-        if batch is None:
-            state, batch = sample(method, state.replace(lanes=lanes), keys.sample)
-        batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
-        update = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, step))
-        lanes = update(method, lanes, keys, batch)
-        pending, lanes = in_step_with_host(pending, lanes)
-    finish_lanes = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=step))
-    lanes, transition, sampleable = finish_lanes(method, lanes, action, pending, keys)
-    return state, Finished(lanes, (transition, sampleable, controller))
+) -> tuple[TrainState, Started]:
+    """Return the state after a gradient step of each lane, and the `started` steps, which can be finished after it."""
+    if batch is None:
+        state, batch = sample(method, state, keys.sample)
+    batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
+    learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
+    pending, lanes = in_step_with_host(started.pending, learn_lane(method, state.lanes, keys, batch))
+    return state.replace(lanes=lanes), started._replace(pending=pending)
 
 
-def store(state: TrainState, finished: Finished) -> TrainState:
-    """Return the state one step later, with the lanes and the transitions of the `finished` step."""
-    return TrainState(finished.lanes, replay_lib.write(state.replay, *finished.stored), state.step + 1)
+def finish(
+    problem: Problem, method: Method, state: TrainState, started: Started, keys: StepKeys
+) -> tuple[LaneState, Stored]:
+    """Return the lanes of `state` after the steps that they have `started`, and what the replay stores of them."""
+    controller = controller_of(method, state.lanes.phase)
+    finish_lane = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=state.step))
+    lanes, transition, sampleable = finish_lane(method, state.lanes, *started, keys)
+    return lanes, (transition, sampleable, controller)
+
+
+def store(state: TrainState, lanes: LaneState, stored: Stored) -> TrainState:
+    """Return the state one step later, with the `lanes` of `finish` and the transitions that it wants `stored`."""
+    return TrainState(lanes, replay_lib.write(state.replay, *stored), state.step + 1)
 
 
 @jax.named_scope("act")

@@ -9,7 +9,7 @@ from earl_jax.algos.learner.replay import TransitionBatch, sample_own
 from earl_jax.algos.method import Method, controller_count
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
-from earl_jax.training.loop import finish, sample, start, store, train_step
+from earl_jax.training.loop import finish, sample, start, store, train_step, update
 from earl_jax.training.ordering import in_step_with_host, read_before_write
 from earl_jax.training.state import Problem, StepKeys, TrainState, Warmup, step_keys
 
@@ -65,16 +65,20 @@ def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: Step
 
     def step(carry, keys):
         (state, started), (now, following) = carry, keys
-        state, finished = finish(problem, method, state, started, now, warmup)
-        started = start(problem, method, finished.lanes, following, warmup, state.step + 1)
-        pending, stored = in_step_with_host(started.pending, finished.stored)
-        return (store(state, finished._replace(stored=stored)), started._replace(pending=pending)), None
+        state, started = update(problem, method, state, started, now, warmup)
+        lanes, stored = finish(problem, method, state, started, now)
+        started = start(problem, method, lanes, following, warmup, state.step + 1)
+        pending, stored = in_step_with_host(started.pending, stored)
+        return (store(state, lanes, stored), started._replace(pending=pending)), None
 
-    first, last = (jax.tree.map(lambda leaf, number=number: leaf[number], keys) for number in (0, -1))
-    pairs = tuple(jax.tree.map(lambda leaf, part=part: leaf[part], keys) for part in (slice(None, -1), slice(1, None)))
-    started = start(problem, method, state.lanes, first, warmup, state.step)
+    def part(index):
+        return jax.tree.map(lambda leaf: leaf[index], keys)
+
+    started = start(problem, method, state.lanes, part(0), warmup, state.step)
+    pairs = part(slice(None, -1)), part(slice(1, None))
     (state, started), _ = jax.lax.scan(step, (state, started), pairs)
-    return store(*finish(problem, method, state, started, last, warmup))
+    state, started = update(problem, method, state, started, part(-1), warmup)
+    return store(state, *finish(problem, method, state, started, part(-1)))
 
 
 def _draws_ahead(problem: Problem, state: TrainState) -> bool:
