@@ -30,6 +30,8 @@ DOOR, KITCHEN, CHEETAH = "sawyer_door", "franka_kitchen", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
+DEPLOYED = "deployed"
+"""The metric of a pair that names none: success or return."""
 LEAST = 0.001
 """The least p that is printed as a number."""
 FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
@@ -111,17 +113,23 @@ DIFFERENCES = (
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps", (
         Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
     )),
-    Difference("13", "the kitchen's life: reward scale 1; the release's default for dense rewards is 0.1", tuple(
-        Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/reward_scale_0.1",), CONTINUING) for algo in ("fbrl", "r3l")
+    Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
+        Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
+        for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
+    )),
+    Difference("13", "the kitchen's life: reward scale 1; the release's: 0.1 for dense rewards, 10 for sparse ones", tuple(
+        Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/reward_scale_{scale}",), CONTINUING)
+        for scale in ("0.1", "10") for algo in ("fbrl", "r3l")
     )),
 )  # fmt: skip
 
 
 def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
     """Return the rows of all tests whose runs are there, each with the `number` of its difference, its family for Holm."""
-    rows = [{"number": "1", **row} for row in starts_rows(read_seeds(seeds))]
+    rows = [{"number": "1", "metric": DEPLOYED, **row} for row in starts_rows(read_seeds(seeds))]
     for entry in DIFFERENCES:
-        rows += [{"number": entry.number, **row} for pair in entry.pairs if (row := _pair_row(root, pair))]
+        tested = [(pair.metric, row) for pair in entry.pairs if (row := _pair_row(root, pair))]
+        rows += [{"number": entry.number, "metric": metric or DEPLOYED, **row} for metric, row in tested]
     return with_verdicts(rows, family=("number", "env"))
 
 
@@ -201,8 +209,8 @@ def _cell_line(row: Row) -> list[str]:
 
 
 def _number(row: Row, value: float) -> str:
-    """Return a success with three decimals, or a return with none."""
-    return number_text(value, ".0f" if row["env"] == CHEETAH else ".3f")
+    """Return a success with three decimals, a reward of a life with three digits, or a return with none."""
+    return number_text(value, ".3g" if row["metric"] == CONTINUING else ".0f" if row["env"] == CHEETAH else ".3f")
 
 
 def _interval(row: Row, *names: str) -> str:

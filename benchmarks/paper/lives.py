@@ -55,6 +55,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
     ("franka_kitchen/fbrl", "share of successive intervals with alike rewards", alike_share),
     ("franka_kitchen/fbrl/reward_scale_0.1", "share of successive intervals with alike rewards", alike_share),
+    ("franka_kitchen/fbrl/reward_scale_10", "share of successive intervals with alike rewards", alike_share),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
 )
 

@@ -82,6 +82,20 @@ def test_reset_is_the_state_after_ten_released_steps_of_no_action():
     assert np.abs(np.array(ARM_QPOS[:7]) - CLOSED[:7]).max() < 0.03, "the published goal's arm, but for its noise"
 
 
+def test_weights_of_plates_and_of_the_light_close_them_slowly_as_in_the_original():
+    """The original's coupled joints turn knob 1 by 0.2820 and the switch by 0.4502 mrad/s; nothing else moves by itself."""
+    before = starts(EXACT, count=6)
+    turned = before.data.qpos.at[:, 9].set(-0.8)
+    before = before.replace(data=before.data.replace(qpos=turned))
+    joints = np.asarray(run_actions(EXACT, before, np.zeros((100, 6, 9), np.float32)).data.qpos[:, :, 9:])
+    speeds, lit = (joints[-1] - joints[49]) / (50 * EXACT.control_step), joints[0, :, 4] < -0.1
+    assert lit.any()
+    assert not lit.all()
+    expected = np.zeros_like(speeds)
+    expected[:, 0], expected[lit, 4] = 0.2820e-3, 0.4502e-3
+    np.testing.assert_allclose(speeds, expected, rtol=0.02, atol=1e-5)
+
+
 def test_noise_is_bounded_in_every_number_and_new_at_every_step():
     expected = [*[0.01] * 9, *[0.0005] * 2, *[0.00005] * 6, *[0.0005] * 3, *[0.01] * 3]
     np.testing.assert_allclose(NOISE, expected, rtol=1e-6)

@@ -72,9 +72,11 @@ ARM_WARMSTART = (
 """Arm and fingers after the released reset: ten steps of zero action at the released time step. The arm still moves,
 and the left finger is open, because its target is the previous reading of joint 1."""
 SHUT = (
-    -0.000292405254, 2.75470406e-08, 2.75470406e-08, 2.75470406e-08, -0.00012477605, 0.0, -0.00092229841, 0.0072293887, 0.0,
+    -0.000292405254, 2.75470406e-08, 2.75470406e-08, 2.75470406e-08, 3.19602862e-07, 0.0, -0.00092229841, 0.0072293887, 0.0,
 )  # fmt: skip
-"""The objects' joints after those ten steps from the goal; limits and friction move them slightly."""
+"""The objects' joints after those ten steps from the goal; limits, friction and weights move them slightly."""
+SWITCH, LIT = 4, -0.68964165
+"""The switch's index among these joints, and its angle with the light on after those ten steps."""
 JOINT_SPEED = np.array([1.0, 4.0], np.float32)
 LEASH = np.array([0.12, 0.06], np.float32)
 """Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear
@@ -142,7 +144,8 @@ class FrankaKitchen(MujocoEnv):
         goal = self.sample_goal(pair_key)  # of the pair and the goal, either variant has only a single choice
         starts = self.initial_states[:, rewards.FIRST[rewards.ROBOT :]]
         untouched = starts == CLOSED[rewards.FIRST[rewards.ROBOT :]]
-        start_objects = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), starts))
+        opened = np.where(np.arange(len(SHUT)) == SWITCH, np.float32(LIT), starts)
+        start_objects = jnp.asarray(np.where(untouched, np.array(SHUT, np.float32), opened))
         objects = start_objects[number]
         qpos, rest = jnp.append(jnp.array(ARM_QPOS, jnp.float32), objects), jnp.zeros(start_objects.shape[1])
         data = PhysicsState.at(
