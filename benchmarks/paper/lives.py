@@ -1,4 +1,4 @@
-"""What the rewards of three lives look like beside the released ones: `python -m benchmarks.paper.lives`.
+"""What the rewards of some lives look like beside the released ones: `python -m benchmarks.paper.lives`.
 
 Writes results/paper/lives_measures.{csv,md}: one number of each seed over the steps that both sides have, and the permutation
 test, p not adjusted. The measures were chosen after a look at the curves, so they describe a difference and confirm nothing.
@@ -38,6 +38,11 @@ def alike_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
     return (np.abs(np.diff(rewards)) < ALIKE).mean(axis=1)
 
 
+def reward(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+    """Return the reward [N] per step of the life."""
+    return rewards.mean(axis=1)
+
+
 def lag(rewards: np.ndarray, curves: Curves) -> np.ndarray:
     """Return the steps [N] from a deployed success of 0.5 to half of `GOALS`, trailing means; the end where it is not reached."""
     steps = curves.steps[: rewards.shape[1]]
@@ -57,7 +62,12 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("franka_kitchen/fbrl/reward_scale_0.1", "share of successive intervals with alike rewards", alike_share),
     ("franka_kitchen/fbrl/reward_scale_10", "share of successive intervals with alike rewards", alike_share),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
+    ("tabletop_organization/r3l/error_scale", "reward per step", reward),
+    ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
+    ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
 )
+STYLES = {"steps": ",.0f", "share": ".2f", "reward": ".3g"}
+"""The format of a measure's numbers by its first word."""
 
 
 def measured(run: str, name: str, measure: Measure) -> Row:
@@ -91,7 +101,7 @@ def files() -> dict[Path, str]:
 
 
 def _line(row: Row) -> list[str]:
-    style = ",.0f" if row["measure"].startswith("steps") else ".2f"
+    style = STYLES[row["measure"].split()[0]]
     own, other = ("; ".join(number_text(value, style) for value in row[side]) for side in ("seeds", "published_seeds"))
     means = [number_text(row[side], style) for side in ("mean", "published")]
     return [row["run"], row["measure"], millions(row["steps"]), *means, f"{row['p']:.2g}", own, other]
