@@ -42,6 +42,9 @@ def _run_block(problem: Problem, method: Method, state: TrainState, steps: int, 
     keys = jax.vmap(lambda number: jax.vmap(step_keys, (0, None))(state.lanes.key, number))(numbers)
     now, following = jax.tree.map(lambda leaf: leaf[:-1], keys), keys.sample[1:]
 
+    if warmup is not True and host_simulates(problem, state):
+        return _start_ahead(problem, method, state, now, warmup)
+
     def step(carry, keys):
         return train_step(problem, method, carry, keys, warmup), None
 
@@ -49,18 +52,17 @@ def _run_block(problem: Problem, method: Method, state: TrainState, steps: int, 
         (state, batch), (now, following) = carry, keys
         return sample(method, train_step(problem, method, state, now, warmup, batch), following), None
 
-    if warmup is not True and _draws_ahead(problem, state):
+    if warmup is not True and _draws_ahead():
         (state, _), _ = jax.lax.scan(step_and_draw, sample(method, state, keys.sample[0]), (now, following))
         return state
-    if warmup is not True and host_simulates(problem, state):
-        return _start_ahead(problem, method, state, now, warmup)
     return jax.lax.scan(step, state, now)[0]
 
 
 def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: StepKeys, warmup: Warmup) -> TrainState:
     """Return all lanes after the steps of `keys`, in a scan that starts each step before it stores the last one.
 
-    The host waits for the start of a step. Whatever follows it is computed while the host simulates.
+    The host waits for the start of a step. Whatever follows it is computed while the host simulates, the draw of its batch
+    too.
     """
 
     def step(carry, keys):
@@ -81,12 +83,12 @@ def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: Step
     return store(state, *finish(problem, method, state, started, part(-1)))
 
 
-def _draws_ahead(problem: Problem, state: TrainState) -> bool:
+def _draws_ahead() -> bool:
     """Return whether a step draws the next one's batch, which an accelerator does while it still learns from its own.
 
-    Where the host simulates, the draw would delay the next start. A CPU does one thing after the other.
+    A CPU does one thing after the other.
     """
-    return jax.default_backend() != "cpu" and not host_simulates(problem, state)
+    return jax.default_backend() != "cpu"
 
 
 def host_simulates(problem: Problem, state: TrainState) -> bool:
