@@ -26,11 +26,15 @@ class ActorCritic(nn.Module):
     def __call__(self, obs):
         """Return the mean [..., a] and the logarithm of the standard deviation [a] of the action, and the value [...]."""
 
-        def network(size, scale):
+        def dense(size, gain):
+            # Not orthogonal: under vmap, jaxlib 0.10 can hang on two cores in QR factorisations that wait for each other.
+            return nn.Dense(size, kernel_init=nn.initializers.variance_scaling(gain**2, "fan_in", "normal"))
+
+        def network(size, gain):
             hidden = obs
             for _ in range(2):
-                hidden = nn.tanh(nn.Dense(64, kernel_init=nn.initializers.orthogonal(2**0.5))(hidden))
-            return nn.Dense(size, kernel_init=nn.initializers.orthogonal(scale))(hidden)
+                hidden = nn.tanh(dense(64, 2**0.5)(hidden))
+            return dense(size, gain)(hidden)
 
         log_std = self.param("log_std", nn.initializers.constant(-0.5), (self.action_size,))
         return network(self.action_size, 0.01), log_std, network(1, 1.0)[..., 0]

@@ -45,6 +45,7 @@ def example(name):
 def test_an_example_lives_under_the_protocol_and_reports_both_scores(name, options):
     env, protocol = make("tabletop_organization", reward_type="dense"), Protocol(20, 5, eval_every=40, eval_episodes=2)
     live = jax.jit(lambda key: example(name).live(env, protocol, key, WINDOWS, **options))
+    assert "lapack" not in live.lower(jax.random.key(0)).as_text(), "batched factorisations can hang on two cores"
     metrics = jax.device_get(live(jax.random.key(0)))
     assert_all_finite(without_shares(metrics))
     np.testing.assert_array_equal(metrics["interventions"], [2, 4])
