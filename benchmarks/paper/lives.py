@@ -23,6 +23,8 @@ SHUT = 0.99
 """The reward per step from which a door counts as shut all the time."""
 ALIKE = 0.3
 """The difference of two rewards per step up to which they count as alike."""
+REMEMBERED = 20_000
+"""The steps of an interval whose reward is compared with that of the next: the rows of R3L's released lives in the kitchen."""
 GOALS = 1 / 240
 """Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
@@ -38,9 +40,17 @@ def alike_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
     return (np.abs(np.diff(rewards)) < ALIKE).mean(axis=1)
 
 
+def memory(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+    """Return the correlation [N] of the rewards of an interval of `REMEMBERED` steps and of the next one."""
+    rows = REMEMBERED // curves.config.schedule.eval_every
+    whole = rewards.shape[1] // rows * rows
+    means = rewards[:, -whole:].reshape(len(rewards), -1, rows).mean(axis=2)
+    return np.array([np.corrcoef(life[:-1], life[1:])[0, 1] for life in means])
+
+
 def reward(rewards: np.ndarray, curves: Curves) -> np.ndarray:
     """Return the reward [N] per step of the life."""
-    return rewards.mean(axis=1)
+    return curves.metrics[CONTINUING][:, rewards.shape[1] - 1]
 
 
 def lag(rewards: np.ndarray, curves: Curves) -> np.ndarray:
@@ -61,12 +71,14 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("franka_kitchen/fbrl", "share of successive intervals with alike rewards", alike_share),
     ("franka_kitchen/fbrl/reward_scale_0.1", "share of successive intervals with alike rewards", alike_share),
     ("franka_kitchen/fbrl/reward_scale_10", "share of successive intervals with alike rewards", alike_share),
+    ("franka_kitchen/fbrl", "correlation of successive intervals of 20,000 steps", memory),
+    ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
     ("tabletop_organization/r3l/error_scale", "reward per step", reward),
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
     ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
 )
-STYLES = {"steps": ",.0f", "share": ".2f", "reward": ".3g"}
+STYLES = {"steps": ",.0f", "share": ".2f", "correlation": ".2f", "reward": ".3g"}
 """The format of a measure's numbers by its first word."""
 
 

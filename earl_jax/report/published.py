@@ -131,7 +131,7 @@ def released_curves(env: str, algo: str) -> Curves | None:
     if not runs:
         return None
     steps = runs["steps"]
-    schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[0]), checkpoint_every=int(steps[-1]))
+    schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[1] - steps[0]), checkpoint_every=int(steps[-1]))
     config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
     names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
     return Curves(config, steps, {names[name]: values for name, values in runs.items() if name in names})

@@ -29,7 +29,7 @@ def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(
     csv_file, text_file, _ = ARTEFACTS["table1"].write(write_runs(tmp_path, runs), tmp_path / "out")
     rows = {(row["env"], row["algo"]): row for row in read_csv(csv_file) if row["p"]}
     naive, vaprl, pen = (rows[name] for name in ((TABLETOP, "naive"), (TABLETOP, "vaprl"), (MINITAUR, "naive")))
-    released = assets.released_runs(TABLETOP, "naive")["deployed"][:, 225:250].mean(axis=1)
+    released = assets.released_runs(TABLETOP, "naive")["deployed"][:, 224:249].mean(axis=1)
     exact = stats.permutation_test((0.95 + spread, released), gap, n_resamples=5000, alternative="greater")
     assert numbers(naive, "p", "tested_steps") == pytest.approx([exact.pvalue, 2_500_000])
     assert [float(row["p_holm"]) for row in (naive, vaprl)] == pytest.approx(
@@ -42,12 +42,12 @@ def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(
     assert [row["verdict"] for row in (naive, vaprl, pen)] == ["above", "below", "above"]
     text = text_file.read_text()
     assert "/ 0.32 (0.17) / above |" in text
-    assert "| tabletop_organization | vaprl | 2.50M | 0.500 | 0.962 | -0.462 [" in text
+    assert "| tabletop_organization | vaprl | 2.50M | 0.500 | 0.958 | -0.458 [" in text
 
 
 def test_table_2_compares_lifetime_rewards_at_equal_steps(tmp_path):
     """Nothing was released of the oracle's life, nor, counted once, of R3L's on the door."""
-    lifetime = {(PEG, "oracle"): 0.5, (TABLETOP, "vaprl"): 0.0094, (DOOR, "r3l"): 0.9, (DOOR, "fbrl"): 0.9}
+    lifetime = {(PEG, "oracle"): 0.5, (TABLETOP, "vaprl"): 0.0093, (DOOR, "r3l"): 0.9, (DOOR, "fbrl"): 0.9}
     steps = [1_250_000, 2_500_000]
     runs = [(*name, constant(*[0.0] * 5), rewards(reward, steps=steps)) for name, reward in lifetime.items()]
     csv_file, text_file, _ = ARTEFACTS["table2"].write(write_runs(tmp_path, runs), tmp_path / "out")
@@ -64,7 +64,7 @@ def test_the_claims_of_the_text_are_tested_with_the_released_seeds_or_the_printe
     rows = claims(1)
     assert len(rows) == 1 + 7 + 9
     best_known, oracle = (assets.released_runs(TABLETOP, algo)["deployed"] for algo in ("vaprl", "oracle"))
-    expected = permutation(best_known[:, 225:250].mean(axis=1), oracle[:, 225:250].mean(axis=1))
+    expected = permutation(best_known[:, 224:250].mean(axis=1), oracle[:, 224:250].mean(axis=1))
     row = rows[TABLETOP, "vaprl", "oracle"]
     assert (row["difference"], row["p"], row["p_holm"]) == pytest.approx((expected.difference, expected.p, expected.p))
     assert word(row) == f"cannot tell; {row['detectable']:.3g} would be found"

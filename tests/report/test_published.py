@@ -1,7 +1,10 @@
 """Published scores, their intervals and samples, against numbers computed by hand."""
 
+import numpy as np
 import pytest
+from scipy import stats
 
+from earl_jax import assets
 from earl_jax.report.published import PublishedScore
 
 T4 = 2.7764
@@ -29,3 +32,15 @@ def test_a_score_without_an_error_is_no_sample():
     below = PublishedScore("<0.001", "-")
     assert (below.value, below.text, below.interval, below.sample) == (0.001, "<0.001", (0, 0.001), None)
     assert PublishedScore("-", "-").interval is PublishedScore("-", "-").sample is None
+
+
+@pytest.mark.parametrize(("env", "horizon"), [("franka_kitchen", 100_000), ("sawyer_door", 200_000)])
+@pytest.mark.parametrize("algo", ["naive", "fbrl"])
+def test_the_released_lives_change_most_after_the_steps_at_which_their_world_is_put_back(env, horizon, algo):
+    """The rewards of two neighbouring intervals differ most where an intervention lies between them."""
+    runs = assets.released_runs(env, algo)
+    steps = runs["steps"]
+    rates = np.diff(runs["continuing"] * steps)
+    ranks = stats.rankdata(np.abs(np.diff(rates)), axis=1).mean(axis=0)
+    phases = steps[1:-1] % horizon
+    assert max(np.unique(phases), key=lambda phase: ranks[phases == phase].mean()) == 0
