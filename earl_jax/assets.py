@@ -172,7 +172,7 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
 
 @functools.cache
 def published(table: str) -> list[dict[str, str]]:
-    """Return a table of published results (`table1`, `table2`, `crossings`, ...) as rows of text by column.
+    """Return a table of published results (`table1`, `table2`, `steps`, ...) as rows of text by column.
 
     Raises:
         ValueError: there is no such table; the message lists the choices.

@@ -27,17 +27,15 @@ from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import HEADER, Row, commit_of, ranked, run_row, score_text, values_of
 from earl_jax.report.published import (
-    LEVELS,
     RECONSTRUCTED,
     SEEDS,
-    published_crossings,
     published_score,
     published_steps,
     released_curves,
 )
 from earl_jax.report.runs import Curves, MethodRuns, by_method, options_text, pooling_key, read
-from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.tables import csv_text, markdown_table, millions, number_text
+from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
+from earl_jax.report.tables import csv_text, markdown_table, millions, number_text, step_interval
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
@@ -109,10 +107,11 @@ def published_rows() -> list[Row]:
 def _paper_row(env: str, algo: str) -> Row:
     score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
     assert score is not None
-    crossings, length = published_crossings(env, algo), (published_steps(env) or (0, 0))[0]
+    length, crossings = (published_steps(env) or (0, 0))[0], ["-"] * len(LEVELS)
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
     if released := released_curves(env, algo):
         deployed = interval_of(released, seed_scores(released, step=length))
+        crossings = map(step_interval, level_crossings(released).values())
     return Row(
         env=env,
         method=algo,
@@ -121,7 +120,7 @@ def _paper_row(env: str, algo: str) -> Row:
         steps=length,
         deployed=score_text(env, *deployed),
         continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
-        crossings=tuple(millions(crossings.get(level)) for level in LEVELS),
+        crossings=tuple(crossings),
         score=float(deployed.value),
     )
 

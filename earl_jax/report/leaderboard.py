@@ -13,9 +13,9 @@ from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.metrics.scores import DEFAULT
-from earl_jax.report.published import LEVELS, chosen_words
+from earl_jax.report.published import chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
-from earl_jax.report.scores import interval_of, level_crossings, seed_scores
+from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import interval_text, millions, step_interval
 from earl_jax.runs.provenance import made_by, short_commit
 

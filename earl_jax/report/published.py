@@ -1,6 +1,6 @@
 """The published numbers and the released runs of the paper.
 
-Source: Sharma et al. 2022, tables 1 and 2; `crossings` and `steps` come from the released curves and configurations.
+Source: Sharma et al. 2022, tables 1 and 2; `steps` comes from the released configurations.
 """
 
 import dataclasses
@@ -19,8 +19,6 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
 
-LEVELS = (0.5, 0.9)
-"""Success rates for which reports give the first step that reaches them."""
 SEEDS = 5
 """Number of seeds of each published score."""
 TEST_RULE = (
@@ -151,17 +149,6 @@ def _is_comparable(curves: Curves) -> bool:
 def published_beside(table: str, curves: Curves) -> PublishedScore | None:
     """Return the score to set beside a run in `table1` or `table2`, None if there is none or it is not comparable."""
     return published_score(table, curves.config.env, curves.config.algo) if _is_comparable(curves) else None
-
-
-def crossings_beside(curves: Curves) -> dict[float, int]:
-    """Return the published crossings to set beside a run, none if it is not comparable."""
-    return published_crossings(curves.config.env, curves.config.algo) if _is_comparable(curves) else {}
-
-
-def published_crossings(env: str, algo: str) -> dict[float, int]:
-    """Return, for each of `LEVELS` that the released mean curve reached, the first step at which it did."""
-    row = assets.published_row("crossings", env=env, algo=algo)
-    return {level: int(row[f"steps_to_{level}"]) for level in LEVELS if row.get(f"steps_to_{level}")}
 
 
 def published_steps(env: str) -> tuple[int, int] | None:

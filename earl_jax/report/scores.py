@@ -12,9 +12,11 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES, SUCCESS, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
-from earl_jax.report.published import LEVELS, published_beside
+from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text
 
+LEVELS = (0.5, 0.9)
+"""Success rates for which reports give the first step that reaches them."""
 SMOOTH = 10
 """Evaluations in the trailing mean of drawn curves."""
 CONVERGED = 0.25
@@ -69,6 +71,13 @@ def level_crossings(curves: Curves) -> dict[float, Estimate]:
     if curves.deployed_metric != SUCCESS:
         return dict.fromkeys(LEVELS, Estimate(math.nan, math.nan, math.nan))
     return {level: crossings.crossing(curves.steps, curves.metrics[curves.deployed_metric], level) for level in LEVELS}
+
+
+def crossings_beside(curves: Curves) -> dict[float, int]:
+    """Return the first step at which the released runs beside a run reached each of `LEVELS` that they reached."""
+    released = released_beside(curves)
+    found = level_crossings(released) if released else {}
+    return {level: int(step.value) for level, step in found.items() if not math.isnan(step.value)}
 
 
 def row_of(curves: Curves, name: str) -> dict[str, Any]:

@@ -14,9 +14,8 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.published import LEVELS
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text, read_all
-from earl_jax.report.scores import interval_of, row_of, seed_scores
+from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]

@@ -20,7 +20,7 @@ NAMES = ("table1", "table2", "figure5", "figure3", "figure4", "tradeoff", "figur
 FURTHER = {"figure2": "curves", "figure3": "visits", "figure4": "seeds"}
 """The end of the name of a second csv."""
 PUBLISHED = {
-    "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "figure5": "0.33M", "figure3": "oracle", "figure4": "37.4 %",
+    "table1": "0.94 (0.04)", "table2": "0.012 (0.004)", "figure5": "0.35M", "figure3": "oracle", "figure4": "37.4 %",
     "figure2": "200,000", "tradeoff": "The paper's conclusion",
 }  # fmt: skip
 """A text of each report that comes from the paper."""

@@ -11,9 +11,9 @@ from earl_jax.metrics.continuing import DIVERGED
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES
-from earl_jax.report.published import crossings_beside, published_beside, published_steps
+from earl_jax.report.published import published_beside, published_steps
 from earl_jax.report.runs import Curves, MethodRuns, by_method
-from earl_jax.report.scores import SMOOTH, evenly_spaced, interval_of, trailing
+from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
 from earl_jax.report.style import colours, lightened, shaded
 from earl_jax.runs.folder import RunFolder
 
