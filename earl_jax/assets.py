@@ -192,8 +192,8 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
 
     `deployed` is a success rate or a return, `continuing` the reward per step so far. What was not released is missing.
     Source: arrays of the repository earl_benchmark at commit b05b000, up to the shortest seed. They have no steps. The world
-    of naive RL, FBRL and VaPRL is put back two rows before multiples of the horizon, so their first row is after 20,000 steps:
-    10,000 random ones and 10,000 of training. The oracle is taken to start there too. R3L's first row is after one interval.
+    of naive RL, FBRL and VaPRL is put back two rows before multiples of the horizon, so their first row is after 20,000 steps,
+    presumably 10,000 random ones and 10,000 of training. The oracle's is taken to be so too. R3L's is after one interval.
     """
     import numpy as np
 
