@@ -13,6 +13,7 @@ from benchmarks.output import write_files
 from benchmarks.paper.cells import RUNS
 from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import trailing_mean
+from earl_jax.metrics.scores import SUCCESS
 from earl_jax.report.comparison import common_steps
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import released_curves
@@ -30,34 +31,38 @@ GOALS = 1 / 240
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
-def shut_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+def shut_share(curves: Curves) -> np.ndarray:
     """Return the share [N] of the intervals between evaluations in which the door is shut all the time."""
-    return (rewards >= SHUT).mean(axis=1)
+    return (_rates(curves) >= SHUT).mean(axis=1)
 
 
-def alike_share(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+def alike_share(curves: Curves) -> np.ndarray:
     """Return the share [N] of pairs of successive intervals that have alike rewards per step."""
-    return (np.abs(np.diff(rewards)) < ALIKE).mean(axis=1)
+    return (np.abs(np.diff(_rates(curves))) < ALIKE).mean(axis=1)
 
 
-def memory(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+def memory(curves: Curves) -> np.ndarray:
     """Return the correlation [N] of the rewards of an interval of `REMEMBERED` steps and of the next one."""
-    rows = REMEMBERED // curves.config.schedule.eval_every
-    whole = rewards.shape[1] // rows * rows
-    means = rewards[:, -whole:].reshape(len(rewards), -1, rows).mean(axis=2)
+    rates, rows = _rates(curves), REMEMBERED // curves.config.schedule.eval_every
+    whole = rates.shape[1] // rows * rows
+    means = rates[:, -whole:].reshape(len(rates), -1, rows).mean(axis=2)
     return np.array([np.corrcoef(life[:-1], life[1:])[0, 1] for life in means])
 
 
-def reward(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+def reward(curves: Curves) -> np.ndarray:
     """Return the reward [N] per step of the life."""
-    return curves.metrics[CONTINUING][:, rewards.shape[1] - 1]
+    return curves.metrics[CONTINUING][:, -1]
 
 
-def lag(rewards: np.ndarray, curves: Curves) -> np.ndarray:
+def lag(curves: Curves) -> np.ndarray:
     """Return the steps [N] from a deployed success of 0.5 to half of `GOALS`, trailing means; the end where it is not reached."""
-    steps = curves.steps[: rewards.shape[1]]
-    deployed = curves.metrics["deployed/success"][:, : len(steps)]
-    return _first(steps, rewards, GOALS / 2) - _first(steps, deployed, 0.5)
+    deployed = _first(curves.steps, curves.metrics[SUCCESS], 0.5)
+    return _first(curves.steps[1:], _rates(curves), GOALS / 2) - deployed
+
+
+def _rates(curves: Curves) -> np.ndarray:
+    """Return the rewards per step [N, E - 1] of the intervals between the evaluations."""
+    return np.diff(curves.metrics[CONTINUING] * curves.steps) / np.diff(curves.steps)
 
 
 def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
@@ -65,7 +70,7 @@ def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
     return np.where(reached.any(axis=1), steps[reached.argmax(axis=1)], steps[-1])
 
 
-Measure = Callable[[np.ndarray, Curves], np.ndarray]
+Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
     ("franka_kitchen/fbrl", "share of successive intervals with alike rewards", alike_share),
@@ -87,19 +92,19 @@ def measured(run: str, name: str, measure: Measure) -> Row:
     env, algo = run.split("/")[:2]
     ours, released = read(RUNS / run), released_curves(env, algo)
     assert released is not None
-    until = common_steps(ours, released)[1]
-    own, other = (measure(_rewards(curves, until), curves) for curves in (ours, released))
+    first, last = common_steps(ours, released)
+    own, other = (measure(_between(curves, first, last)) for curves in (ours, released))
     return {
-        "run": run, "measure": name, "steps": until, "mean": own.mean(), "published": other.mean(),
+        "run": run, "measure": name, "steps": last, "mean": own.mean(), "published": other.mean(),
         "p": permutation(own, other).p, "seeds": own.tolist(), "published_seeds": other.tolist(),
     }  # fmt: skip
 
 
-def _rewards(curves: Curves, until: int) -> np.ndarray:
-    """Return the rewards per step [N, E] of the intervals between the evaluations up to the step `until`."""
-    steps = curves.steps[curves.steps <= until]
-    earned = curves.metrics[CONTINUING][:, : len(steps)] * steps
-    return np.diff(earned, prepend=0) / np.diff(steps, prepend=0)
+def _between(curves: Curves, first: int, last: int) -> Curves:
+    """Return the evaluations from the step `first` to `last`, both included."""
+    kept = (curves.steps >= first) & (curves.steps <= last)
+    metrics = {name: curves.metrics[name][:, kept] for name in (CONTINUING, curves.deployed_metric)}
+    return curves._replace(steps=curves.steps[kept], metrics=metrics)
 
 
 def files() -> dict[Path, str]:
