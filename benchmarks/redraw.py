@@ -2,9 +2,9 @@
 
     python -m benchmarks.redraw [--out DIR]
 
-Tables, figures 2 and 5 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 3 of
-figure3_visits.npz and figure 4 of figure4_seeds.csv. With --out, only these are written, into another folder. The other
-files are those that the modules of benchmarks.paper and benchmarks.speed.method_cost write.
+Tables, figures 2 and 5 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 3 of the paper's
+cells and of figure3_visits.npz, and figure 4 of figure4_seeds.csv. With --out, only these are written, into another folder. The
+other files are those that the modules of benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
 from pathlib import Path
@@ -24,9 +24,8 @@ KEPT = RESULTS / "reproduce"
 PAGES = (cells, differences, lives, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
 """The modules that write tables into pages."""
 SUMS = (
-    "These maps are sums over five seeds (tabletop) or three, because earlier versions kept no others: a line counts them as "
-    "one seed, and no difference is tested. Peg and Minitaur are at 7 % of the published steps, with layer norm and smaller "
-    "networks."
+    "The maps of tabletop are sums over five seeds, because earlier versions kept no others: a line counts them as one seed, "
+    "and no difference is tested."
 )
 
 
@@ -51,11 +50,12 @@ def redraw(out: Path) -> list[Path]:
 
 
 def visits() -> Report:
-    """Return figure 3 from the kept maps, which are sums over seeds, without a row for each bin."""
+    """Return figure 3 from the maps of cells and the kept sums over seeds, without a row for each bin."""
     with np.load(KEPT / "figure3" / "figure3_visits.npz") as kept:
         named = {tuple(name.split("/")): kept[name] for name in kept.files}
-    maps = [figure3.VisitMap(env, make(env).map, algo, summed[None]) for (env, algo), summed in named.items()]
-    report = figure3.report_of(maps)
+    sums = [figure3.VisitMap(env, make(env).map, algo, summed[None]) for (env, algo), summed in named.items()]
+    own = [cells.RUNS / env / algo for env in figure3.TASKS for algo in figure3.METHODS if (env, algo) not in named]
+    report = figure3.report_of([*sums, *figure3.read_maps(own)])
     parts = {**report.parts, "missing": "\n\n".join(filter(None, (SUMS, report.parts["missing"])))}
     return report._replace(parts=parts, tables={"": report.tables[""]})
 

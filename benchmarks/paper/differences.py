@@ -117,9 +117,13 @@ DIFFERENCES = (
         Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
         for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
     )),
-    Difference("13", "the kitchen's life: reward scale 1; the release's: 0.1 for dense rewards, 10 for sparse ones", tuple(
-        Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/reward_scale_{scale}",), CONTINUING)
-        for scale in ("0.1", "10") for algo in ("fbrl", "r3l")
+    Difference("13", "the kitchen's life: the light's weight; reward scale 1; the release's: 0.1 or 10, 10,000 random steps", (
+        *(Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/unweighted_light",), CONTINUING) for algo in ("fbrl", "r3l")),
+        *(
+            Pair((f"{KITCHEN}/{algo}/unweighted_light",), (f"{KITCHEN}/{algo}/reward_scale_{scale}",), CONTINUING)
+            for scale in ("0.1", "10") for algo in ("fbrl", "r3l")
+        ),
+        Pair((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/random_10000",), CONTINUING),
     )),
 )  # fmt: skip
 

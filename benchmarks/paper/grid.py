@@ -44,6 +44,7 @@ def summary(rows: Sequence[Row]) -> str:
     whole = [row for row in run if _is_whole(row)]
     open_ones = [row for row in whole if row["verdict"] == CANNOT_TELL]
     told = [row for row in whole if row["verdict"] in ("above", "below")]
+    found = [row["detectable"] for row in open_ones if row["detectable"] > 0]
     shares = [row["steps"] / row["of"] for row in run if not _is_whole(row)]
     differing = " and ".join(
         f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} (p = {row['p_holm']:.2g})"
@@ -53,8 +54,7 @@ def summary(rows: Sequence[Row]) -> str:
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
         f"In {len(open_ones)} of these we detect no difference from the paper's released seeds (p = "
         f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task), but their seeds would "
-        f"detect only differences of {min(row['detectable'] for row in open_ones):.2f} to "
-        f"{max(row['detectable'] for row in open_ones):.2f} in success.",
+        f"detect only differences of {min(found):.2g} to {max(found):.2g} in success.",
         f"{differing or 'No other differs'}.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )

@@ -40,6 +40,8 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
+SUPERSEDED = "unweighted_light"
+"""The name of folders whose runs were made again after a fault of the task was mended, and do not stand here."""
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
@@ -58,7 +60,8 @@ COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 def folders(root: Path = RESULTS) -> list[Path]:
     """Return the run folders of the leaderboard."""
-    return sorted(file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
+    found = {file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv")}
+    return sorted(folder for folder in found if folder.name != SUPERSEDED)
 
 
 def entries(root: Path = RESULTS) -> list[MethodRuns]:
