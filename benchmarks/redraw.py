@@ -2,9 +2,9 @@
 
     python -m benchmarks.redraw [--out DIR]
 
-Tables, figures 2 and 5 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 3 of the paper's
-cells and of figure3_visits.npz, and figure 4 of figure4_seeds.csv. With --out, only these are written, into another folder. The
-other files are those that the modules of benchmarks.paper and benchmarks.speed.method_cost write.
+Figure 2 and the trade-off are made of run folders below benchmarks/results/reproduce, figure 3 of the paper's cells and of
+figure3_visits.npz. With --out, only these are written, into another folder. The other files are those that the modules of
+benchmarks.paper and benchmarks.speed.method_cost write.
 """
 
 from pathlib import Path
@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from benchmarks.output import RESULTS, read_csv, shrink, write_files
+from benchmarks.output import RESULTS, shrink, write_files
 from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, lives, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.envs import make
-from earl_jax.paper import figure3, figure4
+from earl_jax.paper import figure3
 from earl_jax.paper.artefact import Report
 from earl_jax.paper.reproduce import ARTEFACTS
 
@@ -30,18 +30,14 @@ SUMS = (
 
 
 def reports() -> dict[str, Report]:
-    """Return the report of every table and figure, from the kept data."""
-    runs = sorted(path.parent for path in KEPT.glob("runs/*/*/*/metrics.csv"))
-    suite = [path for path in runs if path.parts[-3] in ARTEFACTS["figure2"].tasks]
-    tasks = [path for path in runs if path not in suite]
-    tradeoff = sorted(path.parent for path in KEPT.glob("tradeoff/runs/*/*/*/metrics.csv"))
-    folders = {"table1": tasks, "table2": tasks, "figure5": tasks, "figure2": suite, "tradeoff": tradeoff}
-    made = {name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()}
-    return {**made, "figure3": visits(), "figure4": figure4.report_of(read_csv(KEPT / "figure4" / "figure4_seeds.csv"))}
+    """Return the report of every figure, from the kept data."""
+    runs = {"figure2": KEPT / "runs", "tradeoff": KEPT / "tradeoff" / "runs"}
+    folders = {name: sorted(path.parent for path in root.glob("*/*/*/metrics.csv")) for name, root in runs.items()}
+    return {**{name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()}, "figure3": visits()}
 
 
 def redraw(out: Path) -> list[Path]:
-    """Return the files written into `out`, a folder for each table and figure."""
+    """Return the files written into `out`, a folder for each figure."""
     written = [path for name, report in reports().items() for path in report.write(name, out / name)]
     for path in written:
         if path.suffix == ".png":
