@@ -14,7 +14,7 @@ from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, rate_interval
-from earl_jax.metrics.scores import DEFAULT
+from earl_jax.metrics.scores import DEFAULT, as_decimals
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
@@ -132,7 +132,7 @@ def released_curves(env: str, algo: str) -> Curves | None:
     schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[1] - steps[0]), checkpoint_every=int(steps[-1]))
     config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **dataclasses.asdict(schedule))
     names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
-    return Curves(config, steps, {names[name]: values for name, values in runs.items() if name in names})
+    return Curves(config, steps, {names[name]: as_decimals(runs[name]) for name in names if name in runs})
 
 
 def released_beside(curves: Curves) -> Curves | None:

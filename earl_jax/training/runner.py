@@ -15,6 +15,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
+from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
@@ -232,7 +233,7 @@ def _evaluate_runs(
     """Return the state after the evaluation at `step`, of which each run keeps its policies and its metrics."""
     with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
         state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
-        metrics = gathered(metrics)
+        metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
     save_policies_of(runs, state, step)
     for run, span in zip(runs, _lane_spans(runs), strict=True):
         run.add(step, {name: values[span] for name, values in metrics.items()})

@@ -5,11 +5,21 @@ import math
 import numpy as np
 import pytest
 
+from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import crossing, trailing_mean
-from earl_jax.metrics.scores import Score, Window, deployed_area, final_scores, lifetime_scores, regret
+from earl_jax.metrics.scores import Score, Window, as_decimals, deployed_area, final_scores, lifetime_scores, regret
 
 STEPS, SCORES = np.array([10, 30]), np.array([[1.0, 0.5], [0.0, 0.3]])
 MILLION = np.arange(10_000, 1_000_001, 10_000)
+
+
+def test_single_precision_keeps_its_digits_and_loses_its_rounding_so_that_equal_differences_tie():
+    scores, others = np.float32([0.8, 0.85, 0.9, 0.95, 1.0]), np.float32([0.7, 0.8, 0.9, 0.95, 1.0])
+    assert as_decimals(scores).tolist() == [0.8, 0.85, 0.9, 0.95, 1.0]
+    values = np.float32([-0.0, 1e-30, 1 / 3, 3.5e11, np.nan, np.inf])
+    np.testing.assert_array_equal(as_decimals(values).astype(np.float32), values)
+    assert as_decimals(np.int32([7])).dtype == np.int32
+    assert permutation(as_decimals(scores), as_decimals(others)).p == 194 / 252 > permutation(scores, others).p
 
 
 def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_steps_before_it():

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from earl_jax import assets
-from earl_jax.report.published import PublishedScore
+from earl_jax.report.published import PublishedScore, released_curves
 
 T4 = 2.7764
 """The 97.5 % quantile of Student's distribution with four degrees of freedom."""
@@ -26,6 +26,11 @@ def test_a_published_score_is_a_sample_with_an_interval_half_a_printed_digit_wid
     assert (score.value, score.text) == (float(mean), f"{mean} ({stderr})")
     assert score.sample == pytest.approx((float(mean), error * CONVERTED, 5))
     assert score.interval == pytest.approx(interval, abs=1e-4)
+
+
+def test_released_success_is_a_share_of_ten_episodes_without_the_rounding_of_single_precision():
+    curves = released_curves("tabletop_organization", "naive")
+    assert set(np.unique(curves.metrics["deployed/success"])) == {number / 10 for number in range(11)}
 
 
 def test_a_score_without_an_error_is_no_sample():

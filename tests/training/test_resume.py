@@ -10,6 +10,7 @@ import earl_jax
 from earl_jax import HelpBudget
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
+from earl_jax.metrics.scores import as_decimals
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api, runner
 from tests.cli.process import snapshot
@@ -167,3 +168,5 @@ def test_overwriting_removes_the_earlier_run_only_after_the_new_one_is_accepted(
     assert "removed from the earlier run" in capsys.readouterr().err
     assert RunFolder.open(out).config.seeds == result.seeds == (5, 6)
     np.testing.assert_equal(RunFolder.open(out).table().metrics, result.metrics)
+    for name, values in result.metrics.items():
+        np.testing.assert_equal(as_decimals(values.astype(np.float32)), values, err_msg=name)
