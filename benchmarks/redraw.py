@@ -33,7 +33,7 @@ def reports() -> dict[str, Report]:
     """Return the report of every figure, from the kept data."""
     runs = {"figure2": KEPT / "runs", "tradeoff": KEPT / "tradeoff" / "runs"}
     folders = {name: sorted(path.parent for path in root.glob("*/*/*/metrics.csv")) for name, root in runs.items()}
-    return {**{name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()}, "figure3": visits()}
+    return {name: ARTEFACTS[name].report(of_runs) for name, of_runs in folders.items()} | {"figure3": visits()}
 
 
 def redraw(out: Path) -> list[Path]:

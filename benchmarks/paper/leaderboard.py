@@ -60,7 +60,7 @@ COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 def folders(root: Path = RESULTS) -> list[Path]:
     """Return the run folders of the leaderboard."""
-    found = {file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv")}
+    found = (file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
     return sorted(folder for folder in found if folder.name != SUPERSEDED)
 
 
