@@ -1,7 +1,7 @@
 """The grid of tasks by methods: the table of our scores above the published ones, and the picture of all curves."""
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,21 +44,36 @@ def summary(rows: Sequence[Row]) -> str:
     whole = [row for row in run if _is_whole(row)]
     open_ones = [row for row in whole if row["verdict"] == CANNOT_TELL]
     told = [row for row in whole if row["verdict"] in ("above", "below")]
-    found = [row["detectable"] for row in open_ones if row["detectable"] > 0]
     shares = [row["steps"] / row["of"] for row in run if not _is_whole(row)]
-    differing = " and ".join(
-        f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} (p = {row['p_holm']:.2g})"
+    differing = (
+        f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} ({_p_text(row['p_holm'])})"
         for row in told
     )
     sentences = (
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
-        f"In {len(open_ones)} of these we detect no difference from the paper's released seeds (p = "
+        f"In {len(open_ones)} of these we detect no difference from the paper (p = "
         f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task), but their seeds would "
-        f"detect only differences of {min(found):.2g} to {max(found):.2g} in success.",
-        f"{differing or 'No other differs'}.",
+        f"detect only differences of {_listed(_detectable(open_ones))}.",
+        f"{_listed(differing) if told else 'No other differs'}.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )
     return textwrap.fill(" ".join(sentences), 100)
+
+
+def _listed(parts: Iterable[str]) -> str:
+    *others, last = parts
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _p_text(p: float) -> str:
+    return f"p = {p:.2g}" if p >= 0.001 else "p < 0.001"
+
+
+def _detectable(rows: Sequence[Row]) -> Iterator[str]:
+    for sparse, score, style in ((True, "success", ".2g"), (False, "return", ".0f")):
+        found = [row["detectable"] for row in rows if row["detectable"] > 0 and make(row["env"]).sparse == sparse]
+        if found:
+            yield f"{min(found):{style}} to {max(found):{style}} in {score}"
 
 
 def _is_whole(row: Row) -> bool:
