@@ -71,6 +71,19 @@ def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the
     assert lines["Sawyer peg"][0] == "not run"
 
 
+def test_the_summary_of_whole_cells_keeps_success_and_return_apart():
+    rows = [
+        cell(DOOR, "fbrl") | {"p_holm": 0.5, "detectable": 0.26},
+        cell("minitaur_pen", "naive") | {"p_holm": 1.0, "detectable": 214.2},
+        cell(DOOR, "naive", "above") | {"p_holm": 0.04},
+        cell("minitaur_pen", "oracle", "below") | {"p_holm": 2e-4},
+        cell(DOOR, "r3l", steps=0.94),
+    ]
+    text = grid.summary(rows).replace("\n", " ")
+    assert "differences of 0.26 to 0.26 in success and 214 to 214 in return" in text
+    assert "Naive RL on Sawyer door is above (p = 0.04) and Oracle RL on Minitaur pen is below (p < 0.001)." in text
+
+
 def test_the_kept_tables_are_redrawn_from_the_kept_runs():
     """The numbers of docs/results.md, from every metrics.csv and config.json, and the maps of figure 3."""
     reports = redraw.reports()
