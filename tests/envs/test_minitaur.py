@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.physics import minitaur_pybullet, minitaur_trots
+from benchmarks.physics import minitaur_trots
 from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.minitaur import body as minitaur_body
@@ -154,14 +154,3 @@ def test_closed_walls_stop_a_crouching_robot_and_floating_ones_do_not():
         reached[walls] = np.abs(run_alone(env, state, crouched).data.qpos[:, :2]).max()
     assert reached["closed"] < 1.5
     assert reached["floating"] > 1.6
-
-
-def test_episodes_are_measured_as_a_whole_and_until_they_reach_the_goal():
-    obs = np.zeros((2, 3, 32))
-    obs[..., 30] = 0.2
-    obs[0, 1:, 28] = 0.15, 0.2
-    obs[1, -1, 24] = np.sqrt(0.5)  # on its side
-    measured = minitaur_pybullet.measure(obs)
-    assert measured == {
-        "success": 0.5, "fallen at the end": 0.5, "returns": [-0.5, -1.2], "returns before the goal is reached": [-0.4],
-    }  # fmt: skip
