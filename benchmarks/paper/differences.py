@@ -19,6 +19,7 @@ from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, c
 from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
+from earl_jax.metrics.scores import SUCCESS
 from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import CONTINUING
@@ -26,7 +27,7 @@ from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import MethodRuns, read_all
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
-DOOR, KITCHEN, CHEETAH = "sawyer_door", "franka_kitchen", "cheetah_run"
+DOOR, KITCHEN, MINITAUR, CHEETAH = "sawyer_door", "franka_kitchen", "minitaur_pen", "cheetah_run"
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
@@ -79,6 +80,7 @@ RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
     tuple(_released(update, horizon) for horizon in HORIZONS) for update in ("", "-timeout_bootstrap")
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
+EARLIER = "commit_438fb6a"
 VAPRL = {
     DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
     TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),
@@ -124,6 +126,23 @@ DIFFERENCES = (
             for scale in ("0.1", "10") for algo in ("fbrl", "r3l")
         ),
         Pair((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/random_10000",), CONTINUING),
+    )),
+    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; no randomisation; the reward of the paper's text", (
+        *(Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/reward_scale_1",)) for algo in ("oracle", "r3l")),
+        *(
+            Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/{name}",))
+            for name in ("no_randomize", "no_randomize-reward_scale_1")
+        ),
+        Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
+    )),
+    Difference("16", "the kitchen's oracle: the light's weight; the release's reward scale 0.1", tuple(
+        Pair((f"{KITCHEN}/oracle",), (f"{KITCHEN}/oracle/{name}",)) for name in ("unweighted_light", "reward_scale_0.1")
+    )),
+    Difference("17", "ten seeds of today's code, or of the code of 2026-11-22", tuple(
+        Pair((f"{TABLETOP}/{algo}",), (f"{TABLETOP}/{algo}/{EARLIER}",)) for algo in ("fbrl", "oracle")
+    )),
+    Difference("18", "VaPRL outperforms the oracle: with all seeds of the oracle", (
+        Pair((f"{TABLETOP}/vaprl",), (f"{TABLETOP}/oracle", f"{TABLETOP}/oracle/{EARLIER}")),
     )),
 )  # fmt: skip
 
@@ -214,7 +233,8 @@ def _cell_line(row: Row) -> list[str]:
 
 def _number(row: Row, value: float) -> str:
     """Return a success with three decimals, a reward of a life with three digits, or a return with none."""
-    return number_text(value, ".3g" if row["metric"] == CONTINUING else ".0f" if row["env"] == CHEETAH else ".3f")
+    is_return = row["metric"] == DEPLOYED and row["env"] in (CHEETAH, KITCHEN, MINITAUR)
+    return number_text(value, ".3g" if row["metric"] == CONTINUING else ".0f" if is_return else ".3f")
 
 
 def _interval(row: Row, *names: str) -> str:

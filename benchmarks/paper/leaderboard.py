@@ -17,6 +17,7 @@ import tyro
 from scipy import stats
 
 from benchmarks.output import RESULTS, ROOT, pages_with, write_files
+from benchmarks.paper.differences import EARLIER
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
@@ -40,8 +41,9 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
-SUPERSEDED = "unweighted_light"
-"""The name of folders whose runs were made again after a fault of the task was mended, and do not stand here."""
+SUPERSEDED = "unweighted_light", EARLIER
+"""Names of folders whose runs were made again, after a fault of the task was mended or for other files, and do not stand
+here."""
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
@@ -61,7 +63,7 @@ COMMIT = re.compile(r"[0-9a-f]{7,40}")
 def folders(root: Path = RESULTS) -> list[Path]:
     """Return the run folders of the leaderboard."""
     found = (file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
-    return sorted(folder for folder in found if folder.name != SUPERSEDED)
+    return sorted(folder for folder in found if folder.name not in SUPERSEDED)
 
 
 def entries(root: Path = RESULTS) -> list[MethodRuns]:

@@ -27,7 +27,7 @@ from earl_jax.runs.folder import RunFolder
 
 OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *PHASE_METRICS})
 """Metrics that some runs do not have."""
-SAME_TASK = frozenset({"engine", "demo_file", "variant", "reward_type"})
+SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
 
 
