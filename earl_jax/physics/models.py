@@ -26,14 +26,16 @@ step."""
 def load_model(name: str, timestep: float | None = None) -> Any:
     """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`, with its own time step or `timestep` seconds.
 
-    Inverse weights in the file (`INVWEIGHT`) replace the compiled ones. A file with a time step of `REFERENCE` behaves
-    nearly alike at longer ones.
+    It has no geoms that only a picture needs. Inverse weights in the file (`INVWEIGHT`) replace the compiled ones. A file
+    with a time step of `REFERENCE` behaves nearly alike at longer ones.
 
     Raises:
         ValueError: there is no such file; the message lists the choices.
     """
     mujoco: Any = importlib.import_module("mujoco")
-    model = mujoco.MjModel.from_xml_path(str(assets.mjcf(name)))
+    spec = mujoco.MjSpec.from_file(str(assets.mjcf(name)))
+    spec.compiler.discardvisual = True
+    model = spec.compile()
     for number in map(model.numeric, range(model.nnumeric)):
         if number.name.startswith(INVWEIGHT):
             model.body_invweight0[model.body(number.name.removeprefix(INVWEIGHT)).id] = number.data

@@ -12,6 +12,7 @@ import pytest
 from earl_jax import assets, physics
 from earl_jax.envs import make
 from earl_jax.envs.dm_control.cheetah_run import settle
+from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import START_COUNT, first_state, program, run_actions, starts
 
 TASKS = ("cheetah_run", "fish_swim")
@@ -94,7 +95,7 @@ def test_crossing_the_end_of_the_lap_does_not_change_the_observation():
 
 
 def test_fish_mouth_frame_and_reward_by_mujocos_geometry():
-    model = FISH.simulator.mujoco_model()
+    model = with_overlay(FISH.name)
     mouth, target, trunk = model.geom("mouth").id, model.geom("target").id, model.body("trunk").id
     radii = model.geom_size[[mouth, target], 0].sum()
     away = 0.016 * np.arange(12)[:, None] * np.array([0.6, 0.0, 0.8])

@@ -9,6 +9,7 @@ import pytest
 
 from earl_jax import physics
 from earl_jax.envs import make
+from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import first_state, program
 
 
@@ -28,11 +29,12 @@ def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env, moved):
     assert (model.nu, data.ncon) == (0, 0)
 
 
-def test_coasters_are_drawn_at_the_goals(env):
-    model = physics.load_model(env.name)
+def test_coasters_are_drawn_at_the_goals_and_not_simulated(env):
+    model = with_overlay(env.name)
     for colour, goal in zip("rgbk", env.goal_states, strict=True):
         np.testing.assert_allclose(model.geom(f"coaster_{colour}").pos[:2], goal[2:4])
     np.testing.assert_allclose(model.geom("start").pos[:2], env.initial_states[0, 2:4])
+    assert physics.load_model(env.name).ngeom == 0
 
 
 def test_a_lane_carries_the_integration_state_alone(env):
