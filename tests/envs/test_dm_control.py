@@ -96,7 +96,7 @@ def test_crossing_the_end_of_the_lap_does_not_change_the_observation():
 
 def test_fish_mouth_frame_and_reward_by_mujocos_geometry():
     model = with_overlay(FISH.name)
-    mouth, target, trunk = model.geom("mouth").id, model.geom("target").id, model.body("trunk").id
+    mouth, target, trunk = model.geom("mouth").id, model.body("target").geomadr[0], model.body("trunk").id
     radii = model.geom_size[[mouth, target], 0].sum()
     away = 0.016 * np.arange(12)[:, None] * np.array([0.6, 0.0, 0.8])
     first = starts(FISH, count=12).replace(info={"goal": jnp.asarray(FISH.goal_states[:12])})
