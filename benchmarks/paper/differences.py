@@ -198,7 +198,7 @@ def _pooled(root: Path, folders: list[Path]) -> MethodRuns:
 
 
 def table(rows: list[Row], own_cells: list[Row]) -> str:
-    """Return the table of the ten differences from the rows of `comparisons` and those of the paper's cells."""
+    """Return the table of the differences from the rows of `comparisons` and those of the paper's cells."""
     lines = []
     for entry in DIFFERENCES:
         tested = [_line(row) for row in rows if row["number"] == entry.number]
