@@ -17,6 +17,7 @@ import numpy as np
 from benchmarks.output import write_files
 from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, PEG, RUNS, TABLETOP, cells, paper_tests, read_runs
 from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
+from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
 from earl_jax.metrics.scores import SUCCESS
@@ -233,7 +234,7 @@ def _cell_line(row: Row) -> list[str]:
 
 def _number(row: Row, value: float) -> str:
     """Return a success with three decimals, a reward of a life with three digits, or a return with none."""
-    is_return = row["metric"] == DEPLOYED and row["env"] in (CHEETAH, KITCHEN, MINITAUR)
+    is_return = row["metric"] == DEPLOYED and not make(row["env"]).sparse
     return number_text(value, ".3g" if row["metric"] == CONTINUING else ".0f" if is_return else ".3f")
 
 

@@ -74,7 +74,7 @@ def import_mjx() -> Any:
 
 
 def mujoco_data(name: str, state: PhysicsState) -> Any:
-    """Return the full `mujoco.MjData` of `state` in the model `name`, after `mj_forward`, for a renderer."""
+    """Return the full `mujoco.MjData` of `state` in the simulated model `name`, after `mj_forward`."""
     mujoco: Any = importlib.import_module("mujoco")
     model = load_model(name)
     data = mujoco.MjData(model)
