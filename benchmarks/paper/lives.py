@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.output import write_files
 from benchmarks.paper.cells import RUNS
+from earl_jax.envs.kitchen.franka_kitchen import FrankaKitchen
 from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import trailing_mean
 from earl_jax.metrics.scores import SUCCESS
@@ -22,10 +23,9 @@ from earl_jax.report.tables import Row, csv_text, markdown_table, millions, numb
 
 SHUT = 0.99
 """The reward per step from which a door counts as shut all the time."""
-ALIKE = 0.3
-"""The difference of two rewards per step up to which they count as alike."""
-REMEMBERED = 20_000
-"""The steps of an interval whose reward is compared with that of the next: the rows of R3L's released lives in the kitchen."""
+LONG = 20_000
+"""Steps of the intervals of the kitchen's lives: the rows of R3L's released ones."""
+RESETS = FrankaKitchen.train_horizon
 GOALS = 1 / 240
 """Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
@@ -36,17 +36,29 @@ def shut_share(curves: Curves) -> np.ndarray:
     return (_rates(curves) >= SHUT).mean(axis=1)
 
 
-def alike_share(curves: Curves) -> np.ndarray:
-    """Return the share [N] of pairs of successive intervals that have alike rewards per step."""
-    return (np.abs(np.diff(_rates(curves))) < ALIKE).mean(axis=1)
-
-
 def memory(curves: Curves) -> np.ndarray:
-    """Return the correlation [N] of the rewards of an interval of `REMEMBERED` steps and of the next one."""
-    rates, rows = _rates(curves), REMEMBERED // curves.config.schedule.eval_every
-    whole = rates.shape[1] // rows * rows
-    means = rates[:, -whole:].reshape(len(rates), -1, rows).mean(axis=2)
+    """Return the correlation [N] of the rewards of an interval of `LONG` steps and of the next one."""
+    _, means = _long_rates(curves)
     return np.array([np.corrcoef(life[:-1], life[1:])[0, 1] for life in means])
+
+
+def after_reset(curves: Curves) -> np.ndarray:
+    """Return the reward [N] per step of the first `LONG` steps after a reset of the kitchen."""
+    ends, means = _long_rates(curves)
+    return means[:, ends % RESETS == LONG].mean(axis=1)
+
+
+def before_reset(curves: Curves) -> np.ndarray:
+    """Return the reward [N] per step of the last `LONG` steps before a reset of the kitchen."""
+    ends, means = _long_rates(curves)
+    return means[:, ends % RESETS == 0].mean(axis=1)
+
+
+def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends [I] of the last intervals of `LONG` steps, and their rewards per step [N, I]."""
+    rates, rows = _rates(curves), LONG // curves.config.schedule.eval_every
+    whole = rates.shape[1] // rows * rows
+    return curves.steps[-whole:][rows - 1 :: rows], rates[:, -whole:].reshape(len(rates), -1, rows).mean(axis=2)
 
 
 def reward(curves: Curves) -> np.ndarray:
@@ -73,11 +85,13 @@ def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
 Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
-    ("franka_kitchen/fbrl", "share of successive intervals with alike rewards", alike_share),
-    ("franka_kitchen/fbrl/reward_scale_0.1", "share of successive intervals with alike rewards", alike_share),
-    ("franka_kitchen/fbrl/reward_scale_10", "share of successive intervals with alike rewards", alike_share),
     ("franka_kitchen/fbrl", "correlation of successive intervals of 20,000 steps", memory),
     ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
+    *(
+        (f"franka_kitchen/{algo}", f"reward per step of the {when}", measure)
+        for algo in ("naive", "fbrl")
+        for when, measure in (("20,000 after a reset", after_reset), ("20,000 before a reset", before_reset))
+    ),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
     ("tabletop_organization/r3l/error_scale", "reward per step", reward),
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
