@@ -118,15 +118,16 @@ def plot_runs(
     rows = -(-len(cells) // columns)
     with matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
+        released = False
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
-            _draw_panel(axis, group, panel, smooth, published)
+            released |= _draw_panel(axis, group, panel, smooth, published)
             names = [task_title(group[0].env)] * (len(tasks) > 1) + [group[0].name] * published
             axis.set_title("\n".join(filter(None, (", ".join(names), PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
             figure.suptitle(task_title(tasks[0]))
-        _add_legend(figure, lines, layout, published)
+        _add_legend(figure, lines, layout, released)
         return save(figure, out)
 
 
@@ -139,20 +140,26 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
-def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, published: bool) -> None:
-    """Draw one metric of `lines` of a task; with `published`, each seed of a line, over those of the paper."""
+def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, published: bool) -> bool:
+    """Draw one metric of `lines` of a task; with `published`, each seed of a line, over those of the paper.
+
+    Returns whether there were any of the paper.
+    """
+    beside = False
     metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:
         name = line.curves.deployed_metric if panel == "deployed" else metric
         released = released_beside(line.curves) if published else None
         if released is not None and name in released.metrics:
             draw_curves(axis, released, name, smooth, RELEASED, each=True)
+            beside = True
         draw_curves(axis, line.curves, name, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
     axis.set(ylabel=AXES.get(metric, metric), xlim=(0, None))
     if metric in RATES:
         axis.set_ylim(-0.03, 1.03)
     step_axis(axis)
     axis.grid(alpha=0.3)
+    return beside
 
 
 def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict[str, Any], each: bool) -> None:
@@ -166,10 +173,10 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict
         axis.plot(steps, values.T, color=style["color"], alpha=0.3, linewidth=0.8)
 
 
-def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, published: bool) -> None:
+def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
     """Name the lines below the panels, with as many lines of text as their names need there."""
     entries = {name: line.style for name, line in _legend_entries(lines).items()}
-    entries |= {"Published, five seeds": RELEASED} if published else {}
+    entries |= {"Published, five seeds": RELEASED} if released else {}
     columns = min(layout.columns, len(entries))
     letters = int(layout.width / (LETTER * layout.points * columns)) - 6
     filled = {textwrap.fill(name, letters): style for name, style in entries.items()}

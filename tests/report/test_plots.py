@@ -115,3 +115,8 @@ def test_each_run_has_panels_over_the_released_seeds_of_the_paper(sweep, drawn):
         assert len(axis.lines) == 6 + 4
     assert texts(figure)[-1] == "Published, five seeds"
     assert "released seeds" in caption(published=True)
+
+
+def test_a_task_without_released_seeds_has_none_in_its_legend(tmp_path, drawn):
+    write_run(tmp_path, "dhand_lightbulb", "fbrl", rising(3, 3), metrics=METRICS)
+    assert texts(drawn(tmp_path, metric="interventions", published=True)) == ["FBRL, 3 seeds"]
