@@ -42,43 +42,18 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "Continuing": "protocol",
-    "Deployment": "protocol",
-    "Env": "envs",
-    "HelpBudget": "envs",
-    "InputError": "errors",
-    "KinematicEnv": "envs",
-    "Learner": "algos",
-    "Method": "algos",
-    "MujocoEnv": "envs",
-    "NumpyPolicy": "runs.numpy_policy",
-    "Phase": "algos",
-    "Policy": "training",
-    "Problem": "training",
-    "Protocol": "protocol",
-    "Result": "training",
-    "SAC": "algos",
-    "State": "envs",
-    "TD3": "algos",
-    "evaluate": "training",
-    "lifetime": "training",
-    "list_algos": "algos",
-    "list_envs": "envs",
-    "list_learners": "algos",
-    "list_pretrained": "training",
-    "load": "training",
-    "make": "envs",
-    "make_algo": "algos",
-    "method_for": "algos",
-    "preset": "options.presets",
-    "pretrained": "training",
-    "pretrained_info": "training",
-    "register_algo": "algos",
-    "register_env": "envs",
-    "register_learner": "algos",
-    "resume": "training",
-    "select_seed": "training",
-    "train": "training",
+    name: module
+    for module, names in {
+        "algos": "SAC TD3 Learner Method Phase list_algos list_learners make_algo method_for register_algo register_learner",
+        "envs": "Env HelpBudget KinematicEnv MujocoEnv State list_envs make register_env",
+        "errors": "InputError",
+        "options.presets": "preset",
+        "protocol": "Continuing Deployment Protocol",
+        "runs.numpy_policy": "NumpyPolicy",
+        "training": "Policy Problem Result evaluate lifetime list_pretrained load pretrained pretrained_info resume"
+        " select_seed train",
+    }.items()
+    for name in names.split()
 }
 __all__ = [
     "SAC",

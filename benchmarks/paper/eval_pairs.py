@@ -38,7 +38,7 @@ def returns_by_pair(env: FrankaKitchen, policy: Callable, episodes: int) -> np.n
     assert numbered is not None
 
     def play(key: jax.Array, number: jax.Array) -> jax.Array:
-        return episode(env, policy, key, env.eval_horizon, lambda key: numbered(key, number))["return"]
+        return episode(env, policy, numbered(key, number), env.eval_horizon)["return"]
 
     keys = jax.random.split(jax.random.key(1), (len(PAIRS), episodes))
     numbers = jnp.broadcast_to(jnp.arange(len(PAIRS))[:, None], keys.shape)

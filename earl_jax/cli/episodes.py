@@ -55,7 +55,8 @@ def demos(env: Positional[str], out: Path, seed: int = 0, engine: Engine = None)
     from earl_jax.envs.demos import scripted
 
     task = envs.with_engine(envs.make(env), engine)
-    scripted.save(scripted.make(task, seed), out)
+    with replacing(out):
+        scripted.save(scripted.make(task, seed), out)
     print(out)
 
 

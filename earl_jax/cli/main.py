@@ -23,8 +23,7 @@ from earl_jax.cli.train import refuse_options, resume, train
 from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error
 from earl_jax.options import imports
-from earl_jax.options.environment import FRACTION
-from earl_jax.options.jax_start import start_failure
+from earl_jax.options.environment import FRACTION, start_failure
 from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import LastingStream, lasting_streams
 

@@ -39,7 +39,7 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
     from earl_jax.training import train
 
     began = time.perf_counter()
-    steps = steps or PRESET["steps"]
+    steps = PRESET["steps"] if steps is None else steps
     every = PRESET["eval_every"] if steps % PRESET["eval_every"] == 0 else steps
     print(CHANGES.format(steps=steps, seeds=PRESET["seeds"], episodes=PRESET["eval_episodes"], every=every))
     if steps == PRESET["steps"]:

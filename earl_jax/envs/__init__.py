@@ -49,25 +49,18 @@ __all__ = [
 ]
 
 _HOME = {
-    "ContinuingDefaults": "features",
-    "DemoScript": "demonstrations",
-    "DemoStart": "demonstrations",
-    "Env": "base",
-    "HelpBudget": "wrappers.help_budget",
-    "KinematicEnv": "base",
-    "Map": "features",
-    "MujocoEnv": "mujoco_env",
-    "Starts": "features",
-    "State": "state",
-    "TaskDemos": "demonstrations",
-    "View": "features",
-    "balanced_starts": "starts",
-    "chosen_engine": "engines",
-    "for_lanes": "engines",
-    "resolved_engine": "engines",
-    "start_of": "starts",
-    "with_engine": "engines",
-    "without_budget": "wrappers.help_budget",
+    name: module
+    for module, names in {
+        "base": "Env KinematicEnv",
+        "demonstrations": "DemoScript DemoStart TaskDemos",
+        "engines": "chosen_engine for_lanes resolved_engine with_engine",
+        "features": "ContinuingDefaults Map Starts View",
+        "mujoco_env": "MujocoEnv",
+        "starts": "balanced_starts start_of",
+        "state": "State",
+        "wrappers.help_budget": "HelpBudget without_budget",
+    }.items()
+    for name in names.split()
 }
 PAPER_TASKS = (
     "tabletop_organization",

@@ -89,16 +89,12 @@ class Env(abc.ABC):
 
     @property
     def observation_space(self) -> "Box":
-        """Gymnasium's space of `obs`, float32 [s + g] without bounds.
-
-        Raises:
-            ValueError: gymnasium is not installed.
-        """
+        """Gymnasium's space of `obs`, float32 [s + g] without bounds."""
         return _box(np.inf, self.observation_size)
 
     @property
     def action_space(self) -> "Box":
-        """Gymnasium's space of actions, float32 [a] in [-1, 1]. Errors as `observation_space`."""
+        """Gymnasium's space of actions, float32 [a] in [-1, 1]."""
         return _box(1.0, self.action_size)
 
     @property
@@ -251,11 +247,9 @@ class Env(abc.ABC):
 
 
 def _box(bound: float, size: int) -> "Box":
-    """Return the float32 space [-bound, bound]^size, with an error if gymnasium is not installed."""
-    try:
-        from gymnasium.spaces import Box  # takes time to import
-    except ImportError as error:
-        raise InputError("the spaces of a task are gymnasium's: pip install gymnasium") from error
+    """Return the float32 space [-bound, bound]^size."""
+    from gymnasium.spaces import Box  # takes time to import
+
     return Box(-bound, bound, (size,), np.float32)
 
 

@@ -13,19 +13,11 @@ WIDE_KEY = 1
 """Folded into the key of an evaluation for wide starts, so that the ordinary ones stay as they are."""
 
 
-def episode(
-    env: Env, policy: Callable, key: jax.Array, horizon: int, start: Callable | None = None
-) -> dict[str, jax.Array]:
-    """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action`.
+def episode(env: Env, policy: Callable, state: State, horizon: int) -> dict[str, jax.Array]:
+    """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action` from `state`.
 
-    It starts from `start(key) -> State`, s0 ~ rho by default. A broken simulation ends the episode: later steps earn no
-    reward.
+    A broken simulation ends the episode: later steps earn no reward.
     """
-    return _follow(env, policy, (start or env.reset)(key), horizon)
-
-
-def _follow(env: Env, policy: Callable, state: State, horizon: int) -> dict[str, jax.Array]:
-    """Return the results of the episode of `policy` that starts in `state`, as `episode`."""
 
     def step(carry, _):
         state, intact, success, total = carry
@@ -64,6 +56,6 @@ def deployed(
     if wide is not None:
         wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
         states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))
-    results = jax.vmap(lambda state: _follow(env, policy, state, horizon))(states)
+    results = jax.vmap(lambda state: episode(env, policy, state, horizon))(states)
     metrics = {f"deployed/{name}": values[:episodes].mean() for name, values in results.items()}
     return metrics if wide is None else {**metrics, WIDE: results["success"][episodes:].mean()}

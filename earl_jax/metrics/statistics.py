@@ -95,13 +95,6 @@ def summarise(scores: Any) -> Summary:
     return Summary(as_float(scores.mean()), as_float(stderr(scores)), as_float(iqm(scores)), low, high, len(scores))
 
 
-def mean_of(scores: Any) -> Estimate:
-    """Return the mean of `scores [seeds]` with its bootstrap interval."""
-    xp = namespace_of(scores)
-    value = as_float(xp.mean(scores))
-    return Estimate(value, *bootstrap(scores, xp.mean)) if len(scores) > 1 else _without_interval(value)
-
-
 def difference(scores: Any, others: Any) -> Estimate:
     """Return mean(`scores`) - mean(`others`) of independent seeds, [seeds] each, with its bootstrap interval."""
     xp = namespace_of(scores, others)

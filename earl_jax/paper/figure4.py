@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.statistics import Estimate, mean_of, relative_drop
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.statistics import Estimate, relative_drop
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
@@ -22,7 +23,7 @@ METHODS = ("fbrl", "vaprl", "oracle")
 EPISODES = 100
 FEW = 10
 """Fewer seeds than this make a bootstrap interval unreliable."""
-FEW_SEEDS = "A bootstrap interval of fewer than ten seeds is narrower than a true 95 % interval."
+FEW_SEEDS = "The interval of a drop, by the bootstrap, is too narrow with fewer than ten seeds."
 COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 
 
@@ -57,8 +58,8 @@ def _row(algo: str, seeds: Sequence[Row]) -> Row:
     return {
         "algo": algo,
         "seeds": len(initial),
-        **interval_columns(mean_of(initial), "initial", "initial_"),
-        **interval_columns(mean_of(uniform), "uniform", "uniform_"),
+        **interval_columns(mean_interval(initial, rate=True), "initial", "initial_"),
+        **interval_columns(mean_interval(uniform, rate=True), "uniform", "uniform_"),
         **interval_columns(drop, "drop", "drop_"),
         "published_drop": published_drop,
         "verdict": verdict(drop, published_drop),

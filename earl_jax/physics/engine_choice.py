@@ -12,8 +12,6 @@ ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
 """The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
 mjx."""
-MODULES = {"mjx": "mujoco.mjx", "warp": "warp", "c": "mujoco"}
-"""The module that each engine needs."""
 DEVICE_LANES = 1000
 """The number of lanes at which device costs were measured."""
 
@@ -30,9 +28,9 @@ class EngineCost(NamedTuple):
     warp: float | None = None
 
 
-def is_installed(engine: str) -> bool:
-    """Return whether the module that `engine` needs is installed."""
-    return importlib.util.find_spec(MODULES[engine].partition(".")[0]) is not None
+def has_warp() -> bool:
+    """Return whether warp is installed; the libraries of the other engines come with the package."""
+    return importlib.util.find_spec("warp") is not None
 
 
 def resolve_engine(engine: str) -> str:
@@ -45,9 +43,8 @@ def resolve_engine(engine: str) -> str:
         return DEFAULT_ENGINES.get(default_backend(), "mjx")
     if engine not in ENGINES:
         raise InputError(f"unknown physics engine {engine!r}; choose from auto, {', '.join(ENGINES)}")
-    if not is_installed(engine):
-        line = install_line("warp") if engine == "warp" else f"pip install {MODULES[engine].replace('.', '-')}"
-        raise InputError(f"physics engine {engine!r} is not installed: {line}")
+    if engine == "warp" and not has_warp():
+        raise InputError(f"physics engine {engine!r} is not installed: {install_line('warp')}")
     return engine
 
 
@@ -63,6 +60,6 @@ def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
     times = {default: lanes * cost.host / (len(own_cores()) / local_device_count())}
     if cost.device is not None:
         times["mjx"] = cost.device * max(1.0, lanes / DEVICE_LANES)
-    if cost.warp is not None and lanes <= DEVICE_LANES and is_installed("warp"):
+    if cost.warp is not None and lanes <= DEVICE_LANES and has_warp():
         times["warp"] = cost.warp
     return min(times, key=times.__getitem__)

@@ -71,7 +71,10 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
         sides = (leader, scores) if test == "permutation" else (Sample.of(leader), Sample.of(scores))
         columns = comparison_columns(*sides, "difference_") | {"seeds": len(scores), "other_seeds": len(leader)}
         row |= {name: value for name, value in columns.items() if name in row}
-        row["least_p"] = _least_p(len(leader), len(scores), test) * len(tested)
+        row["least_p"] = _least_p(len(leader), len(scores), test)
+    family = sum(not math.isnan(row["p"]) for row, _ in tested)
+    for row, _ in tested:
+        row["least_p"] *= family
     for row in with_verdicts([row for row, _ in tested]):
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
     tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
@@ -101,7 +104,13 @@ def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
 
 
 def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, width: int | None = None) -> str:
-    """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule."""
+    """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule.
+
+    Raises:
+        ValueError: `top` is less than 1.
+    """
+    if top < 1:
+        raise InputError(f"top must be at least 1, not {top}")
     parts: list[str] = []
     for env in dict.fromkeys(row["env"] for row in rows):
         of_task = [row for row in rows if row["env"] == env]
@@ -121,10 +130,10 @@ def _verdict_text(rows: Sequence[Row]) -> str:
         return "There is no other run of the same length to compare with."
     text = f"Of {len(tested)} others of the same length, {len(unclear)} cannot be told from the best"
     text += f": rank {', '.join(str(row['rank']) for row in unclear)}." if unclear else "."
-    if all(math.isnan(row["p"]) for row in tested):
+    least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)
+    if math.isnan(least):
         return text + " A test needs two seeds of each."
-    if min(row["least_p"] for row in tested if not math.isnan(row["p"])) >= LEVEL:
-        least = min(row["least_p"] for row in tested)
+    if least >= LEVEL:
         text += (
             f" None could be: with these seeds the smallest adjusted p of so many permutation tests is {least:.2g}. "
             "Use more seeds, fewer runs, or --test welch."

@@ -53,10 +53,15 @@ class Table(NamedTuple):
     def write(self, path: Path) -> None:
         """Write the table to `path`: LaTeX with the notes as comments (.tex), or markdown above them."""
         if path.suffix != ".tex":
-            path.write_text(f"{self.text()}\n")
+            _write(path, f"{self.text()}\n")
             return
         notes = [f"% {line}" for note in self.notes for line in textwrap.wrap(note, 100)]
-        path.write_text("\n".join([*notes, latex_table(self.header, self.lines), ""]))
+        _write(path, "\n".join([*notes, latex_table(self.header, self.lines), ""]))
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
 
 
 def tabulate(
@@ -149,7 +154,7 @@ def write(rows: Sequence[Row], path: Path) -> None:
     if path.suffix in (".md", ".tex"):
         run_table(rows).write(path)
     elif path.suffix == ".csv":
-        path.write_text(csv_text(rows))
+        _write(path, csv_text(rows))
     else:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
 

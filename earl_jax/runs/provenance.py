@@ -90,7 +90,7 @@ def made_by(values: Any) -> str:
     return str(values.get("commit") or values.get("release") or "") if isinstance(values, dict) else ""
 
 
-def short_commit(commit: str, digits: int = 9) -> str:
-    """Return the first `digits` of a recorded commit, with the mark of a changed checkout if it has one."""
+def short_commit(commit: str) -> str:
+    """Return the first nine digits of a recorded commit, with the mark of a changed checkout if it has one."""
     full = commit.removesuffix(CHANGED)
-    return full[:digits] + commit[len(full) :]
+    return full[:9] + commit[len(full) :]

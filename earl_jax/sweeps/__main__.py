@@ -11,7 +11,7 @@ import threading
 import warnings
 from pathlib import Path
 
-from earl_jax.options.jax_start import start_failure
+from earl_jax.options.environment import start_failure
 from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import lasting_streams
 

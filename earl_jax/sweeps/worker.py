@@ -14,8 +14,8 @@ from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, is_input_error
 from earl_jax.options import imports
+from earl_jax.options.environment import start_failure
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.jax_start import start_failure
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig

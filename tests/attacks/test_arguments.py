@@ -71,19 +71,13 @@ def test_an_option_without_a_meaning_is_refused(text, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "arguments", [(option, value) for option, values in NUMBERS.items() for value in values], ids=shown
+    "arguments",
+    [(TASK, option, value) for option, values in NUMBERS.items() for value in values] + [(task,) for task in TASKS],
+    ids=shown,
 )
 def test_a_number_or_name_without_a_meaning_is_refused(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run("train", TASK, "--steps", "120", "--out", "run", *arguments)
-    refused(code, err)
-    assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("task", TASKS, ids=shown)
-def test_an_unknown_task_is_refused(task, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = run("train", task, "--steps", "120", "--out", "run")
+    code, _, err = run("train", arguments[0], "--steps", "120", "--out", "run", *arguments[1:])
     refused(code, err)
     assert not any(tmp_path.iterdir())
 

@@ -1,7 +1,6 @@
 """The contract of an env, for every task of the registry; the numbers of the paper, faults and limits in tables by task."""
 
 import dataclasses
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -268,12 +267,6 @@ def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, writ
 
 def test_the_goal_of_a_task_changes_every_two_evaluation_horizons_unless_it_says_otherwise():
     assert Chain(eval_horizon=7).continuing == (14, None)
-
-
-def test_spaces_need_gymnasium(env, monkeypatch):
-    monkeypatch.setitem(sys.modules, "gymnasium.spaces", None)
-    with pytest.raises(ValueError, match="pip install gymnasium"):
-        _ = env.action_space
 
 
 def test_unknown_names_and_options_are_errors_that_list_the_choices():

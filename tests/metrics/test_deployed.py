@@ -21,7 +21,9 @@ def test_success_counts_at_any_step_within_the_horizon(env):
         return jnp.where(env.success(obs), 1.0, env.demonstrations.expert(obs))
 
     def results():
-        short, long = (episode(env, env.demonstrations.expert, KEY, horizon)["success"] for horizon in (10, 60))
+        short, long = (
+            episode(env, env.demonstrations.expert, env.reset(KEY), horizon)["success"] for horizon in (10, 60)
+        )
         return short, long, deployed(env, leaving, KEY, 60, 4)["deployed/success"]
 
     assert jax.jit(results)() == (0.0, 1.0, 1.0)
@@ -57,5 +59,5 @@ def test_balanced_pairs_take_the_chance_out_of_the_score_of_a_policy(env):
 
 def test_dense_returns_are_undiscounted_sums(env):
     dense = dataclasses.replace(env, reward_type="dense")
-    total, reward = jax.jit(lambda: (episode(dense, idle, KEY, 7)["return"], dense.reset(KEY).reward))()
+    total, reward = jax.jit(lambda: (episode(dense, idle, dense.reset(KEY), 7)["return"], dense.reset(KEY).reward))()
     assert float(total) == pytest.approx(7 * float(reward), rel=1e-5)

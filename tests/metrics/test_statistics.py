@@ -10,7 +10,7 @@ from scipy import stats
 
 from earl_jax.metrics.aggregates import optimality_gap, performance_profile, probability_of_improvement
 from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
-from earl_jax.metrics.statistics import bootstrap, difference, iqm, mean_of, relative_drop, stderr, summarise
+from earl_jax.metrics.statistics import bootstrap, difference, iqm, relative_drop, stderr, summarise
 
 RUNS, SEEDS = 3, 9
 STEPS = np.array([10, 30, 40])
@@ -95,7 +95,7 @@ def test_a_performance_profile_is_the_share_of_runs_above_each_threshold():
 
 def every_metric(curves, others):
     """Return all metrics of one run's `curves` and `others` [SEEDS, len(STEPS)] by name."""
-    first, last, other = curves[:, 0], curves[:, -1], others[:, 0]
+    first, other = curves[:, 0], others[:, 0]
     return {
         "regret": regret(STEPS, curves, 1.0),
         "scores": lifetime_scores(STEPS, {"success": curves, "continuing/reward": others}, "success"),
@@ -103,7 +103,6 @@ def every_metric(curves, others):
         "stderr": stderr(curves),
         "bootstrap": (bootstrap(curves), bootstrap(first, level=0.8, seed=3)),
         "summary": summarise(deployed_area(STEPS, curves)),
-        "mean": (mean_of(last), mean_of(last[:1])),
         "difference": (difference(first, other), difference(curves[:1], others)),
         "drop": relative_drop(first, other),
         "drop from 0": relative_drop(0 * first, other),

@@ -39,7 +39,7 @@ def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
     assert fastest_engine(cost, lanes) == "c", "on a CPU"
     monkeypatch.setattr(engine_choice, "default_backend", lambda: "gpu")
     monkeypatch.setattr(engine_choice, "own_cores", lambda: range(cores))
-    monkeypatch.setattr(engine_choice, "is_installed", lambda engine: warp or engine != "warp")
+    monkeypatch.setattr(engine_choice, "has_warp", lambda: warp)
     assert fastest_engine(cost, lanes) == for_lanes(make(task), lanes).engine == engine
     assert fastest_engine(cost, 1001) != "warp", "more lanes can have more contacts than warp has room for"
     assert for_lanes(make(task, engine="c"), lanes).engine == "c"

@@ -70,6 +70,15 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     assert "| 3 |" not in best_text(few, top=2)
     assert "1 more are not shown" in best_text(few, top=2)
     assert max(map(len, best_text(few, width=70).splitlines())) <= 70
+    with pytest.raises(ValueError, match="top must be at least 1, not 0"):
+        best_text(few, top=0)
+
+
+def test_single_seeds_are_no_tests_of_the_family(tmp_path):
+    rows = best([write_cells(tmp_path, good=GOOD[:4], bad=BAD[:4], one=[0.5], two=[0.6])])
+    assert [row["verdict"] for row in rows] == ["best", "cannot tell", "cannot tell", "below"]
+    assert rows[3]["p_holm"] == rows[3]["least_p"] == pytest.approx(2 / math.comb(8, 4))
+    assert "None could be" not in best_text(rows)
 
 
 def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):

@@ -61,10 +61,10 @@ def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_pat
 def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
     rows = tables.tabulate([write_three_evaluations(tmp_path / "a")])
     for suffix in ("csv", "md", "tex"):
-        tables.write(rows, tmp_path / f"t.{suffix}")
-    assert read_csv(tmp_path / "t.csv")[0]["published_continuing"] == "0.012 (0.004)"
-    assert "| 0.550 | 50% |" in (tmp_path / "t.md").read_text()
-    assert r"& 0.550 & 50\%" in (tmp_path / "t.tex").read_text()
+        tables.write(rows, tmp_path / "new" / f"t.{suffix}")
+    assert read_csv(tmp_path / "new/t.csv")[0]["published_continuing"] == "0.012 (0.004)"
+    assert "| 0.550 | 50% |" in (tmp_path / "new/t.md").read_text()
+    assert r"& 0.550 & 50\%" in (tmp_path / "new/t.tex").read_text()
     with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 

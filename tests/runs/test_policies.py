@@ -36,12 +36,6 @@ def test_a_damaged_file_is_one_error(file, damage):
         policies_step(file)
 
 
-def test_pickled_arrays_are_not_read(file):
-    np.savez(file, step=np.array([object()], dtype=object))
-    with pytest.raises(ValueError, match="is damaged"):
-        policies_step(file)
-
-
 def test_actors_stored_in_half_precision_are_read_in_the_dtype_of_the_learner(tmp_path):
     half = jax.tree.map(np.float16, ACTORS)
     save_policies(tmp_path / "policies.npz", half, step=40, seeds=(3, 7), obs_size=3, action_size=1)
@@ -82,8 +76,3 @@ def test_maps_of_another_run_or_other_numbers_are_refused(file, visits):
         ValueError, match=r"policies\.npz does not belong to this run: visits are not counts \[2, B, B\]"
     ):
         load_visits(save_visits(file, visits), seeds=2)
-
-
-def test_maps_that_numpy_would_unpickle_are_refused(file):
-    with pytest.raises(ValueError, match="is damaged"):
-        load_visits(save_visits(file, np.array([object()], dtype=object)), seeds=2)

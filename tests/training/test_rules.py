@@ -112,7 +112,7 @@ def test_an_action_that_is_not_finite_is_a_fault(name):
 
 def test_an_evaluation_episode_ends_where_the_simulation_breaks(env):
     """The policy's NaN breaks the simulation at once: no success, and a return of the steps before it, not NaN."""
-    result = jax.jit(lambda key: episode(env, lambda obs: jnp.full(3, jnp.nan), key, 10))(jax.random.key(0))
+    result = jax.jit(lambda key: episode(env, lambda obs: jnp.full(3, jnp.nan), env.reset(key), 10))(jax.random.key(0))
     assert float(result["success"]) == 0.0
     assert float(result["return"]) == 0.0
 

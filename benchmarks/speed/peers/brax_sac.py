@@ -41,9 +41,7 @@ def replicated(tree: Any, devices: list[Any]) -> Any:
 
 def main() -> None:
     chosen = common.options(__doc__)
-    removed = not hasattr(jax, "device_put_replicated")
-    if removed:
-        vars(jax)["device_put_replicated"] = replicated
+    vars(jax)["device_put_replicated"] = replicated
     rates, start, ends = [], common.since_start(), []
 
     def progress(step, metrics):
@@ -57,7 +55,7 @@ def main() -> None:
         max_devices_per_host=1, progress_fn=progress,
         network_factory=functools.partial(networks.make_sac_networks, hidden_layer_sizes=common.HIDDEN),
     )  # fmt: skip
-    shim = "; jax.device_put_replicated, which newer jax has removed, is restored for it" if removed else ""
+    shim = "; jax.device_put_replicated, which newer jax has removed, is restored for it"
     common.emit(
         ("brax", "jax", "jaxlib", "flax", "optax"), peer="brax", task=common.TABLETOP, device=jax.devices()[0].device_kind,
         lanes=1, lane_steps_per_s=float(statistics.median(rates[1:])), start_s=start,

@@ -6,6 +6,7 @@ import os
 import platform
 import statistics
 import time
+import timeit
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -67,12 +68,7 @@ def wait_for_others(chosen: argparse.Namespace) -> None:
 
 def median_s(advance: Callable[[], Any], repeats: int) -> float:
     """Return the median seconds of `repeats` calls of `advance`, which returns when its work is done."""
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        advance()
-        times.append(time.perf_counter() - began)
-    return statistics.median(times)
+    return statistics.median(timeit.repeat(advance, number=1, repeat=repeats))
 
 
 def since_start() -> float:

@@ -107,4 +107,6 @@ def stacked(rows: list[tuple]) -> Demos:
 def save(demos: dict[str, Demos], path: Path) -> None:
     """Write `demos`, by direction, to `path` as a compressed npz without pickles."""
     arrays = {f"{name}_{field}": value for name, part in demos.items() for field, value in part._asdict().items()}
-    np.savez_compressed(path, **arrays)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:  # NumPy would add .npz to another suffix
+        np.savez_compressed(file, **arrays)

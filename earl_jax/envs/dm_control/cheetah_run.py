@@ -117,14 +117,14 @@ def _observed(data: PhysicsState) -> jax.Array:
     return jnp.concatenate([data.qpos[1:], data.qvel])
 
 
-def settle(count: int = STARTS, seed: int = 0) -> dict[str, np.ndarray]:
+def settle(count: int = STARTS) -> dict[str, np.ndarray]:
     """Return `count` settled starts as float32 `qpos, qvel, qacc_warmstart [count, 9]`.
 
     The suite's procedure: every limited joint is uniform in its range, the trunk has the model's pose, and MuJoCo's C
     engine takes 200 steps without torque from a cold start.
     """
     mujoco: Any = importlib.import_module("mujoco")
-    model, random = load_model(CheetahRun.name), np.random.default_rng(seed)
+    model, random = load_model(CheetahRun.name), np.random.default_rng(0)
     limited = model.jnt_limited.astype(bool)
     rows: dict[str, list[np.ndarray]] = {"qpos": [], "qvel": [], "qacc_warmstart": []}
     for _ in range(count):

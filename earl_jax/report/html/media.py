@@ -46,7 +46,12 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
         visits = []
         for run in line.runs:
             try:
-                visits.append(np.asarray(load_visits(run)[1]))
+                counts = np.asarray(load_visits(run)[1])
+                if visits and counts.shape[1:] != visits[0].shape[1:]:
+                    raise InputError(
+                        f"{run.path} has maps of {len(counts[0])} bins, another run of {len(visits[0][0])}"
+                    )
+                visits.append(counts)
             except Exception as error:  # the files are data: any error in them is reported and affects nothing else
                 sentences.append(f"No map of {line.group.label}: {_cause(error)}.")
         if visits:

@@ -232,6 +232,9 @@ def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["import-demos", str(files["forward"]), "--out", str(out)])
     assert "exists" in capsys.readouterr().err
+    before = out.read_bytes()
+    main(["import-demos", str(files["forward"]), "--out", str(out.with_suffix(""))])
+    assert (out.with_suffix("").is_file(), out.read_bytes()) == (True, before), "a file has the name that was given"
     main(["import-demos", str(files["forward"])])
     alone = make("sawyer_door", demo_file=str(tmp_path / "forward_imported.npz"))
     with pytest.raises(ValueError, match="no backward demonstrations"):

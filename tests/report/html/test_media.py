@@ -106,5 +106,14 @@ def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
     np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map.bounds)
 
 
+def test_maps_of_another_size_are_left_out(run, monkeypatch):
+    other = write_page_run(run.parent / "other", "fbrl", rising(2, 2), seeds=(7, 8))
+    sizes = {run: 4, other: 8}
+    monkeypatch.setattr(media, "load_visits", lambda run: (make(TABLETOP), np.ones((2, *[sizes[run.path]] * 2), int)))
+    [drawn], [sentence] = maps(read_lines(run, other))
+    assert len(drawn["plot"]["shares"]) == 4
+    assert sentence == f"No map of fbrl: {other} has maps of 8 bins, another run of 4."
+
+
 def test_a_task_without_a_map_has_none(tmp_path):
     assert maps(read_lines(write_page_run(tmp_path, "fbrl", rising(2, 1), env="franka_kitchen"))) == ([], [])
