@@ -1,5 +1,6 @@
 """The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
 
+import importlib
 import itertools
 import re
 import reprlib
@@ -28,6 +29,18 @@ def install_line(extra: str) -> str:
         return f"pip install -e {shlex.quote(f'{PACKAGE.parent}[{extra}]')}"
     own = [text for text in required if re.search(rf"extra == ['\"]{extra}['\"]", text)]
     return f"pip install {' '.join(shlex.quote(text.partition(';')[0].strip()) for text in own)}"
+
+
+def optional(module: str, need: str, extra: str) -> Any:
+    """Return a `module` of an optional library.
+
+    Raises:
+        InputError: it is not installed; the message says whose `need` it is, and the line that installs the `extra`.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(f"{need} {module.partition('.')[0]}: {install_line(extra)}") from error
 
 
 def choices(name: Any, names: Iterable[str]) -> str:

@@ -37,7 +37,7 @@ import numpy as np
 import earl_jax
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.method import BACKWARD, RETURN, TASK, Method, Phase
-from earl_jax.metrics.statistics import difference
+from earl_jax.metrics.comparison import permutation
 from earl_jax.options.presets import PRESETS
 from earl_jax.report.style import step_axis
 
@@ -163,9 +163,9 @@ plt.show()
 
 # %%
 last = success[:, :, -3:].mean(axis=2)
-gap = difference(last[1], last[0])
+gap = permutation(last[1], last[0])
 print(f"last three evaluations: {last[0].round(2).tolist()} without, {last[1].round(2).tolist()} with")
-print(f"difference {gap.value:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}]")
+print(f"difference {gap.difference:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}], p = {gap.p:.2g}")
 
 # %% [markdown]
 """

@@ -21,8 +21,9 @@ from earl_jax.report.comparison import published_rows, table_text, verdict_text,
 from earl_jax.report.leaderboard import commit_of
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
-from earl_jax.report.runs import MethodRuns, read_methods
+from earl_jax.report.runs import MethodRuns
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 

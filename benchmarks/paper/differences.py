@@ -25,7 +25,8 @@ from earl_jax.paper.artefact import training_steps
 from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
-from earl_jax.report.runs import MethodRuns, read_all
+from earl_jax.report.pooling import read_all
+from earl_jax.report.runs import MethodRuns
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
 DOOR, KITCHEN, MINITAUR, CHEETAH = "sawyer_door", "franka_kitchen", "minitaur_pen", "cheetah_run"

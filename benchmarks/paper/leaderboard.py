@@ -27,6 +27,7 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import HEADER, OURS, Row, commit_of, ranked, run_row, score_text, values_of
+from earl_jax.report.pooling import pooling_key
 from earl_jax.report.published import (
     RECONSTRUCTED,
     SEEDS,
@@ -34,7 +35,7 @@ from earl_jax.report.published import (
     published_steps,
     released_curves,
 )
-from earl_jax.report.runs import Curves, MethodRuns, by_method, options_text, pooling_key, read
+from earl_jax.report.runs import Curves, MethodRuns, by_method, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import csv_text, markdown_table, millions, number_text, step_interval
 from earl_jax.runs.folder import RunFolder

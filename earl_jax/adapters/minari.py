@@ -1,7 +1,6 @@
 """Minari datasets of demonstrations and of lives: `demonstrations(task)`, and `write` for any transitions."""
 
 import dataclasses
-import importlib
 import warnings
 from typing import Any
 
@@ -13,12 +12,9 @@ from gymnasium.envs.registration import EnvSpec
 from earl_jax.adapters.gymnasium import env_id, register_envs
 from earl_jax.assets import Demos
 from earl_jax.envs import Env, env_class, list_envs, make
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import InputError, optional
 
-try:
-    minari: Any = importlib.import_module("minari")
-except ImportError as error:
-    raise InputError(f"a Minari dataset needs minari: {install_line('minari')}") from error
+minari = optional("minari", "a Minari dataset needs", "minari")
 
 
 def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:

@@ -88,7 +88,7 @@ class Method(struct.PyTreeNode):
             expected, own = (inspect.signature(getattr(of, name)).parameters for of in (Method, cls))
             takes_any = any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in own.values())
             if not takes_any and list(own) != list(expected):
-                raise TypeError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(own)})")
+                raise InputError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(own)})")
 
     @property
     def phases(self) -> tuple[Phase, ...]:

@@ -205,10 +205,10 @@ def compare(
     from earl_jax.report.tables import terminal_width
 
     rows = compare_runs(folders, against, metric, Window.of(last, window))
+    emit({"rows": rows}, json, table_text(rows, terminal_width()))
     for path in out:
         with replacing(path):
             write_comparison(rows, path)
-    emit({"rows": rows}, json, table_text(rows, terminal_width()))
 
 
 def report(

@@ -210,11 +210,13 @@ def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     """
     from earl_jax.training.stopping import resume_command
 
-    values, text = _score(result) if len(result.steps) else ({"steps": 0}, "no evaluation yet")
-    values = {"out": str(out), "engine": result.engine, **values, "stopped": not result.finished}
+    values, text = _score(result) if len(result.steps) else ({}, "no evaluation yet")
+    values = {
+        "out": str(out), "engine": result.engine, "steps": result.step, **values, "stopped": not result.finished
+    }  # fmt: skip
     if not result.finished:
         command = resume_command(out)
-        values |= {"step": result.step, "resume": command}
+        values["resume"] = command
         text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
         text += f"continue with: {command}"
     emit(values, as_json, f"{out}: {text}")
@@ -227,7 +229,7 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
 
     score = result.score()
     diverged = count_diverged(result.metrics)
-    values = {"steps": score.last, score.metric: score._asdict(), DIVERGED: diverged}
+    values = {score.metric: score._asdict(), DIVERGED: diverged}
     text = str(score)
     if WIDE in result.metrics:
         wide = result.score(metric=WIDE)

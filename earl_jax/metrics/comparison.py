@@ -50,6 +50,11 @@ class Comparison(NamedTuple):
     high: float
     p: float
 
+    @property
+    def verdict(self) -> str:
+        """`above` or `below` if p is under 5 %, else `CANNOT_TELL`."""
+        return verdict(self.difference, self.p)
+
 
 def verdict(difference: float, p: float, level: float = LEVEL) -> str:
     """Return `above` or `below`, by the sign of `difference`, if `p` is under `level`, else `CANNOT_TELL`."""

@@ -95,20 +95,6 @@ def summarise(scores: Any) -> Summary:
     return Summary(as_float(scores.mean()), as_float(stderr(scores)), as_float(iqm(scores)), low, high, len(scores))
 
 
-def difference(scores: Any, others: Any) -> Estimate:
-    """Return mean(`scores`) - mean(`others`) of independent seeds, [seeds] each, with its bootstrap interval."""
-    xp = namespace_of(scores, others)
-    value = as_float(xp.mean(scores) - xp.mean(others))
-    if min(len(scores), len(others)) < 2:
-        return _without_interval(value)
-    rng = np.random.default_rng(0)
-    means = [
-        xp.asarray(group)[rng.integers(len(group), size=(RESAMPLES, len(group)))].mean(axis=1)
-        for group in (scores, others)
-    ]
-    return Estimate(value, *percentile_interval(means[0] - means[1]))
-
-
 def relative_drop(before: Any, after: Any) -> Estimate:
     """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
 
@@ -119,7 +105,8 @@ def relative_drop(before: Any, after: Any) -> Estimate:
     before, after = xp.asarray(before, float), xp.asarray(after, float)
     value = _drop(xp, before, after)
     if len(before) < 2:
-        return _without_interval(as_float(value))
+        value = as_float(value)
+        return Estimate(value, value * np.nan, value * np.nan)
     picks = np.random.default_rng(0).integers(len(before), size=(RESAMPLES, len(before)))
     drops = xp.where(xp.isnan(value), 0.0, _drop(xp, before[picks], after[picks]))
     low, high = xp.nanquantile(drops, np.array([0.025, 0.975])) + 0.0 * value  # nan if the value is
@@ -136,7 +123,3 @@ def percentile_interval(values: Any, ends: tuple[float, float] = (0.025, 0.975))
     """Return the quantiles `ends` of resampled `values [R]`, by default the percentile interval of 95 %."""
     low, high = namespace_of(values).quantile(values, np.array(ends))
     return as_float(low), as_float(high)
-
-
-def _without_interval(value: Any) -> Estimate:
-    return Estimate(value, value * np.nan, value * np.nan)

@@ -1,6 +1,7 @@
 """The schedule of a run, with the defaults of all ways to start one."""
 
 import dataclasses
+import math
 
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, EPISODES, require, within
@@ -35,4 +36,5 @@ FIELDS = tuple(field.name for field in dataclasses.fields(Schedule))
 def require_whole_windows(steps: int, eval_every: int) -> None:
     """Raise an InputError unless training ends with an evaluation: `steps` is a positive multiple of `eval_every`."""
     if steps < 1 or steps % eval_every:
-        raise InputError(f"steps {steps} is not a multiple of eval_every {eval_every}")
+        fitting = f"; {math.gcd(steps, eval_every)} would fit" if steps > 0 else ""
+        raise InputError(f"steps {steps} is not a multiple of eval_every {eval_every}{fitting}")

@@ -27,8 +27,10 @@ def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
         raise InputError(f"seeds must be whole numbers, not {brief(seeds)}") from None
     if len(whole) > MOST_SEEDS:
         raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
-    if not whole or len(set(whole)) < len(whole):
-        raise InputError(f"seeds must be at least one and distinct, not {brief(list(whole))}")
+    if not whole:
+        raise InputError(f"seeds must name at least one, not {brief(seeds)}")
+    if repeated := {seed for seed in whole if whole.count(seed) > 1}:
+        raise InputError(f"seed {min(repeated)} is given twice")
     for seed in (min(whole), max(whole)):
         require("seeds", seed, SEED)
     return whole

@@ -19,7 +19,8 @@ from earl_jax.metrics.scores import final_scores
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
 from earl_jax.paper.figure2_picture import draw
 from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
-from earl_jax.report.runs import Curves, read_all
+from earl_jax.report.pooling import read_all
+from earl_jax.report.runs import Curves
 from earl_jax.report.style import ordered
 from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.config import RunConfig

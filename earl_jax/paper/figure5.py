@@ -12,8 +12,9 @@ from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
 from earl_jax.report.paper_rows import CONTINUING, table_scores
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside, released_beside
-from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text, read_methods
+from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
 from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
     AXES,

@@ -14,8 +14,8 @@ from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of,
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
-from earl_jax.report.runs import read_methods
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
 from earl_jax.report.tables import markdown_table, millions, seeds_text
 

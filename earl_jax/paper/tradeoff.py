@@ -18,7 +18,8 @@ from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, holm, mean_in
 from earl_jax.metrics.scores import deployed_area, final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
-from earl_jax.report.runs import Curves, read_all
+from earl_jax.report.pooling import read_all
+from earl_jax.report.runs import Curves
 from earl_jax.report.style import (
     AXES,
     colours,

@@ -1,6 +1,6 @@
 """Files of pictures and videos: films as .mp4, .gif and .webp, and contact sheets as .png."""
 
-import importlib
+import functools
 import io
 import tempfile
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import optional
 from earl_jax.runs.files import write_atomically
 
 CRF = 26
@@ -26,16 +26,8 @@ Shot = tuple[np.ndarray, str]
 """An image, `SUPERSAMPLING` times its size on the sheet, and its caption."""
 
 
-def library(name: str) -> Any:
-    """Return the module `name` of an optional library.
-
-    Raises:
-        ValueError: it is not installed; the message names the extra to install.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise InputError(f"pictures need {name.partition('.')[0]}: {install_line('render')}") from error
+library = functools.partial(optional, need="pictures need", extra="render")
+"""`library(module)` returns a module that pictures need."""
 
 
 def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple[int, int]) -> Path:

@@ -11,8 +11,9 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
-from earl_jax.report.runs import MethodRuns, options_text, read_methods
+from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import task_order
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
@@ -28,6 +29,7 @@ COLUMNS: tuple[Column, ...] = (
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
 )
+TIED = "tied"
 RULE = (
     "Score: mean over seeds and over {window}. {intervals} Each run is compared with the best of its task by {test}. "
     f"{FAMILY_RULE.format(family='the comparisons with the best')} Runs that are shorter than the longest of the task are listed "
@@ -79,7 +81,7 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
     tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
     for row in tied:
-        row |= {"rank": 1, "verdict": "tied" if len(tied) > 1 else "best"}
+        row |= {"rank": 1, "verdict": TIED if len(tied) > 1 else "best"}
     return rows
 
 
@@ -125,17 +127,18 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
 def _verdict_text(rows: Sequence[Row]) -> str:
     """Return which of the runs of a task cannot be told from its best, and whether any of them could be."""
     tested = [row for row in rows if not math.isnan(row["difference"])]
-    unclear = [row for row in tested if row["verdict"] == CANNOT_TELL]
+    unclear = [row for row in tested if row["verdict"] in (CANNOT_TELL, TIED)]
     if not tested:
         return "There is no other run of the same length to compare with."
-    text = f"Of {len(tested)} others of the same length, {len(unclear)} cannot be told from the best"
+    others = f"{len(tested)} other{'s' * (len(tested) > 1)}"
+    text = f"Of {others} of the same length, {len(unclear)} cannot be told from the best"
     text += f": rank {', '.join(str(row['rank']) for row in unclear)}." if unclear else "."
     least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)
     if math.isnan(least):
         return text + " A test needs two seeds of each."
     if least >= LEVEL:
         text += (
-            f" None could be: with these seeds the smallest adjusted p of so many permutation tests is {least:.2g}. "
+            f" None could be told: with these seeds the smallest adjusted p of so many permutation tests is {least:.2g}. "
             "Use more seeds, fewer runs, or --test welch."
         )
     return text

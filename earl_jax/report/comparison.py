@@ -13,6 +13,7 @@ from earl_jax.metrics.comparison import CANNOT_TELL, Sample, detectable_differen
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import (
     FAMILY_RULE,
     RECONSTRUCTED,
@@ -22,7 +23,7 @@ from earl_jax.report.published import (
     released_beside,
     share_text,
 )
-from earl_jax.report.runs import MethodRuns, common_steps, read_methods
+from earl_jax.report.runs import MethodRuns, common_steps
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import (
@@ -44,7 +45,7 @@ AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
     f"The score of a seed is its mean over {{window}}, up to the same step. {INTERVALS} Those of differences are Welch's. p: the "
-    f"permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')} {TEST_RULE}"
+    f"permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -222,7 +223,9 @@ def table_text(rows: Sequence[Row], width: int | None = None) -> str:
 
 def _table(rows: Sequence[Row]) -> Table:
     windows = dict.fromkeys(row["mean_over"] for row in rows)
-    return Table.of(COLUMNS, rows, [RULE.format(window=" or ".join(windows))])
+    rule = RULE.format(window=" or ".join(windows))
+    published = any(row["second"].startswith("published") for row in rows)
+    return Table.of(COLUMNS, rows, [f"{rule} {TEST_RULE}" if published else rule])
 
 
 def write_comparison(rows: Sequence[Row], path: Path) -> Path:
@@ -246,7 +249,9 @@ def _draw(rows: Sequence[Row]) -> Any:
     """Return a figure with the difference and interval of each row, a panel for each task."""
     rows = [row for row in rows if not math.isnan(row["low"])]
     if not rows:
-        raise InputError("there is no difference with an interval to draw; runs need two seeds and the published steps")
+        raise InputError(
+            "no difference has an interval to draw: each side needs two seeds, and not all of them may be equal"
+        )
     envs = list(dict.fromkeys(row["env"] for row in rows))
     figure, axes = new_figure(1, len(envs), (5.4 * len(envs), 1.2 + 0.4 * len(rows)))
     for env, axis in zip(envs, axes[0], strict=True):

@@ -9,8 +9,9 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
-from earl_jax.report.runs import Curves, checked_labels, labels, read_all
+from earl_jax.report.runs import Curves, checked_labels, labels
 from earl_jax.report.scores import evenly_spaced, interval_of, trailing
 from earl_jax.report.style import (
     AXES,

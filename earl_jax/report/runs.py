@@ -1,11 +1,7 @@
 """Curves read from run folders, grouped by task and method."""
 
 import dataclasses
-import functools
-import json
-import os
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +17,7 @@ from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import method_order, task_order
 from earl_jax.runs.config import RunConfig, deployed_metric
-from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
 OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *PHASE_METRICS})
@@ -115,100 +110,6 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,), window)
 
 
-def find_runs(folders: Sequence[Path]) -> list[Path]:
-    """Return the run folders among `folders`, and those below the others, each once; links to folders are not followed.
-
-    Raises:
-        ValueError: a folder does not exist, or holds no run.
-    """
-    if not folders:
-        raise InputError("name at least one run folder, or a folder of them")
-    paths: dict[Path, Path] = {}
-    for folder in folders:
-        if not folder.is_dir():
-            raise InputError(f"{folder} is not a folder")
-        below = [folder] if (folder / CONFIG).is_file() else list(_runs_below(folder))
-        if not below:
-            raise InputError(f"{folder} is not a run folder and holds none: no {CONFIG} in it or below")
-        for path in below:
-            paths.setdefault(path.resolve(), path)
-    return list(paths.values())
-
-
-def _runs_below(folder: Path) -> Iterator[Path]:
-    for path, folders, files in os.walk(folder):
-        folders[:] = sorted(set(folders) - {CHECKPOINTS})
-        if CONFIG in files or METRICS in files:
-            yield Path(path)
-
-
-def gather(
-    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None, window: Window = DEFAULT
-) -> tuple[list[Curves], dict[Path, str]]:
-    """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
-
-    Seeds of the same task, method and options are pooled over their common steps. A run is left out if it cannot be read
-    or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
-
-    Raises:
-        ValueError: a folder does not exist or holds no run, or no run can be read.
-    """
-    pools: dict[str, list[Curves]] = {}
-    left_out: dict[Path, str] = {}
-    for path in find_runs(folders):
-        try:
-            curves = read(path, window)
-            key = pooling_key(curves.config)
-            parts = [*pools.get(key, ()), curves]
-            check(pooled(parts))
-            pools[key] = parts
-        except Exception as error:  # a folder is data: any error in it is reported and affects no other run
-            text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-            left_out[path] = text if str(path) in text else f"{path}: {text}"
-    if not pools:
-        causes = "\n  ".join(left_out.values())
-        raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
-    return [pooled(parts) for parts in pools.values()], left_out
-
-
-def read_all(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
-    """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
-
-    Raises:
-        ValueError: as `gather`, or one of `folders` is itself a run that is left out.
-    """
-    runs, left_out = gather(folders, window=window)
-    for path, cause in left_out.items():
-        if path in folders:
-            raise InputError(cause)
-        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
-    return runs
-
-
-def pooling_key(config: RunConfig) -> str:
-    """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method and options."""
-    values = [config.env, config.env_options, config.setting, config.algo, config.options]
-    return json.dumps(values, sort_keys=True, default=repr)
-
-
-def pooled(parts: Sequence[Curves]) -> Curves:
-    """Return the curves of the seeds of all `parts`, over their common steps.
-
-    Raises:
-        ValueError: they have no step in common, or one lacks a metric that every run has.
-    """
-    config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
-    steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
-    if not len(steps):
-        raise InputError(f"runs of {config.algo} have no evaluation step in common")
-    metrics = {
-        name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
-        for name in parts[0].metrics
-        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in parts)
-    }
-    return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
-
-
 def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
     """Return the first and the last step up to which both have evaluations; the first is later if there is no such step."""
     return max(int(first.steps[0]), int(second.steps[0])), min(int(first.steps[-1]), int(second.steps[-1]))
@@ -270,11 +171,6 @@ def label(algo: str, options: dict[str, Any]) -> str:
 def _plain(text: str) -> str:
     """Return `text` with escapes in the place of letters that cannot be printed, which would break a line or hide text."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
-
-
-def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[MethodRuns]:
-    """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
-    return by_method(read_all(folders, window))
 
 
 def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:

@@ -1,5 +1,6 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
+import importlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import PAPER_TASKS, list_envs
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import optional
 from earl_jax.metrics.statistics import Estimate
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
@@ -40,11 +41,8 @@ def matplotlib() -> Any:
     Raises:
         ValueError: it is not installed.
     """
-    try:
-        import matplotlib.figure
-    except ImportError as error:
-        raise InputError(f"plots need matplotlib: {install_line('plot')}") from error
-    return matplotlib
+    optional("matplotlib.figure", "plots need", "plot")
+    return importlib.import_module("matplotlib")
 
 
 def new_figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:

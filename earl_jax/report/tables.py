@@ -14,7 +14,8 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.report.runs import Curves, checked_labels, labels, options_text, read_all
+from earl_jax.report.pooling import read_all
+from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
 
 Row = dict[str, Any]
@@ -241,8 +242,10 @@ def seeds_text(count: int) -> str:
 
 
 def millions(step: float | None) -> str:
-    """Return a number of steps in millions, such as `2.50M`, and `-` for None and nan."""
-    return "-" if step is None or math.isnan(step) else f"{step / 1e6:.2f}M"
+    """Return a number of steps in millions, such as `2.50M`, below 0.1M as `steps_text`, and `-` for None and nan."""
+    if step is None or math.isnan(step):
+        return "-"
+    return f"{step / 1e6:.2f}M" if step >= 1e5 else steps_text(step)
 
 
 def steps_text(steps: float | None) -> str:

@@ -86,7 +86,7 @@ def block_specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     """Yield the run of every combination in one block of a grid. Errors as `read`."""
     for key in block:
         if key not in KEYS:
-            raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}, or a [[runs]] table of them")
+            raise InputError(f"unknown key {key!r}; choose from import, {', '.join(KEYS)}, or a [[runs]] table of them")
     envs, algos = _names(block, "envs"), _names(block, "algos")
     for env in envs:
         preset = named_preset(str(block["preset"]), env, block.get("steps")) if "preset" in block else Preset()

@@ -5,7 +5,6 @@ proposes what it would have proposed.
 """
 
 import dataclasses
-import importlib
 import itertools
 import json
 import math
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import InputError, optional
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import TimeLimit
@@ -286,10 +285,7 @@ def _open_study(path: Path, identity: str) -> Any:
 
 def optuna() -> Any:
     """Return the module of Optuna with a silent log; an InputError names the extra that installs it."""
-    try:
-        module: Any = importlib.import_module("optuna")
-    except ImportError as error:
-        raise InputError(f"search needs optuna: {install_line('search')}") from error
+    module = optional("optuna", "search needs", "search")
     module.logging.set_verbosity(module.logging.ERROR)
     warnings.filterwarnings("ignore", category=module.exceptions.ExperimentalWarning)
     return module

@@ -30,6 +30,7 @@ from earl_jax.training.init import demo_rows
 from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import Problem
+from earl_jax.training.stopping import resume_command
 
 Emit = Callable[[str, str, str], None]
 """Receives the name of a run, its state (started, resumed, done, stopped or failed), and the step or the cause as text."""
@@ -153,8 +154,10 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     differing = [name for name in wanted if existing[name] != wanted[name]]
     if differing:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
+        shorter = differing == ["steps"] and folder.config.steps < config.steps
+        longer = f", or first: {resume_command(path)} --steps {config.steps}" if shorter else ""
         raise InputError(
-            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
+            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match{longer}"
         )
     folder.require_resumable()
     return dataclasses.replace(folder, config=config)

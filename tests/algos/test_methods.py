@@ -269,7 +269,7 @@ def test_time_outs_are_terminal_unless_bootstrapped(problem):
 
 def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined():
     with pytest.raises(
-        TypeError, match=r"Careless\.next_goal must take \(self, key, goals, phase, .*\), not \(self, key"
+        ValueError, match=r"Careless\.next_goal must take \(self, key, goals, phase, .*\), not \(self, key"
     ):
 
         class Careless(Method):

@@ -10,7 +10,7 @@ from scipy import stats
 
 from earl_jax.metrics.aggregates import optimality_gap, performance_profile, probability_of_improvement
 from earl_jax.metrics.scores import deployed_area, lifetime_scores, regret
-from earl_jax.metrics.statistics import bootstrap, difference, iqm, relative_drop, stderr, summarise
+from earl_jax.metrics.statistics import bootstrap, iqm, relative_drop, stderr, summarise
 
 RUNS, SEEDS = 3, 9
 STEPS = np.array([10, 30, 40])
@@ -58,13 +58,7 @@ def test_empty_or_non_finite_scores_are_refused(bad):
         summarise(np.array(bad))
 
 
-def test_differences_and_drops_by_hand():
-    assert difference(np.array([5.0, 6.0]), np.array([1.0, 2.0])) == (4, 3, 5)
-    no_difference = difference(np.ones(3), np.arange(3))
-    assert no_difference.low < 0 < no_difference.high
-    single_seed = difference(np.ones(1), np.zeros(5))
-    assert single_seed.value == 1
-    assert np.isnan([single_seed.low, single_seed.high]).all()
+def test_drops_by_hand():
     assert relative_drop(np.array([1.0, 0.5]), np.array([0.5, 0.25])) == pytest.approx((0.5, 0.5, 0.5))
     assert relative_drop(np.array([1.0, 0.0]), np.array([0.4, 0.0])) == pytest.approx((0.6, 0.6, 0.6))
     assert math.isnan(relative_drop(np.zeros(2), np.array([0.4, 0.0])).value)
@@ -103,7 +97,6 @@ def every_metric(curves, others):
         "stderr": stderr(curves),
         "bootstrap": (bootstrap(curves), bootstrap(first, level=0.8, seed=3)),
         "summary": summarise(deployed_area(STEPS, curves)),
-        "difference": (difference(first, other), difference(curves[:1], others)),
         "drop": relative_drop(first, other),
         "drop from 0": relative_drop(0 * first, other),
         "rare success": relative_drop(first * (np.arange(SEEDS) < 1), other),

@@ -10,8 +10,8 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.paper import figure2, figure4
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.protocol import Continuing, Deployment
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE
-from earl_jax.report.runs import read_methods
 from earl_jax.report.scores import crossings_beside
 from earl_jax.report.style import COLOURS
 from tests.paper.written_runs import CHEETAH, FISH, RUNS, SCORES, numbers, rewards, write_runs

@@ -171,7 +171,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
-        ({"name": "table1", "seeds": 0}, "seeds must be at least one and distinct"),
+        ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),
     ],
 )
 def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):

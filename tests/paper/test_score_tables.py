@@ -11,8 +11,8 @@ from earl_jax.metrics.comparison import permutation
 from earl_jax.paper.claims import best, changes_order, claim_rows, claims_text, counted, word
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.paper_rows import paper_rows
+from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_fault, published_score
-from earl_jax.report.runs import read_methods
 from tests.paper.written_runs import PEG, RUNS, numbers, rewards, write_runs
 from tests.report.run_files import DOOR, MINITAUR, TABLETOP, constant, read_csv
 

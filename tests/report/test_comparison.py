@@ -109,6 +109,7 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     assert "| naive, 5 seeds | fbrl, 5 seeds |" in table_text(rows)
     assert read_csv(write_comparison(rows, tmp_path / "a.csv"))[0]["verdict"] == "below"
     assert "adjusted by Holm" in write_comparison(rows, tmp_path / "a.md").read_text()
+    assert "the five released ones" not in (tmp_path / "a.md").read_text()
     tex = write_comparison(rows, tmp_path / "a.tex").read_text()
     assert tex.startswith("% The score of a seed is its mean over the evaluations")
     assert r"tabletop\_organization & naive, 5 seeds & fbrl, 5 seeds" in tex
@@ -116,7 +117,7 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
         write_comparison(rows, tmp_path / "a.html")
     single = [row | {"low": math.nan} for row in rows]
-    with pytest.raises(ValueError, match="no difference with an interval to draw"):
+    with pytest.raises(ValueError, match="no difference has an interval to draw"):
         write_comparison(single, tmp_path / "b.png")
 
 

@@ -96,7 +96,7 @@ CONFIG = [
     ("seeds", "5", "seeds must be a list"),
     ("seeds", "[NaN]", "seeds must be whole numbers, not (nan,)"),
     ("seeds", None, "it has no 'seeds'"),
-    ("seeds", "[0, 0]", "seeds must be at least one and distinct, not [0, 0]"),
+    ("seeds", "[0, 0]", "seed 0 is given twice"),
     ("env", '"nowhere"', "unknown task 'nowhere'; choose from "),
     ("env", '"../x"', "unknown task '../x'; choose from "),
     ("env", "5", "env must be a str, not 5"),

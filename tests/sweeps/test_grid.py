@@ -85,7 +85,7 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         (f"seeds = {'9' * 5000}", "can't be read"),
         (f"seeds = {'[' * 5000}", "can't be read"),
         ("\x00\x01", "can't be read"),
-        (f"{RUN}step = 3", "unknown key 'step'; choose from preset, envs, algos"),
+        (f"{RUN}step = 3", "unknown key 'step'; choose from import, preset, envs, algos"),
         (f"{RUN}preset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),

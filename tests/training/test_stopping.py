@@ -170,7 +170,7 @@ def test_the_first_host_decides_about_the_time(monkeypatch):
 def test_commands_print_how_to_continue(tmp_path, capsys):
     folder = tmp_path / "a run"
     tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
-    expected = {"out": str(folder), "stopped": True, "step": 40, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
+    expected = {"out": str(folder), "stopped": True, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
     cli.main(["resume", str(folder), "--minutes", "1e-9", "--json"])
     printed = json.loads(capsys.readouterr().out)
     assert {name: printed[name] for name in expected} == expected

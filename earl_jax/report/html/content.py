@@ -10,7 +10,7 @@ from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
 from earl_jax.report.html.page_tables import UNKNOWN, difference_table, leaderboard, paper_table, provenance, seed_table
-from earl_jax.report.published import INTERVAL_RULE, TEST_RULE
+from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.runs import options_text
 from earl_jax.report.scores import SMOOTH
 from earl_jax.report.style import task_order, task_title
@@ -38,7 +38,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "lines": lines,
         "summary": _summary(lines, versions),
         "rule": INTERVAL_RULE,
-        "difference_rule": RULE.format(window=lines[0].curves.window.text).removesuffix(TEST_RULE),
+        "difference_rule": RULE.format(window=lines[0].curves.window.text),
         "cards": [_run_card(line, run) for line in lines for run in line.runs],
         "versions": {name: ", ".join(values) for name, values in versions.items()},
         "differing": [name for name, values in versions.items() if len(values) > 1],

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import InputError, optional
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
-from earl_jax.report.runs import Curves, find_runs, gather
+from earl_jax.report.pooling import find_runs, gather
+from earl_jax.report.runs import Curves
 from earl_jax.report.scores import row_of
 from earl_jax.runs.contents import FILES
 from earl_jax.runs.files import RunWarning, write_atomically
@@ -89,17 +90,13 @@ def _libraries(out: Path) -> tuple[Any, str]:
     """
     if out.suffix != ".html" or out.is_dir():
         raise InputError(f"{out}: a report is written as an .html file")
-    try:
-        import jinja2
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise InputError(f"reports need jinja2 and plotly: {install_line('report')}") from error
+    jinja2, plotly = (optional(module, "reports need", "report") for module in ("jinja2", "plotly.offline"))
     loader = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["plural"] = lambda count, word: f"{count:,} {word}{'s' * (count != 1)}"
-    return environment, get_plotlyjs()
+    return environment, plotly.get_plotlyjs()
 
 
 def _packed(text: str) -> str:

@@ -12,7 +12,7 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.report.html import media
 from earl_jax.report.html.curves import lines_of
-from earl_jax.report.runs import read_all
+from earl_jax.report.pooling import read_all
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import DOOR, TABLETOP, change_config, rising, write_page_run
 

@@ -9,7 +9,7 @@ from benchmarks.paper import leaderboard as committed
 from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows
-from earl_jax.report.runs import gather
+from earl_jax.report.pooling import gather
 from tests.report.html.conftest import read_lines
 from tests.report.run_files import DOOR, TABLETOP, change_config, constant, rising, write_page_run
 

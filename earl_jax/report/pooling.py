@@ -1,0 +1,152 @@
+"""Runs found in folders, with the seeds of equal runs pooled."""
+
+import functools
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from earl_jax.errors import InputError
+from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.report.runs import OPTIONAL_METRICS, Columns, Curves, MethodRuns, by_method, read
+from earl_jax.runs.config import RunConfig
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
+from earl_jax.runs.files import RunWarning
+
+
+def find_runs(folders: Sequence[Path]) -> list[Path]:
+    """Return the run folders among `folders`, and those below the others, each once; links to folders are not followed.
+
+    Raises:
+        ValueError: a folder does not exist, or holds no run.
+    """
+    if not folders:
+        raise InputError("name at least one run folder, or a folder of them")
+    paths: dict[Path, Path] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder} is not a folder")
+        below = [folder] if (folder / CONFIG).is_file() else list(_runs_below(folder))
+        if not below:
+            raise InputError(f"{folder} is not a run folder and holds none: no {CONFIG} in it or below")
+        for path in below:
+            paths.setdefault(path.resolve(), path)
+    return list(paths.values())
+
+
+def _runs_below(folder: Path) -> Iterator[Path]:
+    for path, folders, files in os.walk(folder):
+        folders[:] = sorted(set(folders) - {CHECKPOINTS})
+        if CONFIG in files or METRICS in files:
+            yield Path(path)
+
+
+def gather(
+    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None, window: Window = DEFAULT
+) -> tuple[list[Curves], dict[Path, str]]:
+    """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
+
+    Seeds of the same task, method and options are pooled over their common steps. A run is left out if it cannot be read
+    or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
+
+    Raises:
+        ValueError: a folder does not exist or holds no run, or no run can be read.
+    """
+    pools: dict[str, list[Curves]] = {}
+    left_out: dict[Path, str] = {}
+    for path in find_runs(folders):
+        try:
+            curves = read(path, window)
+            key = pooling_key(curves.config)
+            parts = [*pools.get(key, ()), curves]
+            _check_repeated(parts)
+            check(pooled(parts))
+            pools[key] = parts
+        except Exception as error:  # a folder is data: any error in it is reported and affects no other run
+            text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+            left_out[path] = text if str(path) in text else f"{path}: {text}"
+    if not pools:
+        causes = "\n  ".join(left_out.values())
+        raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
+    runs = [pooled(parts) for parts in pools.values()]
+    for run, parts in zip(runs, pools.values(), strict=True):
+        _warn_if_shortened(run, parts)
+    return runs, left_out
+
+
+def _check_repeated(parts: Sequence[Curves]) -> None:
+    """Check that the last of `parts` has no seed whose numbers another one has too, such as those of a copied folder.
+
+    Raises:
+        ValueError: it has one; the message names the other folder.
+    """
+    *others, last = parts
+    for other in others:
+        steps = np.intersect1d(last.steps, other.steps)
+        lives = [_lives(curves, steps, last.metrics.keys() & other.metrics.keys()) for curves in (last, other)]
+        same = [seed for seed, life in lives[0].items() if np.array_equal(life, lives[1].get(seed, ()), equal_nan=True)]
+        if len(steps) and same:
+            paths = [curves.runs[0].path for curves in (last, other)]
+            raise InputError(f"{paths[0]} has the same numbers of seed {same[0]} as {paths[1]}; a seed counts once")
+
+
+def _lives(curves: Curves, steps: np.ndarray, names: Iterable[str]) -> dict[int, np.ndarray]:
+    """Return the metrics [len(names), len(steps)] of each seed of a run."""
+    tables = np.stack([curves.metrics[name][:, np.isin(curves.steps, steps)] for name in sorted(names)])
+    return dict(zip(curves.config.seeds, tables.swapaxes(0, 1), strict=True))
+
+
+def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
+    """Warn if the `run` that is pooled of `parts` ends before the longest of them."""
+    shortest, longest = (choice(parts, key=lambda part: part.steps[-1]) for choice in (min, max))
+    if run.steps[-1] < longest.steps[-1]:
+        paths = [part.runs[0].path for part in (longest, shortest)]
+        counted = f"counts up to step {run.steps[-1]} of {longest.steps[-1]} only"
+        warnings.warn(f"{paths[0]} is pooled with {paths[1]} and {counted}", RunWarning, stacklevel=3)
+
+
+def read_all(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
+    """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
+
+    Raises:
+        ValueError: as `gather`, or one of `folders` is itself a run that is left out.
+    """
+    runs, left_out = gather(folders, window=window)
+    for path, cause in left_out.items():
+        if path in folders:
+            raise InputError(cause)
+        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
+    return runs
+
+
+def pooling_key(config: RunConfig) -> str:
+    """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method and options."""
+    values = [config.env, config.env_options, config.setting, config.algo, config.options]
+    return json.dumps(values, sort_keys=True, default=repr)
+
+
+def pooled(parts: Sequence[Curves]) -> Curves:
+    """Return the curves of the seeds of all `parts`, over their common steps.
+
+    Raises:
+        ValueError: they have no step in common, or one lacks a metric that every run has.
+    """
+    config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
+    steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
+    if not len(steps):
+        raise InputError(f"runs of {config.algo} have no evaluation step in common")
+    metrics = {
+        name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
+        for name in parts[0].metrics
+        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in parts)
+    }
+    return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
+
+
+def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[MethodRuns]:
+    """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
+    return by_method(read_all(folders, window))

@@ -1,0 +1,108 @@
+"""Runs found in folders, and the pools of their seeds."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from earl_jax.report.pooling import find_runs, gather, read_all
+from earl_jax.runs.files import RunWarning
+from tests.report.run_files import TABLETOP, rising, write_page_run, write_run
+
+
+def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
+    paths = [
+        write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3)),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(3, 3), seeds=(2, 3, 4)),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(2, 3), reward_scale=1.0),
+    ]
+    pooled, other = read_all(paths)
+    assert pooled.metrics["deployed/success"].shape == (5, 3)
+    assert other.metrics["deployed/success"].shape == (2, 3)
+
+
+def test_pooled_runs_have_the_later_metrics_that_all_of_them_have(tmp_path):
+    with_wide, with_both = {"deployed/success_wide": 0.5}, {"deployed/success_wide": 0.25, "continuing/alive": 1}
+    paths = [
+        write_run(tmp_path / name, TABLETOP, "naive", rising(1, 3), seeds=(seed,), metrics=metrics)
+        for seed, (name, metrics) in enumerate({"a": with_both, "b": with_wide, "c": {}}.items())
+    ]
+    [pooled] = read_all(paths[:2])
+    np.testing.assert_allclose(pooled.metrics["deployed/success_wide"][:, 0], [0.25, 0.5])
+    assert "continuing/alive" not in pooled.metrics
+    assert "deployed/success_wide" not in read_all(paths)[0].metrics
+
+
+def test_runs_are_pooled_over_their_common_steps(tmp_path):
+    paths = [
+        write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40)),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100)),
+    ]
+    pooled = read_all(paths[:2])[0]
+    np.testing.assert_array_equal(pooled.steps, [20])
+    np.testing.assert_allclose(pooled.metrics["deployed/success"], [[0.5], [0.0]])
+    with pytest.raises(ValueError, match="no evaluation step in common"):
+        read_all(paths)
+
+
+def test_no_runs_are_an_error(tmp_path):
+    with pytest.raises(ValueError, match="at least one run folder"):
+        read_all([])
+    with pytest.raises(ValueError, match=r"no config\.json in it or below"):
+        read_all([tmp_path])
+
+
+def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
+    for name, algo in (("x/a", "naive"), ("x/b/c", "fbrl"), ("x/young", "oracle")):
+        write_run(tmp_path / name, TABLETOP, algo, rising(1, 2))
+    (tmp_path / "x/young/metrics.csv").unlink()
+    with pytest.warns(RunWarning, match="left out: .*young has no evaluation yet"):
+        assert [curves.config.algo for curves in read_all([tmp_path])] == ["naive", "fbrl"]
+    shutil.rmtree(tmp_path / "x/a")
+    shutil.rmtree(tmp_path / "x/b")
+    with pytest.raises(ValueError, match=r"^\S*young has no evaluation yet$"):
+        read_all([tmp_path / "x"])
+    with pytest.raises(ValueError, match="nowhere is not a folder"):
+        read_all([tmp_path / "nowhere"])
+
+
+def test_run_folders_are_found_once_however_they_are_given(tmp_path):
+    nested, deep = (write_run(tmp_path / name, TABLETOP, "fbrl", rising(1, 1)) for name in ("a/b", "a/c/d"))
+    (nested / "checkpoints").mkdir()
+    (nested / "checkpoints" / "config.json").write_text("{}")
+    assert find_runs([tmp_path, tmp_path / "a" / "c" / ".." / "b"]) == [nested, deep]
+    below = write_run(deep / "e", TABLETOP, "fbrl", rising(1, 1))
+    assert find_runs([deep]) == [deep], "a run that is named stands for itself alone"
+    assert find_runs([tmp_path]) == [nested, deep, below]
+
+
+def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
+    for name, seeds in (("a", (0, 1)), ("b", (1, 2)), ("other", (3, 4))):
+        write_page_run(tmp_path / name, "fbrl", rising(2, 2), seeds=seeds)
+    table = tmp_path / "other/metrics.csv"
+    table.write_text(table.read_text().replace("reached", "renamed"))
+    [pooled], left_out = gather([tmp_path])
+    assert [seed for run in pooled.runs for seed in run.config.seeds] == [0, 1, 1, 2]
+    assert list(left_out) == [tmp_path / "other"]
+    assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
+
+
+def test_a_copy_counts_once_and_other_numbers_of_a_seed_count(tmp_path):
+    run, other = (
+        write_run(tmp_path / name, TABLETOP, "naive", scores)
+        for name, scores in (("a", rising(2, 3)), ("b", rising(2, 3) / 2))
+    )
+    copy = shutil.copytree(run, tmp_path / "c")
+    with pytest.warns(RunWarning, match=r"left out: .*c has the same numbers of seed 0 as .*a; a seed counts once"):
+        [pooled] = read_all([tmp_path])
+    assert [folder.path for folder in pooled.runs] == [run, other]
+    with pytest.raises(ValueError, match="a seed counts once"):
+        read_all([run, copy])
+
+
+def test_a_shorter_run_of_a_pool_is_named(tmp_path):
+    for name, seeds, evaluations in (("a", (0, 1), 3), ("b", (2, 3), 1)):
+        write_run(tmp_path / name, TABLETOP, "naive", rising(2, evaluations), seeds=seeds)
+    with pytest.warns(RunWarning, match=r"a is pooled with .*b and counts up to step 10 of 30 only"):
+        read_all([tmp_path])
