@@ -1,5 +1,6 @@
 """The seeds of a run: a number of them, a range or a list, and the one check of all of them."""
 
+import collections
 import itertools
 import operator
 from collections.abc import Iterable, Sequence
@@ -29,8 +30,9 @@ def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
         raise InputError(f"at most {MOST_SEEDS} seeds fit in one run; split them over several runs")
     if not whole:
         raise InputError(f"seeds must name at least one, not {brief(seeds)}")
-    if repeated := {seed for seed in whole if whole.count(seed) > 1}:
-        raise InputError(f"seed {min(repeated)} is given twice")
+    seed, count = collections.Counter(whole).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"seed {seed} is given twice")
     for seed in (min(whole), max(whole)):
         require("seeds", seed, SEED)
     return whole
