@@ -35,7 +35,7 @@ def optional(module: str, need: str, extra: str) -> Any:
     """Return a `module` of an optional library.
 
     Raises:
-        InputError: it is not installed; the message says whose `need` it is, and the line that installs the `extra`.
+        InputError: it is not installed; the message is the `need`, the library and the line that installs the `extra`.
     """
     try:
         return importlib.import_module(module)

@@ -26,6 +26,7 @@ SHUT = 0.99
 LONG = 20_000
 """Steps of the intervals of the kitchen's lives: the rows of R3L's released ones."""
 RESETS = FrankaKitchen.train_horizon
+"""Steps between two resets of the kitchen."""
 GOALS = 1 / 240
 """Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"

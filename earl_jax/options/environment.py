@@ -1,4 +1,4 @@
-"""What a process may use of its machine: cores, and a share of a device's memory. Imports neither jax nor NumPy."""
+"""What a process may use of its machine: cores, a share of a device's memory, and jax, which is not imported before."""
 
 import os
 

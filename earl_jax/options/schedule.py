@@ -36,5 +36,5 @@ FIELDS = tuple(field.name for field in dataclasses.fields(Schedule))
 def require_whole_windows(steps: int, eval_every: int) -> None:
     """Raise an InputError unless training ends with an evaluation: `steps` is a positive multiple of `eval_every`."""
     if steps < 1 or steps % eval_every:
-        fitting = f"; {math.gcd(steps, eval_every)} would fit" if steps > 0 else ""
+        fitting = f"; eval_every {math.gcd(steps, eval_every)} would fit" if steps > 0 else ""
         raise InputError(f"steps {steps} is not a multiple of eval_every {eval_every}{fitting}")

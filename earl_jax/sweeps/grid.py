@@ -90,8 +90,9 @@ def block_specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     envs, algos = _names(block, "envs"), _names(block, "algos")
     for env in envs:
         preset = named_preset(str(block["preset"]), env, block.get("steps")) if "preset" in block else Preset()
-        schedule = preset.schedule.changed(**{key: _whole(key, block[key]) for key in FIELDS if key in block})
-        seeds = seed_list(_whole("seeds", block.get("seeds", preset.seeds)))
+        schedule = preset.schedule.changed(**{key: block[key] for key in FIELDS if key in block})
+        schedule.check()
+        seeds = seed_list(block.get("seeds", preset.seeds))
         alternatives = _alternatives({**_as_toml(preset.options), **options_of(block)})
         for algo, *values in itertools.product(algos, *alternatives.values()):
             options = dict(zip(alternatives, values, strict=True))
@@ -117,12 +118,6 @@ def _names(block: dict[str, Any], key: str) -> list[str]:
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise InputError(f'{key} must contain at least one name, as in {key} = ["..."]')
     return names
-
-
-def _whole(key: str, value: Any) -> Any:
-    if type(value) is int or (key == "seeds" and isinstance(value, str | list)):
-        return value
-    raise InputError(f"{key} must be a whole number, not {value!r}")
 
 
 def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:

@@ -175,7 +175,7 @@ class Search:
                 state = "pruned"
                 self.study.tell(trial.number, state=optuna().trial.TrialState.PRUNED)
             options = ", ".join(f"{name}={value}" for name, value in self._options(trial).items())
-            self.emit(f"{state:<10} {options}  {score:.4g} at step {steps}")
+            self.emit(f"{state:<10} {options}  score {score:.4g} at step {steps}")
 
 
 def read_space(path: Path) -> tuple[grid.RunSpec, dict[str, Any], str]:

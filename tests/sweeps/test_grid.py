@@ -92,7 +92,7 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         (f"{RUN}steps = 1.5", "steps must be a whole number, not 1.5"),
         (f"{RUN}steps = nan", "steps must be a whole number, not nan"),
         (f"{RUN}seeds = 1000000000", "at most 65536 seeds fit in one run"),
-        (f"{RUN}seeds = true", "seeds must be a whole number, not True"),
+        (f"{RUN}seeds = true", "seeds must be whole numbers, not True"),
         (f"{RUN}runs = 3", r"\[\[runs\]\]"),
         (f"{RUN}options = 3", r"\[options\]"),
         (f"{RUN}options.x = []", "option x"),
