@@ -97,6 +97,9 @@ def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     differences = r"seeds \[0, 1\] there, \[0, 1, 2\] in the grid; steps 120 there, 240 in the grid.*another --out"
     with pytest.raises(ValueError, match=differences):
         worker.plan(grid, tmp_path)
+    grid.write_text(GRID.replace("steps = 120", "steps = 240"))
+    with pytest.raises(ValueError, match=r"or first: earl-jax resume .* --steps 240$"):
+        worker.plan(grid, tmp_path)
     assert (folder.path / "config.json").read_bytes() == before
 
 
