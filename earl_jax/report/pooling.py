@@ -4,7 +4,7 @@ import functools
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,7 @@ def gather(
         ValueError: a folder does not exist or holds no run, or no run can be read.
     """
     pools: dict[str, list[Curves]] = {}
+    runs: dict[str, Curves] = {}
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
         try:
@@ -64,18 +65,18 @@ def gather(
             key = pooling_key(curves.config)
             parts = [*pools.get(key, ()), curves]
             _check_repeated(parts)
-            check(pooled(parts))
-            pools[key] = parts
+            run = pooled(parts)
+            check(run)
+            pools[key], runs[key] = parts, run
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"
     if not pools:
         causes = "\n  ".join(left_out.values())
         raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
-    runs = [pooled(parts) for parts in pools.values()]
-    for run, parts in zip(runs, pools.values(), strict=True):
-        _warn_if_shortened(run, parts)
-    return runs, left_out
+    for key, parts in pools.items():
+        _warn_if_shortened(runs[key], parts)
+    return list(runs.values()), left_out
 
 
 def _check_repeated(parts: Sequence[Curves]) -> None:
@@ -86,18 +87,20 @@ def _check_repeated(parts: Sequence[Curves]) -> None:
     """
     *others, last = parts
     for other in others:
-        steps = np.intersect1d(last.steps, other.steps)
-        lives = [_lives(curves, steps, last.metrics.keys() & other.metrics.keys()) for curves in (last, other)]
-        same = [seed for seed, life in lives[0].items() if np.array_equal(life, lives[1].get(seed, ()), equal_nan=True)]
-        if len(steps) and same:
-            paths = [curves.runs[0].path for curves in (last, other)]
-            raise InputError(f"{paths[0]} has the same numbers of seed {same[0]} as {paths[1]}; a seed counts once")
+        for seed in last.config.seeds:
+            if seed in other.config.seeds and _same_life(seed, last, other):
+                paths = [curves.runs[0].path for curves in (last, other)]
+                raise InputError(f"{paths[0]} has the same numbers of seed {seed} as {paths[1]}; a seed counts once")
 
 
-def _lives(curves: Curves, steps: np.ndarray, names: Iterable[str]) -> dict[int, np.ndarray]:
-    """Return the metrics [len(names), len(steps)] of each seed of a run."""
-    tables = np.stack([curves.metrics[name][:, np.isin(curves.steps, steps)] for name in sorted(names)])
-    return dict(zip(curves.config.seeds, tables.swapaxes(0, 1), strict=True))
+def _same_life(seed: int, first: Curves, second: Curves) -> bool:
+    """Return whether two runs have steps in common, and equal numbers of `seed` there in all metrics that both have."""
+    steps, *shown = np.intersect1d(first.steps, second.steps, return_indices=True)
+    places = [(curves, curves.config.seeds.index(seed), at) for curves, at in zip((first, second), shown, strict=True)]
+    return len(steps) > 0 and all(
+        np.array_equal(*(curves.metrics[name][row, at] for curves, row, at in places), equal_nan=True)
+        for name in first.metrics.keys() & second.metrics.keys()
+    )
 
 
 def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
