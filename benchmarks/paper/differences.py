@@ -82,7 +82,11 @@ RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
     tuple(_released(update, horizon) for horizon in HORIZONS) for update in ("", "-timeout_bootstrap")
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
-EARLIER = "commit_438fb6a"
+AGAIN = {
+    f"{TABLETOP}/fbrl": f"{TABLETOP}/fbrl/commit_438fb6a",
+    f"{TABLETOP}/oracle": f"{TABLETOP}/oracle/commit_438fb6a",
+    f"{DOOR}/r3l": f"{DOOR}/r3l/commit_45e2f6a",
+}
 VAPRL = {
     DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
     TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),
@@ -121,13 +125,16 @@ DIFFERENCES = (
         Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
         for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
     )),
-    Difference("13", "the kitchen's life: the light's weight; reward scale 1; the release's: 0.1 or 10, 10,000 random steps", (
+    Difference("13", "the kitchen's life: light's weight; reward scale 1, 0.1, 10; 10,000 random steps; float32; entropy", (
         *(Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/unweighted_light",), CONTINUING) for algo in ("fbrl", "r3l")),
         *(
             Pair((f"{KITCHEN}/{algo}/unweighted_light",), (f"{KITCHEN}/{algo}/reward_scale_{scale}",), CONTINUING)
             for scale in ("0.1", "10") for algo in ("fbrl", "r3l")
         ),
-        Pair((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/random_10000",), CONTINUING),
+        *(
+            Pair((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/{name}",), CONTINUING)
+            for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
+        ),
     )),
     Difference("15", "the Minitaur's oracle and R3L: reward scale 1; no randomisation; the reward of the paper's text", (
         *(Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/reward_scale_1",)) for algo in ("oracle", "r3l")),
@@ -140,11 +147,11 @@ DIFFERENCES = (
     Difference("16", "the kitchen's oracle: the light's weight; the release's reward scale 0.1", tuple(
         Pair((f"{KITCHEN}/oracle",), (f"{KITCHEN}/oracle/{name}",)) for name in ("unweighted_light", "reward_scale_0.1")
     )),
-    Difference("17", "ten seeds of today's code, or of the code of 2026-11-22", tuple(
-        Pair((f"{TABLETOP}/{algo}",), (f"{TABLETOP}/{algo}/{EARLIER}",)) for algo in ("fbrl", "oracle")
+    Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
+        Pair((cell,), (earlier,)) for cell, earlier in AGAIN.items()
     )),
-    Difference("18", "VaPRL outperforms the oracle: with all seeds of the oracle", (
-        Pair((f"{TABLETOP}/vaprl",), (f"{TABLETOP}/oracle", f"{TABLETOP}/oracle/{EARLIER}")),
+    Difference("18", "VaPRL outperforms the oracle and R3L: with both of their runs", tuple(
+        Pair((f"{env}/vaprl",), (cell, AGAIN[cell])) for env, cell in ((TABLETOP, f"{TABLETOP}/oracle"), (DOOR, f"{DOOR}/r3l"))
     )),
 )  # fmt: skip
 

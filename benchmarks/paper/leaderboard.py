@@ -17,7 +17,7 @@ import tyro
 from scipy import stats
 
 from benchmarks.output import RESULTS, ROOT, pages_with, write_files
-from benchmarks.paper.differences import EARLIER
+from benchmarks.paper.differences import AGAIN
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
@@ -42,7 +42,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
-SUPERSEDED = "unweighted_light", EARLIER
+SUPERSEDED = {"unweighted_light", *(Path(earlier).name for earlier in AGAIN.values())}
 """Names of folders whose runs were made again, after a fault of the task was mended or for other files, and do not stand
 here."""
 PAPER = "EARL, 2022"
