@@ -27,6 +27,8 @@ LONG = 20_000
 """Steps of the intervals of the kitchen's lives: the rows of R3L's released ones."""
 RESETS = FrankaKitchen.train_horizon
 """Steps between two resets of the kitchen."""
+STILL = 0.1
+"""The change of the reward per step under which a kitchen counts as still."""
 GOALS = 1 / 240
 """Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
@@ -41,6 +43,11 @@ def memory(curves: Curves) -> np.ndarray:
     """Return the correlation [N] of the rewards of an interval of `LONG` steps and of the next one."""
     _, means = _long_rates(curves)
     return np.array([np.corrcoef(life[:-1], life[1:])[0, 1] for life in means])
+
+
+def still_share(curves: Curves) -> np.ndarray:
+    """Return the share [N] of the intervals of `LONG` steps that earn within `STILL` of the one before."""
+    return (np.abs(np.diff(_long_rates(curves)[1], axis=1)) < STILL).mean(axis=1)
 
 
 def after_reset(curves: Curves) -> np.ndarray:
@@ -89,9 +96,13 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("franka_kitchen/fbrl", "correlation of successive intervals of 20,000 steps", memory),
     ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
     *(
-        (f"franka_kitchen/{algo}", f"reward per step of the {when}", measure)
+        (f"franka_kitchen/{algo}", name, measure)
         for algo in ("naive", "fbrl")
-        for when, measure in (("20,000 after a reset", after_reset), ("20,000 before a reset", before_reset))
+        for name, measure in (
+            ("reward per step of the 20,000 after a reset", after_reset),
+            ("reward per step of the 20,000 before a reset", before_reset),
+            ("share of intervals of 20,000 steps like the one before", still_share),
+        )
     ),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
     ("tabletop_organization/r3l/error_scale", "reward per step", reward),
