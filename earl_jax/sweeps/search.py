@@ -139,12 +139,8 @@ class Search:
         configs: dict[str, RunConfig] = {}
         for spec in specs:
             path = self.out / spec.name
-            if (path / CONFIG).is_file():
-                folder = RunFolder.open(path)
-                steps = max(spec.schedule.steps, folder.config.steps)  # an equal trial may be longer
-                with folder.claimed():
-                    folder.record(steps=steps)
-                spec = _spec_to(steps, spec)
+            if (path / CONFIG).is_file():  # an equal trial may be longer
+                spec = _spec_to(max(spec.schedule.steps, RunFolder.open(path).config.steps), spec)
             configs[spec.name] = planned_run(spec, self.out).run.config
 
         def report(name: str, state: str, detail: str) -> None:

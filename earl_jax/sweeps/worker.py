@@ -26,11 +26,11 @@ from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
 from earl_jax.training import memory, split_options
+from earl_jax.training.api import require_checkpoint
 from earl_jax.training.init import demo_rows
 from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Run, plan_runs, run_program
 from earl_jax.training.state import Problem
-from earl_jax.training.stopping import resume_command
 
 Emit = Callable[[str, str, str], None]
 """Receives the name of a run, its state (started, resumed, done, stopped or failed), and the step or the cause as text."""
@@ -143,24 +143,25 @@ def _reached(folder: RunFolder) -> int:
 
 
 def open_folder(path: Path, config: RunConfig) -> RunFolder:
-    """Return the folder at `path` with the run `config`.
+    """Return the folder at `path` with the run `config`, or with its first steps.
 
     Raises:
-        ValueError: the folder is damaged, rows of its metrics are missing, or it holds another run; the message gives
-            the differences.
+        ValueError: the folder is damaged, rows of its metrics are missing, it holds another or a longer run (the message
+            gives the differences), or a shorter one whose checkpoints were removed.
     """
     folder = RunFolder.open(path)
     existing, wanted = folder.config.values, config.values
     differing = [name for name in wanted if existing[name] != wanted[name]]
-    if differing:
+    shorter = differing == ["steps"] and folder.config.steps < config.steps
+    if differing and not shorter:
         differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
-        shorter = differing == ["steps"] and folder.config.steps < config.steps
-        longer = f", or first: {resume_command(path)} --steps {config.steps}" if shorter else ""
         raise InputError(
-            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match{longer}"
+            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
         )
-    folder.require_resumable()
-    return dataclasses.replace(folder, config=config)
+    step = folder.require_resumable().step
+    if shorter:
+        require_checkpoint(folder, step)
+    return folder
 
 
 @package_types()

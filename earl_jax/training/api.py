@@ -141,7 +141,7 @@ def resume(
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
     step = opened.require_resumable().step  # rather than after the training
-    _require_checkpoint(opened, step)
+    require_checkpoint(opened, step)
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
     setting = config.build_setting()
@@ -159,7 +159,7 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
     return dataclasses.replace(folder.config, steps=steps)
 
 
-def _require_checkpoint(folder: RunFolder, step: int) -> None:
+def require_checkpoint(folder: RunFolder, step: int) -> None:
     """Raise an InputError if the checkpoints of a run, whose metrics end at `step`, were removed: it would train again.
 
     A run that ended before its first checkpoint is trained again, and a `RunWarning` says so.

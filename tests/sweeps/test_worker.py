@@ -97,8 +97,8 @@ def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     differences = r"seeds \[0, 1\] there, \[0, 1, 2\] in the grid; steps 120 there, 240 in the grid.*another --out"
     with pytest.raises(ValueError, match=differences):
         worker.plan(grid, tmp_path)
-    grid.write_text(GRID.replace("steps = 120", "steps = 240"))
-    with pytest.raises(ValueError, match=r"or first: earl-jax resume .* --steps 240$"):
+    grid.write_text(GRID.replace("steps = 120", "steps = 80"))
+    with pytest.raises(ValueError, match=r"steps 120 there, 80 in the grid"):
         worker.plan(grid, tmp_path)
     assert (folder.path / "config.json").read_bytes() == before
 
@@ -172,6 +172,21 @@ def test_runs_stopped_at_different_checkpoints_continue_in_separate_programs(
     assert [(list(group["runs"]), group["step"]) for group in plan["groups"]] == [(NAMES[:1], 80), (NAMES[1:], 40)]
     assert (NAMES[0], "resumed", "from step 80") in work(plan, out)
     assert_equal_runs(out, separate_folders)
+
+
+def test_runs_of_a_grid_with_more_steps_go_on_from_their_last_checkpoint(tmp_path, grid, separate_folders):
+    grid.write_text(GRID.replace("steps = 120", "steps = 80"))
+    out = tmp_path / "out"
+    work(worker.plan(grid, out), out)
+    grid.write_text(GRID)
+    plan = worker.plan(grid, out)
+    assert [(group["step"], group["steps"]) for group in plan["groups"]] == [(80, 120)]
+    assert (NAMES[0], "resumed", "from step 80") in work(plan, out)
+    assert_equal_runs(out, separate_folders)
+    shutil.rmtree(out / NAMES[1] / "checkpoints")
+    grid.write_text(GRID.replace("steps = 120", "steps = 240"))
+    with pytest.raises(ValueError, match=rf"{NAMES[1]} is finished \(120 steps\) and its checkpoints are gone"):
+        worker.plan(grid, out)
 
 
 def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, grid, separate_folders):
