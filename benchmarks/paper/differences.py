@@ -87,6 +87,7 @@ AGAIN = {
     f"{TABLETOP}/oracle": f"{TABLETOP}/oracle/commit_438fb6a",
     f"{DOOR}/r3l": f"{DOOR}/r3l/commit_45e2f6a",
 }
+"""Cells whose seeds were run again, and their earlier runs."""
 VAPRL = {
     DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
     TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),

@@ -43,8 +43,8 @@ from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = ("paper", "cloning", "leaderboard")
 SUPERSEDED = {"unweighted_light", *(Path(earlier).name for earlier in AGAIN.values())}
-"""Names of folders whose runs were made again, after a fault of the task was mended or for other files, and do not stand
-here."""
+"""Names of folders whose runs were made again, after a fault of the task was mended, for other files or for more steps, and
+do not stand here."""
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
