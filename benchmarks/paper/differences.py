@@ -69,6 +69,7 @@ BIASED = f"{CHEETAH}/naive/train_horizon_1000"
 BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
+RELEASED_REPLAY = "replay_capacity_1000000"
 HORIZONS = 1_000, 10_000, 200_000
 
 
@@ -82,10 +83,13 @@ RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
     tuple(_released(update, horizon) for horizon in HORIZONS) for update in ("", "-timeout_bootstrap")
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
+ORACLE_KITCHEN = f"{KITCHEN}/oracle"
 AGAIN = {
     f"{TABLETOP}/fbrl": f"{TABLETOP}/fbrl/commit_438fb6a",
     f"{TABLETOP}/oracle": f"{TABLETOP}/oracle/commit_438fb6a",
     f"{DOOR}/r3l": f"{DOOR}/r3l/commit_45e2f6a",
+    f"{KITCHEN}/naive": f"{KITCHEN}/naive/commit_87f9604",
+    ORACLE_KITCHEN: f"{ORACLE_KITCHEN}/commit_87f9604",
 }
 """Cells whose seeds were run again, and their earlier runs."""
 VAPRL = {
@@ -119,8 +123,9 @@ DIFFERENCES = (
         for env in (TABLETOP, DOOR, PEG)
         for algo, ours, recorded in (("vaprl", f"/{FORMER_VAPRL}", f"-{FORMER_VAPRL}"), ("fbrl", "", ""))
     )),
-    Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps", (
+    Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps; its replay", (
         Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
+        *(Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/{RELEASED_REPLAY}",), metric) for metric in (None, CONTINUING)),
     )),
     Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
         Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
@@ -137,16 +142,24 @@ DIFFERENCES = (
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
         ),
     )),
-    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; no randomisation; the reward of the paper's text", (
-        *(Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/reward_scale_1",)) for algo in ("oracle", "r3l")),
+    Difference("14", "VaPRL's life on the door: the release's replay of 1,000,000 steps", tuple(
+        Pair((f"{DOOR}/vaprl",), (f"{DOOR}/vaprl/{RELEASED_REPLAY}",), metric) for metric in (None, CONTINUING)
+    )),
+    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; success ends attempts; no randomisation; the paper's reward", (
+        *(
+            Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
+            for name in ("reward_scale_1", "terminate_on_success") for algo in ("oracle", "r3l")
+        ),
+        Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/terminate_on_success",), SUCCESS),
         *(
             Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/{name}",))
             for name in ("no_randomize", "no_randomize-reward_scale_1")
         ),
         Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
     )),
-    Difference("16", "the kitchen's oracle: the light's weight; the release's reward scale 0.1", tuple(
-        Pair((f"{KITCHEN}/oracle",), (f"{KITCHEN}/oracle/{name}",)) for name in ("unweighted_light", "reward_scale_0.1")
+    Difference("16", "the kitchen's oracle, both of its runs: the light's weight; the release's reward scale 0.1", tuple(
+        Pair((ORACLE_KITCHEN, AGAIN[ORACLE_KITCHEN]), (f"{ORACLE_KITCHEN}/{name}",))
+        for name in ("unweighted_light", "reward_scale_0.1")
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
         Pair((cell,), (earlier,)) for cell, earlier in AGAIN.items()

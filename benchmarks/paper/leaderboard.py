@@ -1,9 +1,10 @@
 """The leaderboard, docs/leaderboard.md, from run folders and published scores: `python -m benchmarks.paper.leaderboard`.
 
-Rows of ours are the runs in the FOLDERS of results; published ones are in assets/published, scored over the same window where
-seeds were released. The rows are also written to
-assets/published/leaderboard.csv, from which `earl-jax report` shows them beside a user's runs. `--add RUN` checks a run
-folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows again.
+Rows of ours are the cells of the paper's table, the clones and the runs that were added; variants of the cells are in
+results/paper/pairs.md. Published rows are in assets/published, scored over the same window where seeds were released. The
+rows are also written to assets/published/leaderboard.csv, from which `earl-jax report` shows them beside a user's runs.
+`--add RUN` checks a run folder, copies its config.json and metrics.csv into results/leaderboard, and writes page and rows
+again.
 """
 
 import math
@@ -17,7 +18,6 @@ import tyro
 from scipy import stats
 
 from benchmarks.output import RESULTS, ROOT, pages_with, write_files
-from benchmarks.paper.differences import AGAIN
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
@@ -41,10 +41,7 @@ from earl_jax.report.tables import csv_text, markdown_table, millions, number_te
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
-FOLDERS = ("paper", "cloning", "leaderboard")
-SUPERSEDED = {"unweighted_light", *(Path(earlier).name for earlier in AGAIN.values())}
-"""Names of folders whose runs were made again, after a fault of the task was mended, for other files or for more steps, and
-do not stand here."""
+FOLDERS = "paper/*/*", "cloning/*", "leaderboard/*/*"
 PAPER = "EARL, 2022"
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
@@ -63,8 +60,7 @@ COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 def folders(root: Path = RESULTS) -> list[Path]:
     """Return the run folders of the leaderboard."""
-    found = (file.parent for name in FOLDERS for file in (root / name).rglob("metrics.csv"))
-    return sorted(folder for folder in found if folder.name not in SUPERSEDED)
+    return sorted(file.parent for pattern in FOLDERS for file in root.glob(f"{pattern}/metrics.csv"))
 
 
 def entries(root: Path = RESULTS) -> list[MethodRuns]:
