@@ -145,7 +145,7 @@ DIFFERENCES = (
     Difference("14", "VaPRL's life on the door: the release's replay of 1,000,000 steps", tuple(
         Pair((f"{DOOR}/vaprl",), (f"{DOOR}/vaprl/{RELEASED_REPLAY}",), metric) for metric in (None, CONTINUING)
     )),
-    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; success ends attempts; no randomisation; the paper's reward", (
+    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
             for name in ("reward_scale_1", "terminate_on_success") for algo in ("oracle", "r3l")
