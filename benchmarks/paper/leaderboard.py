@@ -35,7 +35,7 @@ from earl_jax.report.published import (
     published_steps,
     released_curves,
 )
-from earl_jax.report.runs import Curves, MethodRuns, by_method, options_text, read
+from earl_jax.report.runs import MethodRuns, by_method, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import csv_text, markdown_table, millions, number_text, step_interval
 from earl_jax.runs.folder import RunFolder
@@ -76,19 +76,12 @@ def entries(root: Path = RESULTS) -> list[MethodRuns]:
 
 def _named(group: MethodRuns, groups: list[MethodRuns]) -> MethodRuns:
     """Return `group` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
-    cell, own = (group.algo, group.env), _options(group.curves)
-    peers = [_options(other.curves) for other in groups if (other.algo, other.env) == cell]
+    cell, own = (group.algo, group.env), group.curves.options
+    peers = [other.curves.options for other in groups if (other.algo, other.env) == cell]
     named = {name: own[name] for name in own if any(other.get(name) != own[name] for other in peers)}
     marks = [SCRIPTED] if cell == CORRECTED[:2] and own.get(CORRECTED[2]) != 0 else []
     text = "; ".join([*marks, options_text(named)] if named else marks)
     return group._replace(label=f"{group.algo} ({text})" if text else group.algo)
-
-
-def _options(curves: Curves) -> dict[str, Any]:
-    """Return the changed options of a run, of which the reward scale is one where it differs from the task's."""
-    scale = curves.config.build_method().learner.reward_scale
-    own = {name: value for name, value in curves.options.items() if name != "reward_scale"}
-    return own if scale == make(curves.config.env).reward_scale else own | {"reward_scale": scale}
 
 
 def rows_of(runs: list[MethodRuns]) -> list[Row]:
