@@ -146,14 +146,14 @@ LIFE: tuple[Column, ...] = (
 """Columns that are shown if a row has a value for them."""
 
 
-def write(rows: Sequence[Row], path: Path) -> None:
-    """Write rows to `path`: rows of `tabulate` as markdown (.md) or LaTeX (.tex), or any rows as csv (.csv).
+def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Table] = run_table) -> None:
+    """Write rows to `path`: the `table` of them (.md, .tex), by default that of rows of `tabulate`, or any rows as csv (.csv).
 
     Raises:
         ValueError: `path` has another suffix.
     """
     if path.suffix in (".md", ".tex"):
-        run_table(rows).write(path)
+        table(rows).write(path)
     elif path.suffix == ".csv":
         _write(path, csv_text(rows))
     else:
