@@ -248,10 +248,8 @@ def millions(step: float | None) -> str:
     return f"{step / 1e6:.2f}M" if step >= 1e5 else steps_text(step)
 
 
-def steps_text(steps: float | None) -> str:
-    """Return a number of steps in short, such as 500, 20k or 2.5M; `–` for None and nan."""
-    if steps is None or math.isnan(steps):
-        return "–"
+def steps_text(steps: float) -> str:
+    """Return a number of steps in short, such as 500, 20k or 2.5M."""
     return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k" if steps >= 1e3 else f"{steps:g}"
 
 
