@@ -120,12 +120,9 @@ def _beginning(curves: Curves) -> np.ndarray:
 
 
 def _printed(claim: Claim) -> Row:
-    """Return the columns of the test by the printed means and standard errors; {} where they are not printed."""
+    """Return the columns of the test by the printed means and standard errors, which every claim without released runs has."""
     scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
-    samples = [sample for score in scores if score and (sample := score.sample)]
-    if len(samples) < 2:
-        return {}
-    first, second = samples
+    first, second = (sample for score in scores if score and (sample := score.sample))
     return comparison_columns(first, second)
 
 
