@@ -94,8 +94,7 @@ def claim_rows(number: int, groups: Sequence[MethodRuns] | None = None) -> list[
     for claim in (claim for claim in CLAIMS if claim.number == number):
         names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
         if groups is None:
-            found = [released_curves(*name) for name in names]
-            tested = _test(claim, found) if all(found) else _printed(claim)
+            tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
         else:
             tested = _test(claim, [curves.get(name) for name in names])
         rows.append({**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": NOT_RUN, **tested})
@@ -121,12 +120,9 @@ def _beginning(curves: Curves) -> np.ndarray:
 
 
 def _printed(claim: Claim) -> Row:
-    """Return the columns of the test by the printed means and standard errors; {} where they are not printed."""
+    """Return the columns of the test by the printed means and standard errors, which every claim without released runs has."""
     scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
-    samples = [sample for score in scores if score and (sample := score.sample)]
-    if len(samples) < 2:
-        return {}
-    first, second = samples
+    first, second = (sample for score in scores if score and (sample := score.sample))
     return comparison_columns(first, second)
 
 

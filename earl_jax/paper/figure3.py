@@ -60,19 +60,12 @@ def report(folders: Sequence[Path]) -> Report:
     """Return figure 3 from the maps of visited positions of run folders, which need no checkpoints.
 
     Raises:
-        ValueError: as `report_of`, or a folder is no run.
-    """
-    return report_of(read_maps(folders))
-
-
-def read_maps(folders: Sequence[Path]) -> list[VisitMap]:
-    """Return the maps of run folders whose tasks have one.
-
-    Raises:
-        ValueError: a folder is no run, or has neither policies nor a checkpoint.
+        ValueError: as `report_of`, or a folder is no run or has neither policies nor a checkpoint.
     """
     read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
-    return [VisitMap(env.name, env.map, algo, visits) for algo, env, visits in read if env.map and visits is not None]
+    return report_of(
+        [VisitMap(env.name, env.map, algo, visits) for algo, env, visits in read if env.map and visits is not None]
+    )
 
 
 def report_of(maps: Sequence[VisitMap]) -> Report:

@@ -4,7 +4,7 @@ Source: Sharma et al. 2022, figure 4.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,8 @@ def report(folders: Sequence[Path]) -> Report:
     return report_of(rows)
 
 
-def report_of(rows: Sequence[Mapping[str, Any]]) -> Report:
-    """Return figure 4 from a row per seed of algo, seed, success_initial, success_uniform; numbers can be texts."""
-    rows = [{**row, **{name: float(row[name]) for name in COLUMNS[2:]}} for row in rows]
+def report_of(rows: list[Row]) -> Report:
+    """Return figure 4 from a row per seed of algo, seed, success_initial, success_uniform."""
     by_method = grouped(rows, "algo")
     methods = [_row(algo, by_method[algo,]) for algo in method_order(algo for (algo,) in by_method)]
     return Report(_parts(methods), _draw(methods), {"": methods, "_seeds": rows})

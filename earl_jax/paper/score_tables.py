@@ -4,7 +4,7 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ def report(number: int, folders: Sequence[Path]) -> Report:
     parts = {
         "heading": HEADINGS[number],
         "description": DESCRIPTIONS[number],
-        "cells": _table_by_task(rows, _comparison),
+        "cells": _table_by_task(rows),
         "claims": claims_text(number, groups),
         "tests": _tests([row for row in rows if row["p"] is not None]),
         "rule": INTERVAL_RULE,
@@ -53,10 +53,10 @@ def report(number: int, folders: Sequence[Path]) -> Report:
     return Report(parts, _draw(number, rows), {"": rows}, "tables")
 
 
-def _table_by_task(rows: Sequence[Row], text: Callable[[Row], str]) -> str:
-    """Return a markdown table of `text(row)`, a line per method and a column per task."""
+def _table_by_task(rows: Sequence[Row]) -> str:
+    """Return a markdown table of the scores, a line per method and a column per task."""
     envs = list(dict.fromkeys(row["env"] for row in rows))
-    texts = {(row["label"], row["env"]): text(row) for row in rows}
+    texts = {(row["label"], row["env"]): _comparison(row) for row in rows}
     algos = method_order(row["algo"] for row in rows)
     names = dict.fromkeys(row["label"] for algo in algos for row in rows if row["algo"] == algo)
     lines = [[name, *(texts.get((name, env), "-") for env in envs)] for name in names]

@@ -14,10 +14,11 @@ import numpy as np
 from scipy import stats
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, holm, mean_interval, verdict
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, mean_interval
 from earl_jax.metrics.scores import deployed_area, final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
+from earl_jax.report.comparison import with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
 from earl_jax.report.style import (
@@ -125,13 +126,14 @@ def _rows(key: Row, run: Curves, last: int) -> list[Row]:
     ]
 
 
-def finding(rows: Sequence[Row]) -> tuple[float, float]:
-    """Return Spearman's correlation of final scores with the interventions of one line, and its p; nan if one is constant."""
+def finding(rows: Sequence[Row]) -> Row:
+    """Return Spearman's test of final scores by the interventions of one line, before `with_verdicts`; nan if one is constant."""
     final, spent = column(rows, "final"), column(rows, "interventions")
-    if np.ptp(final) == 0 or np.ptp(spent) == 0:
-        return math.nan, math.nan
-    result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
-    return float(result.statistic), float(result.pvalue)
+    correlation = p = math.nan
+    if np.ptp(final) and np.ptp(spent):
+        result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
+        correlation, p = float(result.statistic), float(result.pvalue)
+    return {"env": rows[0]["env"], "difference": correlation, "p": p, "verdict": ""}
 
 
 def _points_table(rows: Sequence[Row]) -> str:
@@ -149,21 +151,16 @@ def _findings_table(lines: Lines) -> str:
     lines = {name: line for name, line in lines.items() if len(line) > 1}
     if not lines:
         return "No method has runs with two values, so there is no finding."
-    results = [finding(list(itertools.chain(*line))) for line in lines.values()]
-    adjusted = np.array([p for _, p in results])
-    for task in {env for env, _, _ in lines}:
-        own = [env == task for env, _, _ in lines]
-        adjusted[own] = holm(adjusted[own].tolist())
+    tests = with_verdicts([finding(list(itertools.chain(*line))) for line in lines.values()], family=("env",))
     rows = []
-    for (name, line), (correlation, own_p), p in zip(lines.items(), results, adjusted, strict=True):
+    for (name, line), test in zip(lines.items(), tests, strict=True):
         ends = [
             " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
             for score, style in (("interventions", ",.0f"), ("final", ".3f"))
         ]
-        numbers = [number_text(correlation, ".3f"), *(number_text(value, ".3f", LEAST) for value in (own_p, p))]
-        word = verdict(correlation, p)
+        p_texts = [number_text(test[p], ".3f", LEAST) for p in ("p", "p_holm")]
         found = f"{CANNOT_TELL}; {_detectable(len(list(itertools.chain(*line)))):.2f} would be found"
-        rows.append([*name, *ends, *numbers, WORDS.get(word, found)])
+        rows.append([*name, *ends, number_text(test["difference"], ".3f"), *p_texts, WORDS.get(test["verdict"], found)])
     header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "more interventions"], rows)
 

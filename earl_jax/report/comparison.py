@@ -238,10 +238,7 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
         return save(_draw(rows), path)
     if path.suffix not in TABLES:
         raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
-    if path.suffix == ".csv":
-        write(rows, path)
-    else:
-        _table(rows).write(path)
+    write(rows, path, _table)
     return path
 
 

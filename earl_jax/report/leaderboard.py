@@ -13,6 +13,7 @@ from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.metrics.scores import DEFAULT
+from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
@@ -97,7 +98,7 @@ def run_row(group: MethodRuns, source: str = OURS) -> Row:
         steps=int(curves.steps[-1]),
         deployed=deployed,
         wide=wide,
-        continuing=_continuing(curves),
+        continuing=interval_text(*interval_of(curves, curves.metrics[CONTINUING][:, -1], CONTINUING)),
         alive="-" if alive is None else f"{alive:.0%}",
         crossings=tuple(map(step_interval, level_crossings(curves).values())),
         chosen=chosen_words(curves),
@@ -121,8 +122,3 @@ def _score(curves: Curves, metric: str) -> str:
     if metric not in curves.metrics:
         return "-"
     return score_text(curves.config.env, *interval_of(curves, seed_scores(curves, metric=metric), metric))
-
-
-def _continuing(curves: Curves) -> str:
-    metric = "continuing/reward"
-    return interval_text(*interval_of(curves, curves.metrics[metric][:, -1], metric))

@@ -146,14 +146,14 @@ LIFE: tuple[Column, ...] = (
 """Columns that are shown if a row has a value for them."""
 
 
-def write(rows: Sequence[Row], path: Path) -> None:
-    """Write rows to `path`: rows of `tabulate` as markdown (.md) or LaTeX (.tex), or any rows as csv (.csv).
+def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Table] = run_table) -> None:
+    """Write rows to `path`: the `table` of them (.md, .tex), by default that of rows of `tabulate`, or any rows as csv (.csv).
 
     Raises:
         ValueError: `path` has another suffix.
     """
     if path.suffix in (".md", ".tex"):
-        run_table(rows).write(path)
+        table(rows).write(path)
     elif path.suffix == ".csv":
         _write(path, csv_text(rows))
     else:
@@ -248,10 +248,8 @@ def millions(step: float | None) -> str:
     return f"{step / 1e6:.2f}M" if step >= 1e5 else steps_text(step)
 
 
-def steps_text(steps: float | None) -> str:
-    """Return a number of steps in short, such as 500, 20k or 2.5M; `–` for None and nan."""
-    if steps is None or math.isnan(steps):
-        return "–"
+def steps_text(steps: float) -> str:
+    """Return a number of steps in short, such as 500, 20k or 2.5M."""
     return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k" if steps >= 1e3 else f"{steps:g}"
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import crossing, trailing_mean
-from earl_jax.metrics.scores import Score, Window, as_decimals, deployed_area, final_scores, lifetime_scores, regret
+from earl_jax.metrics.scores import Score, Window, as_decimals, final_scores, lifetime_scores, regret
 
 STEPS, SCORES = np.array([10, 30]), np.array([[1.0, 0.5], [0.0, 0.3]])
 MILLION = np.arange(10_000, 1_000_001, 10_000)
@@ -23,7 +23,6 @@ def test_single_precision_keeps_its_digits_and_loses_its_rounding_so_that_equal_
 
 
 def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_steps_before_it():
-    np.testing.assert_allclose(deployed_area(STEPS, SCORES), [2 / 3, 0.2])
     metrics = {"deployed/success": SCORES, "continuing/reward": np.array([[0.1, 0.2], [0.0, 0.4]])}
     scores = lifetime_scores(STEPS, metrics, "deployed/success")
     assert scores.final.tolist() == [0.5, 0.3]

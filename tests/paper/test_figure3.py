@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from earl_jax.envs import Map, make
 from earl_jax.paper.figure3 import VisitMap, report_of, seed_rows, verdicts, word
@@ -87,14 +86,11 @@ def test_the_difference_is_the_oracles_share_minus_the_others_above_a_threshold(
     assert not difference(even + 1e-4 * np.eye(4), even).any()
 
 
-def test_a_map_has_x_to_the_right_and_y_upwards(tmp_path, monkeypatch):
-    figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+def test_a_map_has_x_to_the_right_and_y_upwards():
     visits = np.zeros((1, 4, 4), int)
     visits[0, 3, 0] = 9
     drawn = task_map([[0, 10], [4, 20]], unit="cm")
-    report_of([VisitMap("sawyer_peg", drawn, "fbrl", visits)]).write("figure3", tmp_path)
-    axis = figures[0].axes[0]
+    axis = report_of([VisitMap("sawyer_peg", drawn, "fbrl", visits)]).figure.axes[0]
     image = axis.images[0]
     assert image.get_extent() == [0, 4, 10, 20]
     assert image.origin == "lower"
