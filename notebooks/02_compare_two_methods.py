@@ -147,7 +147,7 @@ right.fill_between(steps, gaps[:, 1], gaps[:, 2], color="black", alpha=0.15, lin
 right.axhline(0, color="gray", linewidth=0.8)
 right.set_ylabel(f"deployed success, {METHODS[0]} minus {METHODS[1]}")
 for axis in (left, right):
-    step_axis(axis, "environment steps of a seed")
+    step_axis(axis)
     axis.grid(alpha=0.3)
 plt.show()
 

@@ -155,7 +155,7 @@ figure, axis = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
 for values, share, colour in zip(success, (0.0, 0.5), ("C7", "C0"), strict=True):
     axis.plot(result.steps, values.T, color=colour, alpha=0.3, linewidth=0.8)
     axis.plot(result.steps, values.mean(axis=0), color=colour, linewidth=2, label=f"share {share}")
-step_axis(axis, "environment steps of a seed")
+step_axis(axis)
 axis.set(ylabel="deployed success", ylim=(-0.02, 1.02))
 axis.grid(alpha=0.3)
 axis.legend(frameon=False)

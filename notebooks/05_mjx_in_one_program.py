@@ -158,7 +158,7 @@ for number, rate in enumerate(RATES):
     mean = np.asarray(curves[number]).mean(axis=0)
     label = f"{rate:g}: IQM {summary.iqm[number]:.1f} [{summary.low[number]:.1f}, {summary.high[number]:.1f}]"
     plt.plot(evaluated, mean, color=f"C{number}", label=label)
-step_axis(plt.gca(), "steps of each seed")
+step_axis(plt.gca())
 plt.ylabel("deployed return")
 plt.legend(title="learning rate: mean height of the curve")
 plt.show()
