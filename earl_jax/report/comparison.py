@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -37,6 +38,7 @@ from earl_jax.report.tables import (
     seeds_text,
     write,
 )
+from earl_jax.runs.files import RunWarning
 
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
@@ -71,7 +73,7 @@ def compare(
 
     Runs of the same task, method and options are pooled. Against the released runs there is a row at each of `AGES`.
     `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score. The released runs have
-    this and `continuing/reward`.
+    this and `continuing/reward`. A pair without a common step is left out with a `RunWarning`.
 
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
@@ -80,13 +82,23 @@ def compare(
     if against == "published":
         rows = published_rows(groups, metric)
     else:
-        rows = [pair_row(a, b, metric) for a, b in itertools.combinations(groups, 2) if a.env == b.env]
+        pairs = [pair for pair in itertools.combinations(groups, 2) if pair[0].env == pair[1].env]
+        for first, second in itertools.filterfalse(overlap, pairs):
+            apart = f"{first.label} and {second.label} on {first.env} are not compared"
+            warnings.warn(f"{apart}: one ends before the other's first evaluation", RunWarning, stacklevel=2)
+        rows = [pair_row(*pair, metric) for pair in filter(overlap, pairs)]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
             choices = f"tasks of the paper with {metric}" if metric else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
     return with_verdicts(rows)
+
+
+def overlap(pair: tuple[MethodRuns, MethodRuns]) -> bool:
+    """Return whether both methods of a `pair` have evaluations up to a common step."""
+    first, last = common_steps(*(runs.curves for runs in pair))
+    return first <= last
 
 
 def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:

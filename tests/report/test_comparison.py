@@ -9,6 +9,7 @@ from earl_jax import assets
 from earl_jax.report.comparison import compare, table_text, write_comparison
 from earl_jax.report.published import published_beside
 from earl_jax.report.runs import read
+from earl_jax.runs.files import RunWarning
 from tests.report.run_files import (
     DOOR,
     KITCHEN,
@@ -44,6 +45,14 @@ def test_methods_are_compared_at_the_last_step_that_both_have(folders):
     assert row["p"] == row["p_holm"] == pytest.approx(2 / 252)
     assert row["verdict"] == "below"
     assert 0 < row["detectable"] < abs(row["difference"])
+
+
+def test_a_pair_without_a_common_step_is_left_out_with_a_warning(folders, tmp_path):
+    late = write_run(tmp_path / "late", TABLETOP, "r3l", constant(*GOOD), steps=[30, 60])
+    message = f"naive and r3l on {TABLETOP} are not compared: one ends before the other's first evaluation"
+    with pytest.warns(RunWarning, match=message):
+        rows = compare([*folders, late])
+    assert [(row["first"], row["second"]) for row in rows] == [("naive", "fbrl"), ("fbrl", "r3l")]
 
 
 def test_p_is_adjusted_for_all_comparisons_of_a_task(folders, tmp_path):

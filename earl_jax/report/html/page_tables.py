@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.report.comparison import COLUMNS, pair_row, verdict_text, with_verdicts
+from earl_jax.report.comparison import COLUMNS, overlap, pair_row, verdict_text, with_verdicts
 from earl_jax.report.html.curves import PANELS, Line
 from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
@@ -92,11 +92,7 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
 
     A pair of which one run ends before the other's first evaluation is left out.
     """
-    pairs = [
-        (first, second)
-        for first, second in itertools.combinations(lines, 2)
-        if first.curves.steps[0] <= second.curves.steps[-1] and second.curves.steps[0] <= first.curves.steps[-1]
-    ]
+    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap((pair[0].group, pair[1].group))]
     tested = with_verdicts([pair_row(first.group, second.group) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
     rows = [
