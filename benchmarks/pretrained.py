@@ -93,9 +93,9 @@ def _packed(arrays: dict[str, np.ndarray], lanes: list[int]) -> tuple[bytes, lis
     for count in range(min(len(lanes), MOST_SEEDS), 0, -1):
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: array[lanes[:count]] for name, array in arrays.items()})
-        if buffer.tell() <= MOST_BYTES or count == 1:
-            return buffer.getvalue(), lanes[:count]
-    raise InputError("no lane to pack")
+        if buffer.tell() <= MOST_BYTES:
+            break
+    return buffer.getvalue(), lanes[:count]
 
 
 def _training_scores(folder: Path) -> dict[str, Any]:

@@ -29,10 +29,6 @@ COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """zipfile unpacks other compressions beyond the size that a member declares."""
 
 
-RELEASED = ("steps", "deployed", "continuing")
-"""Arrays of the released runs of a method."""
-
-
 class Demos(NamedTuple):
     """Transitions of the demonstrations of one direction, concatenated.
 
@@ -198,7 +194,7 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
     import numpy as np
 
     with np.load(root() / "published" / "curves.npz", allow_pickle=False) as stored:
-        return {name: stored[f"{task}/{method}/{name}"] for name in RELEASED if f"{task}/{method}/{name}" in stored}
+        return {name.rpartition("/")[2]: stored[name] for name in stored.files if name.startswith(f"{task}/{method}/")}
 
 
 def read_bytes(path: Path) -> bytes:

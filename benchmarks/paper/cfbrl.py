@@ -221,12 +221,9 @@ def lanes_text() -> str:
 
 def _spans(curves: Curves) -> Iterator[list[str]]:
     """Yield the cells of each lane."""
-    ends = np.arange(RESET, int(curves.steps[-1]) + 1, RESET)
-    for seed in range(curves.seeds):
-        shares = []
-        for end in ends:
-            inside = (curves.steps > end - RESET) & (curves.steps <= end)
-            shares.append(float(np.nan_to_num(curves.metrics[FORWARD][seed, inside]).mean()))
+    ends, forward = range(RESET, int(curves.steps[-1]) + 1, RESET), np.nan_to_num(curves.metrics[FORWARD])
+    spans = [forward[:, (curves.steps > end - RESET) & (curves.steps <= end)].mean(axis=1) for end in ends]
+    for shares in zip(*spans, strict=True):
         yield [*(f"{share:.2f}" for share in shares), f"{sum(share >= LIVES for share in shares)} of {len(shares)}"]
 
 

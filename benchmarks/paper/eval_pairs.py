@@ -1,6 +1,6 @@
 """The spread of deployed evaluations of a fixed policy in the kitchen: pairs drawn at random, and every pair equally often.
 
-    python -m benchmarks.paper.eval_pairs [--evaluations N]
+    python -m benchmarks.paper.eval_pairs [--evaluations-of-each N]
 
 A pair is a start (two open appliances of four) with the goal. The policies do nothing, or are the one that ships. Writes
 results/evaluation/pairs.csv: mean and standard deviation of N evaluations; and returns_by_pair.csv.

@@ -99,7 +99,7 @@ def _parts(row: Row) -> Iterator[str]:
         yield f"not compared{share}"
 
 
-def draw(groups: Sequence[MethodRuns], path: Path) -> Path:
+def draw(groups: Sequence[MethodRuns], path: Path) -> None:
     """Draw the deployed scores of all cells, a row for each task: seeds thin, means, and the published ones in grey.
 
     Where nothing was released, a diamond is the printed score.
@@ -121,7 +121,6 @@ def draw(groups: Sequence[MethodRuns], path: Path) -> Path:
         step_axis(axes[-1, len(METHODS) // 2])
         _add_legend(figure)
         shrink(save(figure, path))
-    return path
 
 
 def _draw_cell(axis: Any, group: MethodRuns | None) -> None:

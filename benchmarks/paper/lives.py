@@ -4,6 +4,7 @@ Writes results/paper/lives_measures.{csv,md}: one number of each seed over the s
 test, p not adjusted. The measures were chosen after a look at the curves, so they describe a difference and confirm nothing.
 """
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,16 +51,10 @@ def still_share(curves: Curves) -> np.ndarray:
     return (np.abs(np.diff(_long_rates(curves)[1], axis=1)) < STILL).mean(axis=1)
 
 
-def after_reset(curves: Curves) -> np.ndarray:
-    """Return the reward [N] per step of the first `LONG` steps after a reset of the kitchen."""
+def beside_reset(curves: Curves, end: int) -> np.ndarray:
+    """Return the reward [N] per step of the `LONG` steps up to `end` steps after a reset of the kitchen, 0 for before it."""
     ends, means = _long_rates(curves)
-    return means[:, ends % RESETS == LONG].mean(axis=1)
-
-
-def before_reset(curves: Curves) -> np.ndarray:
-    """Return the reward [N] per step of the last `LONG` steps before a reset of the kitchen."""
-    ends, means = _long_rates(curves)
-    return means[:, ends % RESETS == 0].mean(axis=1)
+    return means[:, ends % RESETS == end].mean(axis=1)
 
 
 def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
@@ -99,8 +94,8 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
         (f"franka_kitchen/{algo}", name, measure)
         for algo in ("naive", "fbrl")
         for name, measure in (
-            ("reward per step of the 20,000 after a reset", after_reset),
-            ("reward per step of the 20,000 before a reset", before_reset),
+            ("reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)),
+            ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),
             ("share of intervals of 20,000 steps like the one before", still_share),
         )
     ),

@@ -45,9 +45,9 @@ def stance(extension: float, steps: int) -> np.ndarray:
     return np.tile(np.repeat([0.0, extension], 4), (steps, 1)).astype(np.float32)
 
 
-def play(engine: str, actions: np.ndarray, substeps: int = 5) -> np.ndarray:
+def play(engine: str, actions: np.ndarray) -> np.ndarray:
     """Return qpos [lanes, steps, 23] of the nominal robot under `actions [lanes, steps, 8]`, one lane each."""
-    env = make("minitaur_pen", engine=engine, randomize=False, substeps=substeps)
+    env = make("minitaur_pen", engine=engine, randomize=False)
     state = env.reset(jax.random.key(0))
 
     def step(state, action):
@@ -88,14 +88,14 @@ def compare_trot(path: np.ndarray, recorded: np.ndarray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def report(file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
+def report(file: Path, engine: str) -> dict[str, Any]:
     """Return the comparison of one file with one engine."""
     recording = json.loads(file.read_text())
     trots = {name: np.array(part["traj"]) for name, part in recording["trot"].items()}
     steps = max([HOLD, *map(len, trots.values())])
     actions = [stance(row[0], steps) for row in recording["ext"]]
     actions += [trot(recording["trot"][name]["par"], steps) for name in trots]
-    paths = play(engine, np.stack(actions), substeps)
+    paths = play(engine, np.stack(actions))
     held, walked = paths[: len(recording["ext"]), HOLD - 1], paths[len(recording["ext"]) :]
     rest = make("minitaur_pen", randomize=False).reset(jax.random.key(0)).data.qpos
     heights = [1e3 * (qpos[2] - row[1][2]) for qpos, row in zip(held, recording["ext"], strict=True)]

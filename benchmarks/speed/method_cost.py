@@ -68,7 +68,7 @@ class Program:
         algo, *own = name.split()
         choices = parse_options((*options.set, *own))
         problem, self._method, self._state = make_training(options.env, algo, options.lanes, options.steps, **choices)
-        self._program, seconds = compile_steps(problem, self._method, self._state, options.chunk)
+        _, self._program, seconds = compile_steps(problem, self._method, [self._state], options.chunk)
         self.name, self.room, self._chunk, self._calls = name, options.steps, options.chunk, 1
         print(f"{name}: compiled in {seconds:.1f} s", flush=True)
 

@@ -31,21 +31,13 @@ def main(
 
 def _prepare(env: str, algo: str, lanes: int, chunk: int, options: tuple[str, ...]):
     """Return a function that trains for a chunk, and the seconds of its compilation; it has run once."""
-    import jax
-
     from benchmarks.speed.training import compile_steps, make_training
     from earl_jax.cli.arguments import parse_options
     from earl_jax.training.program_cache import keep_programs
 
     keep_programs()
     problem, method, state = make_training(env, algo, lanes, 100_000, **parse_options(options))
-    program, compile_s = compile_steps(problem, method, state, chunk)
-
-    def advance() -> None:
-        nonlocal state
-        state = program(method, state)
-        jax.block_until_ready(state.step)
-
+    advance, _, compile_s = compile_steps(problem, method, [state], chunk)
     advance()
     return advance, compile_s
 

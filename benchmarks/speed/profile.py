@@ -11,7 +11,6 @@ import itertools
 import json
 import re
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,11 +22,10 @@ import tyro
 
 from benchmarks.output import RESULTS, save_rows
 from benchmarks.speed.peers.common import median_s
-from benchmarks.speed.training import make_training
+from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import MujocoEnv, resolved_engine
 from earl_jax.physics.engines import c
-from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState
 
 PARTS = ("update", "sample", "store", "act", "physics")
@@ -108,26 +106,12 @@ def _guess(kernel: str) -> str:
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one task and number of lanes."""
     problem, method, start = make_training(name, algo, lanes, 2 * steps * (repeats + 4) + 4 * TRACED, **options)
-    state = [start]
-
-    def runner(count: int, warmup: bool) -> tuple[Callable[[], Any], Any]:
-        program = jax.jit(lambda m, s: run_steps(problem, m, s, count, warmup), donate_argnums=1)
-        compiled = program.lower(method, state[0]).compile()
-
-        def call():
-            state[0] = compiled(method, state[0])
-            state[0].step.block_until_ready()
-
-        return call, compiled
-
-    host_ms = host_milliseconds(problem, start)
-    warmup, _ = runner(steps, True)
+    host_ms, state = host_milliseconds(problem, start), [start]
+    warmup, *_ = compile_steps(problem, method, state, steps, warmup=True)
     without = milliseconds(warmup, steps, 2)
-    began = time.perf_counter()
-    whole, compiled = runner(steps, False)
-    compile_s = time.perf_counter() - began
+    whole, compiled, compile_s = compile_steps(problem, method, state, steps)
     step_ms = milliseconds(whole, steps, repeats)
-    short, program = runner(TRACED, False)
+    short, program, _ = compile_steps(problem, method, state, TRACED)
     short()
     row = {
         "env": name, "engine": resolved_engine(problem.env), "algo": algo, "lanes": lanes, **options,

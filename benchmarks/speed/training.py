@@ -5,6 +5,7 @@ Writes OUT.json and OUT.csv. A lane-step is one control step and one gradient st
 
 import itertools
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,23 +33,29 @@ def make_training(name: str, algo: str, lanes: int, steps: int, **options: Any) 
     return problem, method, init(method, seed_keys(range(lanes)))
 
 
-def compile_steps(problem: Problem, method: Method, state: TrainState, steps: int) -> tuple[Any, float]:
-    """Return the program of `steps` training steps, which overwrites its train state, and the seconds of its compilation."""
-    advance = jax.jit(lambda m, state: run_steps(problem, m, state, steps), donate_argnums=1)
+def compile_steps(
+    problem: Problem, method: Method, state: list[TrainState], steps: int, warmup: bool = False
+) -> tuple[Callable[[], None], Any, float]:
+    """Return a function that trains for `steps` steps, its program, and the seconds of its compilation.
+
+    The function replaces the only item of `state`, which programs of other lengths can share.
+    """
     began = time.perf_counter()
-    return advance.lower(method, state).compile(), time.perf_counter() - began
+    jitted = jax.jit(lambda m, state: run_steps(problem, m, state, steps, warmup), donate_argnums=1)
+    program = jitted.lower(method, state[0]).compile()
+    seconds = time.perf_counter() - began
+
+    def advance() -> None:
+        state[0] = program(method, state[0])
+        jax.block_until_ready(state[0].step)
+
+    return advance, program, seconds
 
 
 def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     """Return compile seconds and the median steps per second of `algo` on task `name` with `lanes` lanes."""
     problem, method, state = make_training(name, algo, lanes, 100_000)
-    program, compiled = compile_steps(problem, method, state, steps)
-
-    def advance() -> None:
-        nonlocal state
-        state = program(method, state)
-        jax.block_until_ready(state.step)
-
+    advance, program, compiled = compile_steps(problem, method, [state], steps)
     advance()
     rate = steps / median_s(advance, repeats)
     return {

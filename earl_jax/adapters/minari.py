@@ -101,8 +101,5 @@ def _environments(env: Env) -> dict[str, EnvSpec]:
         if getattr(env, field.name) != field.default
     }
     spec = gymnasium.spec(env_id(env.name))
-
-    def with_options(**more: Any) -> EnvSpec:
-        return dataclasses.replace(spec, kwargs={**spec.kwargs, **changed, **more})
-
-    return {"env": with_options(), "eval_env": with_options(mode="eval")}
+    spec = dataclasses.replace(spec, kwargs={**spec.kwargs, **changed})
+    return {"env": spec, "eval_env": dataclasses.replace(spec, kwargs={**spec.kwargs, "mode": "eval"})}

@@ -29,11 +29,9 @@ Engine = Annotated[
         help="Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
     ),
 ]
-Set = Annotated[
-    tuple[tuple[str, ...], ...],
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs."),
-]
+Texts = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
+"""Several texts, in one argument or in several of the same name."""
+Set = Annotated[Texts, tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")]
 Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 Devices = Annotated[
     int | None,
@@ -71,13 +69,10 @@ Logs = Annotated[
     ),
 ]
 Slurm = Annotated[
-    tuple[tuple[str, ...], ...],
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none."),
+    Texts, tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none.")
 ]
 Labels = Annotated[
-    tuple[tuple[str, ...], ...],
-    tyro.conf.UseAppendAction,
+    Texts,
     tyro.conf.arg(
         help="Names of the lines, one for each, in the order in which they are shown. By default method and options."
     ),

@@ -63,15 +63,13 @@ def describe(kind: str, name: str) -> dict[str, Any]:
         target, head["package"] = LOCATE[kind](name)
         path = target.value if isinstance(target, EntryPoint) else f"{target.__module__}:{target.__qualname__}"
         head |= {"class": path, "policies": _policies(name)}
-        return head | (stored().get(path) or _imported(kind, name))
+        if path in stored():
+            return head | stored()[path]
+        from earl_jax.cli import descriptions
+
+        return head | descriptions.DESCRIBE[kind](name)
     except Exception as error:  # the code of another package
         return head | {"error": str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"}
-
-
-def _imported(kind: str, name: str) -> dict[str, Any]:
-    from earl_jax.cli import descriptions
-
-    return descriptions.DESCRIBE[kind](name)
 
 
 def _policies(name: str) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import contextlib
 import operator
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -159,15 +159,11 @@ def episodes(actor: Actor, life: bool = False) -> Iterator[Episode]:
     for number in range(2**31):
         first, planned = actor.start(number)
         if life and episode:
-            first = env.with_goal(episode.at(-1), _life_goal(env, first, number))
+            there, back = first.info["goal"], env.initial_states[number // 2 % len(env.initial_states)]
+            first = env.with_goal(episode.at(-1), back if number % 2 else there)
         states = jax.device_get(rollout(first, planned))
         successes = np.flatnonzero(states.metrics["success"][1:])
         last = int(successes[0]) + 1 if len(successes) else len(states.reward) - 1
         kept = operator.itemgetter(slice(last + round(SECONDS_AFTER_GOAL / view_of(env).dt) + 1))
         episode = Episode(states=jax.tree.map(kept, states), last=last, reached=len(successes) > 0)
         yield episode
-
-
-def _life_goal(env: Env, first: State, number: int) -> Any:
-    """Return the goal [g] of episode `number` of a life: that of its `first` state, or on the way back an initial state."""
-    return env.initial_states[number // 2 % len(env.initial_states)] if number % 2 else first.info["goal"]

@@ -27,21 +27,14 @@ def original_scene() -> mujoco.MjModel:
         finger = spec.geom(f"{side}_finger")
         finger.size, finger.pos = [0.045, 0.003, 0.015], [0, 0, 0]
         spec.body(f"{side}_claw").add_geom(name=f"{side}_pad", type=box, size=finger.size, pos=[0, inward, 0], mass=0)
-    hard = ["panel", "bar", "grip", "stem"]
-    for geom in hard[1:]:
-        spec.geom(geom).type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    for name in ("bar", "grip", "stem"):
+        spec.geom(name).type = mujoco.mjtGeom.mjGEOM_CYLINDER
     spec.delete(spec.geom("frame"))
-    hard += [geom.name for geom in _named(spec.body("door").geoms)]
+    hard = "table", "palm", "right_finger", "right_pad", "left_finger", "left_pad", "panel", "bar", "grip", "stem"
     spec.joint("door").damping, spec.joint("door").armature = [2.0, 0.0, 0.0], 0.001
-    for geom in ["table", "palm", "right_finger", "right_pad", "left_finger", "left_pad", *hard]:
-        spec.geom(geom).contype = spec.geom(geom).conaffinity = 1
+    for geom in [*map(spec.geom, hard), *spec.body("door").geoms]:
+        geom.contype = geom.conaffinity = 1
     return spec.compile()
-
-
-def _named(geoms: Any) -> list[Any]:
-    for number, geom in enumerate(geoms):
-        geom.name = geom.name or f"part_{number}"
-    return list(geoms)
 
 
 class Door:
