@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from earl_jax.rendering.api import render
-    from earl_jax.rendering.scenes import Scene
+    from earl_jax.rendering.scenes import Scene, cameras
     from earl_jax.rendering.videos import VideoLog
 
-_HOME = {"Scene": "scenes", "VideoLog": "videos", "render": "api"}
-__all__ = ["Scene", "VideoLog", "render"]
+_HOME = {"Scene": "scenes", "VideoLog": "videos", "cameras": "scenes", "render": "api"}
+__all__ = ["Scene", "VideoLog", "cameras", "render"]
 
 
 def __getattr__(name: str) -> Any:

@@ -46,11 +46,8 @@ class Scene:
         self.env = env
         self.goal = goal
         self._view = view_of(env)
-        try:
-            self.model = with_overlay(self._view.model)
-        except ValueError as error:
-            raise InputError(f"{env.name} cannot be drawn: {error}") from error
-        known = [self.model.camera(number).name for number in range(self.model.ncam)]
+        self.model = _drawn_model(env)
+        known = _camera_names(self.model)
         if camera is not None and camera not in known:
             raise InputError(f"no camera {camera!r}; choose from {', '.join(known)}")
         self.camera = camera or ("default" if "default" in known else -1)
@@ -91,6 +88,11 @@ class Scene:
         self.close()
 
 
+def cameras(env: Env) -> list[str]:
+    """Return the names of the cameras on `env`."""
+    return _camera_names(_drawn_model(env))
+
+
 def view_of(env: Env) -> View:
     """Return how `env` is drawn.
 
@@ -100,6 +102,19 @@ def view_of(env: Env) -> View:
     if env.view is None:
         raise InputError(f"{env.name} cannot be drawn: it has no view")
     return env.view
+
+
+def _drawn_model(env: Env) -> Any:
+    """Return the compiled model of `env` with its overlay. Errors as `Scene`."""
+    view = view_of(env)
+    try:
+        return with_overlay(view.model)
+    except ValueError as error:
+        raise InputError(f"{env.name} cannot be drawn: {error}") from error
+
+
+def _camera_names(model: Any) -> list[str]:
+    return [model.camera(number).name for number in range(model.ncam)]
 
 
 def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
