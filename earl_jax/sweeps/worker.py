@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import gc
 import json
-import math
 import traceback
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -71,23 +70,19 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     Raises:
         ValueError: a single run has more than `max_lanes` lanes.
     """
-    most = math.inf if max_lanes is None else max_lanes
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
-    lanes: dict[Hashable, int] = {}  # of the last group of each key
     for entry in planned:
         if entry.finished:
             continue
-        if entry.lanes > most:
+        if max_lanes is not None and entry.lanes > max_lanes:
             raise InputError(
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
-        key = entry.group_key()
-        if key not in by_key or lanes[key] + entry.lanes > most:
-            by_key.setdefault(key, []).append([])
-            lanes[key] = 0
-        by_key[key][-1].append(entry)
-        lanes[key] += entry.lanes
+        groups = by_key.setdefault(entry.group_key(), [[]])
+        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+            groups.append([])
+        groups[-1].append(entry)
     return [group for groups in by_key.values() for group in groups]
 
 
