@@ -233,14 +233,6 @@ def serve(task: dict[str, Any]) -> int:
     `max_lanes`; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
-    if "grid" in task:
-        try:
-            _import(task)
-            reply = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
-        except Exception as error:
-            reply = {"state": "refused", "detail": _cause(error)}
-        print(json.dumps(reply), flush=True)
-        return 0
     failed: list[str] = []
 
     def emit(name: str, state: str, detail: str) -> None:
@@ -249,10 +241,18 @@ def serve(task: dict[str, Any]) -> int:
         print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
     try:
-        _import(task)
+        for record in task.get("imports", ()):
+            imports.note(**record)
+        imports.run_noted()
+        if "grid" in task:
+            planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
+            print(json.dumps({"state": "planned", "plan": planned}), flush=True)
+            return 0
     except Exception as error:
         cause = _cause(error)
-        for name in task["runs"]:
+        if "grid" in task:
+            print(json.dumps({"state": "refused", "detail": cause}), flush=True)
+        for name in task.get("runs", ()):
             emit(name, "failed", cause)
         return len(failed)
     configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
@@ -260,9 +260,3 @@ def serve(task: dict[str, Any]) -> int:
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
     return len(failed)
-
-
-def _import(task: dict[str, Any]) -> None:
-    for record in task.get("imports", ()):
-        imports.note(**record)
-    imports.run_noted()
