@@ -120,11 +120,3 @@ def test_a_stale_handle_is_opened_again_once(tmp_path, monkeypatch, failures):
     else:
         with pytest.raises(OSError, match=r"Stale file handle: '.*metrics\.csv'"):
             read_bytes(tmp_path / "metrics.csv")
-
-
-def test_a_file_is_replaced_while_another_process_reads_it(tmp_path):
-    path = tmp_path / "config.json"
-    write_atomically(path, "old")
-    with path.open() as reader:
-        write_atomically(path, "new")
-        assert reader.read() == "old"
