@@ -182,13 +182,13 @@ def parse_whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        mantissa, e, exponent = text.lower().partition("e")
-    if not e or not re.fullmatch(r"[+-]?\d[\d_]*(\.\d+)?", mantissa) or not re.fullmatch(r"\+?\d{1,2}", exponent):
+        parts = re.fullmatch(r"([+-]?\d+(?:_\d+)*)(?:\.(\d+))?[eE]\+?(\d{1,2})", text)
+    if not parts:
         raise ValueError(f"{brief(text)} is not a whole number such as 1000000, 1_000_000 or 1e6")
-    whole, _, decimals = mantissa.partition(".")
-    if not len(decimals.rstrip("0")) <= int(exponent) <= LONGEST_EXPONENT:
+    decimals, exponent = (parts[2] or "").rstrip("0"), int(parts[3])
+    if not len(decimals) <= exponent <= LONGEST_EXPONENT:
         raise ValueError(f"{brief(text)} is not a whole number below 1e{LONGEST_EXPONENT}")
-    return int(f"{whole}{decimals.rstrip('0')}") * 10 ** (int(exponent) - len(decimals.rstrip("0")))
+    return int(parts[1] + decimals) * 10 ** (exponent - len(decimals))
 
 
 class TimeLimit(NamedTuple):

@@ -52,7 +52,7 @@ class _Sparing(io.FileIO):
 
 
 class NpzHandler(ocp.CheckpointHandler):
-    """Writes and reads the arrays of one part of a checkpoint."""
+    """Writes the arrays of one part of a checkpoint."""
 
     def save(self, directory: os.PathLike, args: "SaveArrays") -> None:
         """Write the arrays to a file in `directory`; they are on the disk when this returns."""
@@ -61,30 +61,11 @@ class NpzHandler(ocp.CheckpointHandler):
             handle.flush()
             os.fsync(handle.fileno())
 
-    def restore(self, directory: os.PathLike, args: "ReadArrays") -> Arrays:
-        """Return the arrays of the file in `directory`, which have at most `args.most` bytes.
-
-        Raises:
-            ValueError: the file is missing, its arrays are larger, or one does not match its checksum.
-        """
-        path = Path(directory, FILE)
-        try:
-            with (
-                opened(path) as handle,
-                _Sparing(handle.fileno(), closefd=False) as reader,
-                zipfile.ZipFile(reader) as archive,
-            ):
-                members = archive.infolist()
-                if any(info.compress_type != zipfile.ZIP_STORED for info in members):
-                    raise ValueError("its arrays are compressed")
-                if sum(info.file_size for info in members) > args.most:
-                    raise ValueError("it does not belong to this run: its arrays are larger")
-                return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
-        except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
-            raise ValueError(f"{path.parent.name}/{FILE} can't be read: {error or repr(error)}") from error
+    def restore(self, directory: os.PathLike, *args: Any) -> Any:
+        """Do nothing, because `read` reads the files by itself."""
 
 
-@ocp.args.register_with_handler(NpzHandler, for_save=True)
+@ocp.args.register_with_handler(NpzHandler, for_save=True, for_restore=True)  # Orbax saves none without both
 @dataclasses.dataclass
 class SaveArrays(ocp.args.CheckpointArgs):
     """The arrays that a part of a checkpoint receives."""
@@ -92,12 +73,26 @@ class SaveArrays(ocp.args.CheckpointArgs):
     arrays: Arrays
 
 
-@ocp.args.register_with_handler(NpzHandler, for_restore=True)
-@dataclasses.dataclass
-class ReadArrays(ocp.args.CheckpointArgs):
-    """The request for all arrays of a part of a checkpoint, of at most so many bytes."""
+def _arrays(path: Path, most: float) -> Arrays:
+    """Return the arrays of the file at `path`, which have at most `most` bytes.
 
-    most: float
+    Raises:
+        ValueError: the file is missing, its arrays are larger, or one does not match its checksum.
+    """
+    try:
+        with (
+            opened(path) as handle,
+            _Sparing(handle.fileno(), closefd=False) as reader,
+            zipfile.ZipFile(reader) as archive,
+        ):
+            members = archive.infolist()
+            if any(info.compress_type != zipfile.ZIP_STORED for info in members):
+                raise ValueError("its arrays are compressed")
+            if sum(info.file_size for info in members) > most:
+                raise ValueError("it does not belong to this run: its arrays are larger")
+            return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
+    except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
+        raise ValueError(f"{path.parent.name}/{FILE} can't be read: {error or repr(error)}") from error
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
@@ -112,10 +107,10 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def _manager(folder: Path, clean_up: bool = False) -> Iterator[ocp.CheckpointManager]:
+def _manager(folder: Path) -> Iterator[ocp.CheckpointManager]:
     """Yield Orbax's manager of the checkpoints in `folder`, for this host alone, without its log.
 
-    With `clean_up` it removes what a kill left. It saves synchronously: asynchronous saving aborts when the clock jumps.
+    It removes what a kill left. It saves synchronously: asynchronous saving aborts when the clock jumps.
     """
     host = jax.process_index()
     one_host = {"primary_host": host, "active_processes": {host}, "barrier_sync_key_prefix": f"host{host}"}
@@ -126,7 +121,7 @@ def _manager(folder: Path, clean_up: bool = False) -> Iterator[ocp.CheckpointMan
         save_root_metadata=False,
         lightweight_initialize=True,
         enable_async_checkpointing=False,
-        cleanup_tmp_directories=clean_up,
+        cleanup_tmp_directories=True,
         multiprocessing_options=ocp.options.MultiprocessingOptions(**(one_host if jax.process_count() > 1 else {})),
     )
     log = logging.getLogger("absl")
@@ -148,7 +143,7 @@ def write(folder: Path, step: int, parts: dict[str, Arrays]) -> None:
         Exception: it could not be written; those of other steps are unchanged.
     """
     args = ocp.args.Composite(**{name: SaveArrays({**part, STEP: np.asarray(step)}) for name, part in parts.items()})
-    with _manager(folder, clean_up=True) as manager:
+    with _manager(folder) as manager:
         older = manager.all_steps()
         if step in older:
             manager.delete(step)
@@ -167,14 +162,12 @@ def read(folder: Path, step: int, most: Mapping[str, float]) -> dict[str, Arrays
     Raises:
         DamagedError: it cannot be read, is larger, does not match its checksums, or was written at another step.
     """
-    args = ocp.args.Composite(**{name: ReadArrays(size) for name, size in most.items()})
+    path = folder / f"{step:09d}"
     try:
-        with _manager(folder) as manager:
-            restored = manager.restore(step, args=args)
-        parts = {name: restored[name] for name in most}
+        parts = {name: _arrays(path / name / FILE, size) for name, size in most.items()}
         written = {int(part.pop(STEP)) for part in parts.values()}
         if written != {step}:
             raise InputError(f"it is of step {min(written)}")
-    except Exception as error:  # Orbax raises various exceptions if files are missing
+    except Exception as error:  # a step that is missing or text makes NumPy and Python raise others
         raise DamagedError(folder, step, first_line(error)) from error
     return parts

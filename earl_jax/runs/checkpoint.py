@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import DamagedWarning, check_kind, make_folder
+from earl_jax.runs.files import RunWarning, check_kind, make_folder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.snapshot import filled, named_arrays, spread, typed
 
@@ -98,8 +98,7 @@ def restore(folder: Path, like: Any, with_replay: bool = True) -> Any:
 def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, with_replay: bool = True) -> Any:
     """Return the newest intact checkpoints of `folders`, with their `sizes` lanes joined, in the structure of `like`.
 
-    The result is None if there are no checkpoints. If one is damaged, the previous ones are used, with a
-    `DamagedWarning`.
+    The result is None if there are no checkpoints. If one is damaged, the previous ones are used, with a `RunWarning`.
 
     Raises:
         ValueError: no checkpoint is intact, their steps differ, or one belongs to another run; the message names the
@@ -118,7 +117,7 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
             causes.append(str(error))
             continue
         if causes:
-            warnings.warn(f"{'; '.join(causes)}; continuing from {step:09d}", DamagedWarning, stacklevel=2)
+            warnings.warn(f"{'; '.join(causes)}; continuing from {step:09d}", RunWarning, stacklevel=2)
         return state
     if causes:
         raise InputError(f"{'; '.join(causes)}; no older checkpoint is intact")

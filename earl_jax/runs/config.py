@@ -230,17 +230,15 @@ def _changed_options(options: Any) -> dict[str, Any]:
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
 
 
-def _check_values(owner: str, values: Any) -> None:
+def _check_values(owner: str, values: Any, depth: int = 0) -> None:
     """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
-    level = [values]
-    for _ in range(DEEPEST + 1):
-        for value in level:
-            if isinstance(value, int) and abs(value) >= 2**63:
-                raise InputError(f"{owner} is or holds a number that is too large: {brief(value)}")
-        containers = [value for value in level if isinstance(value, dict | list | tuple)]
-        level = [inner for value in containers for inner in (value.values() if isinstance(value, dict) else value)]
-    if level:
+    if depth > DEEPEST:
         raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
+    if isinstance(values, int) and abs(values) >= 2**63:
+        raise InputError(f"{owner} is or holds a number that is too large: {brief(values)}")
+    inner = list(values.values()) if isinstance(values, dict) else values
+    for value in inner if isinstance(inner, list | tuple) else ():
+        _check_values(owner, value, depth + 1)
 
 
 def _class_name(cls: type) -> str:

@@ -33,14 +33,6 @@ def format_warning(message: Warning | str, category: type[Warning], *details: An
     return DEFAULT_FORMAT(message, category, *details)
 
 
-class DamagedWarning(RunWarning):
-    """A file is damaged, and an older copy is used."""
-
-
-class UnlockedWarning(RunWarning):
-    """The file system has no locks, so that other processes are not kept from writing."""
-
-
 def _wrong_kind(path: Path, wanted: str = "regular file") -> InputError:
     return InputError(f"{path} is a link or not a {wanted}; remove it")
 
@@ -164,7 +156,7 @@ def _lock(number: int, path: Path) -> None:
         if error.errno not in WITHOUT_LOCKS:
             raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
         message = f"{path} is on a file system without locks: make sure that no other process writes to it"
-        warnings.warn(message, UnlockedWarning, stacklevel=4)
+        warnings.warn(message, RunWarning, stacklevel=4)
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -213,17 +213,15 @@ class RunFolder:
         return table
 
     def _damaged(self, table: Table, problem: str) -> InputError:
-        return InputError(f"{self.metrics} is damaged: {problem}; {self._remedy(table.step)}")
-
-    def _remedy(self, intact: int) -> str:
-        """Return what to do if the rows are intact up to the step `intact` only."""
+        """Return the error of a `problem`, with what to do if only the rows of `table` are intact."""
         steps = saved_steps(self.checkpoints)
-        later = [f"{CHECKPOINTS}/{step:09d}" for step in steps if step > intact]
-        step = max((step for step in steps if step <= intact), default=0)
-        if not later:
-            return f"earl-jax resume {self.path} continues from step {step} and writes later rows again"
-        start = f"resume from step {step}" if step else "train again from the start"
-        return f"restore the file from a copy, or delete {' and '.join(later)} to {start}"
+        later = [f"{CHECKPOINTS}/{step:09d}" for step in steps if step > table.step]
+        step = max((step for step in steps if step <= table.step), default=0)
+        remedy = f"earl-jax resume {self.path} continues from step {step} and writes later rows again"
+        if later:
+            start = f"resume from step {step}" if step else "train again from the start"
+            remedy = f"restore the file from a copy, or delete {' and '.join(later)} to {start}"
+        return InputError(f"{self.metrics} is damaged: {problem}; {remedy}")
 
 
 def _require_free(path: Path, overwrite: bool) -> None:

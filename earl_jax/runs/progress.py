@@ -24,19 +24,10 @@ class Progress:
     """A context that shows steps and evaluations on stderr; without `show` it prints nothing.
 
     `metric` names the deployed metric whose mean is shown. The first call of a program compiles it: `working` says so. If
-    stderr is no terminal, a thread prints a line after each `silence` seconds without one, also during compilation.
+    stderr is no terminal, a thread prints a line after each `SILENCE` without one, also during compilation.
     """
 
-    def __init__(
-        self,
-        *,
-        label: str,
-        steps: int,
-        metric: str,
-        show: bool,
-        silence: float = SILENCE,
-        compile_time: str = "about 10 s",
-    ):
+    def __init__(self, *, label: str, steps: int, metric: str, show: bool, compile_time: str = "about 10 s"):
         self._steps, self._metric, self._speed, self._done = steps, metric, 0.0, 0
         self._stream: Any = LastingStream(sys.stderr)
         self._console, self._show = Console(file=self._stream), show
@@ -51,7 +42,7 @@ class Progress:
         self._compile_time = compile_time
         self._compiling, self._work, self._work_start = False, "starting", time.monotonic()
         self._timed: tuple[float, int] | None = None
-        self._silence, self._last_line, self._ended = silence, time.monotonic(), threading.Event()
+        self._last_line, self._ended = time.monotonic(), threading.Event()
 
     def __enter__(self) -> "Progress":
         self._bar.start()
@@ -129,9 +120,9 @@ class Progress:
         return f"{self._speed:.1f}" if self._speed < 10 else f"{self._speed:,.0f}"
 
     def _break_silence(self) -> None:
-        """Print a line whenever none was printed for the time of `silence`, until the context ends."""
-        while not self._ended.wait(max(0.0, self._last_line + self._silence - time.monotonic())):
-            if time.monotonic() - self._last_line >= self._silence:
+        """Print a line whenever none was printed for the time of `SILENCE`, until the context ends."""
+        while not self._ended.wait(max(0.0, self._last_line + SILENCE - time.monotonic())):
+            if time.monotonic() - self._last_line >= SILENCE:
                 self._print(self._state())
 
     def _state(self) -> str:

@@ -143,6 +143,5 @@ def _numbers(lines: Sequence[str], width: int) -> np.ndarray:
             return rows
     if len(lines) == 1:
         return np.empty((0, width))
-    half = len(lines) // 2
-    rows = _numbers(lines[:half], width)
-    return rows if len(rows) < half else np.concatenate([rows, _numbers(lines[half:], width)])
+    each = (_numbers([line], width) for line in lines)
+    return np.concatenate([np.empty((0, width)), *itertools.takewhile(len, each)])

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from earl_jax.sweeps.slots import ANYWHERE, Slot
+from earl_jax.sweeps.slots import Slot
 
 WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
 ENDS = ("done", "failed", "stopped")
@@ -25,7 +25,7 @@ Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
 
 
-def start(task: Task, slot: Slot = ANYWHERE) -> subprocess.Popen[str]:
+def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
     """Return a worker at `slot` that has received `task`. It ends when this process ends, for whatever reason.
 
     A terminal's Ctrl-C does not reach it, because it has a session of its own.
@@ -102,7 +102,7 @@ class Workers:
             for worker in self._started:
                 worker.send_signal(number)
 
-    def run(self, task: Task, slot: Slot = ANYWHERE) -> Iterator[Event]:
+    def run(self, task: Task, slot: Slot) -> Iterator[Event]:
         """Yield the events of a worker that trains the runs of `task`. A run that it does not finish ends with a failed event.
 
         After a signal, or if the time limit of the task has passed, there is no worker and no event.

@@ -61,10 +61,6 @@ class Slot(NamedTuple):
         return variables
 
 
-ANYWHERE = Slot()
-"""The slot of a worker that runs alone, as this process would."""
-
-
 def _memory_fraction(environment: Mapping[str, str]) -> float:
     """Return the part of a GPU's memory that all programs on it may take: the user's, if it is smaller than ours."""
     try:
@@ -99,7 +95,7 @@ def open_slots(per_device: PerDevice, tasks: Sequence[str], emit: Callable[[str]
     `emit` receives the cause and each GPU has one program.
     """
     if per_device is None or not tasks:
-        yield [ANYWHERE]
+        yield [Slot()]  # a worker runs alone, as this process would
         return
     gpus, cores = visible_gpus(os.environ)[: len(tasks)], own_cores()
     if per_device == "auto":

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import gc
 import json
-import math
 import traceback
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -71,23 +70,19 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     Raises:
         ValueError: a single run has more than `max_lanes` lanes.
     """
-    most = math.inf if max_lanes is None else max_lanes
     by_key: dict[Hashable, list[list[PlannedRun]]] = {}
-    lanes: dict[Hashable, int] = {}  # of the last group of each key
     for entry in planned:
         if entry.finished:
             continue
-        if entry.lanes > most:
+        if max_lanes is not None and entry.lanes > max_lanes:
             raise InputError(
                 f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
-        key = entry.group_key()
-        if key not in by_key or lanes[key] + entry.lanes > most:
-            by_key.setdefault(key, []).append([])
-            lanes[key] = 0
-        by_key[key][-1].append(entry)
-        lanes[key] += entry.lanes
+        groups = by_key.setdefault(entry.group_key(), [[]])
+        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+            groups.append([])
+        groups[-1].append(entry)
     return [group for groups in by_key.values() for group in groups]
 
 
@@ -238,14 +233,6 @@ def serve(task: dict[str, Any]) -> int:
     `max_lanes`; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
-    if "grid" in task:
-        try:
-            _import(task)
-            reply = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
-        except Exception as error:
-            reply = {"state": "refused", "detail": _cause(error)}
-        print(json.dumps(reply), flush=True)
-        return 0
     failed: list[str] = []
 
     def emit(name: str, state: str, detail: str) -> None:
@@ -254,10 +241,18 @@ def serve(task: dict[str, Any]) -> int:
         print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
     try:
-        _import(task)
+        for record in task.get("imports", ()):
+            imports.note(**record)
+        imports.run_noted()
+        if "grid" in task:
+            planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
+            print(json.dumps({"state": "planned", "plan": planned}), flush=True)
+            return 0
     except Exception as error:
         cause = _cause(error)
-        for name in task["runs"]:
+        if "grid" in task:
+            print(json.dumps({"state": "refused", "detail": cause}), flush=True)
+        for name in task.get("runs", ()):
             emit(name, "failed", cause)
         return len(failed)
     configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
@@ -265,9 +260,3 @@ def serve(task: dict[str, Any]) -> int:
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
     return len(failed)
-
-
-def _import(task: dict[str, Any]) -> None:
-    for record in task.get("imports", ()):
-        imports.note(**record)
-    imports.run_noted()

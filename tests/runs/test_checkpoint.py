@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from earl_jax.runs import checkpoint
-from earl_jax.runs.files import DamagedWarning
+from earl_jax.runs.files import RunWarning
 from tests.conftest import advance, assert_equal_trees, make_train_state, take_lane, tiny_method
 
 
@@ -89,7 +89,7 @@ def test_lanes_are_saved_in_separate_folders_and_restored_together(two_folders, 
 
 def test_lanes_are_restored_together_from_a_step_that_is_whole_in_every_folder(two_folders, state):
     flip_bit(two_folders[1] / "000000080/lanes/arrays.npz")
-    with pytest.warns(DamagedWarning, match="second/000000080 is damaged"):
+    with pytest.warns(RunWarning, match="second/000000080 is damaged"):
         assert int(checkpoint.restore_together(two_folders, [1, 1], state).step) == 40
 
 
@@ -260,7 +260,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(two_steps, 
     folder = shutil.copytree(two_steps, tmp_path / "run")
     damage(folder / "000000080")
     tracemalloc.start()
-    with pytest.warns(DamagedWarning, match=f"is damaged: .*{message}.*; continuing from 000000040$"):
+    with pytest.warns(RunWarning, match=f"is damaged: .*{message}.*; continuing from 000000040$"):
         restored = checkpoint.restore(folder, state)
     assert tracemalloc.get_traced_memory()[1] < 15 << 20
     tracemalloc.stop()
@@ -274,7 +274,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(two_steps, 
     assert_equal_trees(checkpoint.restore(folder, state).lanes, state.lanes)
 
 
-@pytest.mark.filterwarnings("ignore::earl_jax.runs.files.DamagedWarning")
+@pytest.mark.filterwarnings("ignore::earl_jax.runs.files.RunWarning")
 @settings(max_examples=60, deadline=None)
 @given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), number=st.integers(0, 10**6))
 def test_a_flipped_bit_is_detected_or_changes_nothing(two_steps, state, where, bit, number):

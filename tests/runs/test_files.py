@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from earl_jax.runs.files import UnlockedWarning, append, inside, locked, read_bytes, write_atomically
+from earl_jax.runs.files import RunWarning, append, inside, locked, read_bytes, write_atomically
 
 HOLD_LOCK = (
     "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
@@ -93,7 +93,7 @@ def test_a_pipe_that_another_process_reads_is_not_written(tmp_path):
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOTSUP", "EOPNOTSUPP", "ENOLCK"])
 def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatch, code):
     monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(getattr(errno, code), code)))
-    with pytest.warns(UnlockedWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
+    with pytest.warns(RunWarning, match=f"{tmp_path} is on a file system without locks"), locked(tmp_path):
         write_atomically(tmp_path / "config.json", "new")
 
 
@@ -120,11 +120,3 @@ def test_a_stale_handle_is_opened_again_once(tmp_path, monkeypatch, failures):
     else:
         with pytest.raises(OSError, match=r"Stale file handle: '.*metrics\.csv'"):
             read_bytes(tmp_path / "metrics.csv")
-
-
-def test_a_file_is_replaced_while_another_process_reads_it(tmp_path):
-    path = tmp_path / "config.json"
-    write_atomically(path, "old")
-    with path.open() as reader:
-        write_atomically(path, "new")
-        assert reader.read() == "old"
