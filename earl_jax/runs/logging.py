@@ -13,7 +13,6 @@ import struct
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,6 +36,20 @@ class Log(Protocol):
     def close(self) -> None:
         """Close the log after all metrics are written."""
         ...
+
+
+class CSVLog:
+    """The table of the run folder, with a row for each seed and evaluation."""
+
+    def __init__(self, folder: RunFolder):
+        self._folder = folder
+
+    def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
+        """Append the rows of `step` to metrics.csv; they are on the disk when this returns."""
+        self._folder.append(step, metrics)
+
+    def close(self) -> None:
+        """Do nothing, because all rows are on the disk already."""
 
 
 def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, float]:
@@ -159,5 +172,4 @@ def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> li
     """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
     named = [OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs] if folder else []
     attached = [log.attach(folder, named) if hasattr(log, "attach") else log for log in others]
-    table: Any = [SimpleNamespace(log=folder.append, close=lambda: None)] if folder else []  # its rows are on the disk
-    return [*table, *named, *attached]
+    return [*([CSVLog(folder)] if folder else []), *named, *attached]
