@@ -78,11 +78,11 @@ def join_hosts(hosts: str | None) -> None:
     """
     if hosts is None:
         return
-    parts = hosts.split(",")
-    if hosts != "auto" and (len(parts) != 3 or not all(part.isdigit() for part in parts[1:])):
-        raise InputError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
     if hosts == "auto":
         return jax.distributed.initialize()
+    parts = hosts.split(",")
+    if len(parts) != 3 or not all(part.isdecimal() for part in parts[1:]):
+        raise InputError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
     jax.distributed.initialize(parts[0], int(parts[1]), int(parts[2]))
 
 

@@ -149,7 +149,7 @@ def visible_gpus(environment: Mapping[str, str]) -> list[str]:
     names = environment.get("CUDA_VISIBLE_DEVICES", ",".join(map(str, range(count)))).split(",")
 
     def exists(name: str) -> bool:
-        return int(name) < count if name.isdigit() else count > 0 and name.startswith(("GPU-", "MIG-"))
+        return int(name) < count if name.isdecimal() else count > 0 and name.startswith(("GPU-", "MIG-"))
 
     return list(
         itertools.takewhile(exists, map(str.strip, names))

@@ -96,7 +96,7 @@ def _bytes(tree: Any) -> int:
 def programs_per_device() -> int:
     """Return the number of programs that share the device, of which this process is one."""
     text = os.environ.get(PER_DEVICE, "1")
-    return max(1, int(text)) if text.isdigit() else 1
+    return max(1, int(text)) if text.isdecimal() else 1
 
 
 def free_bytes(device: Any) -> int | None:

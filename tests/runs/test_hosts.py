@@ -11,8 +11,9 @@ from tests.cli.process import free_port, run, start, training
 
 def test_hosts_take_auto_or_an_address_with_two_numbers():
     join_hosts(None)
-    with pytest.raises(ValueError, match="--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not 'two'"):
-        join_hosts("two")
+    for hosts in ("two", "here:1,²,0"):
+        with pytest.raises(ValueError, match=f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not '{hosts}'"):
+            join_hosts(hosts)
 
 
 def start_two(*arguments):

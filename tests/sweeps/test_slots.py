@@ -17,6 +17,7 @@ RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
         ({}, ["0", "1"]),
         ({"CUDA_VISIBLE_DEVICES": "1, 0"}, ["1", "0"]),
         ({"CUDA_VISIBLE_DEVICES": "GPU-7,5,0"}, ["GPU-7"]),
+        ({"CUDA_VISIBLE_DEVICES": "²,0"}, []),
         ({"CUDA_VISIBLE_DEVICES": "-1"}, []),
         ({"CUDA_VISIBLE_DEVICES": ""}, []),
         ({"JAX_PLATFORMS": "cpu"}, []),
