@@ -118,7 +118,9 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     learner, controller = method.learner, controller_of(method, state.lanes.phase)
     demo_share, size = jnp.asarray(learner.demo_share), learner.batch_size * learner.utd
-    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps)
+    most = None if learner.keep_demos else learner.replay_capacity
+    own = None if most is None else state.step >= most
+    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
     replay, batch = read_before_write(state.replay, batch)
     return state.replace(replay=replay), batch
 

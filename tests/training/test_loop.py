@@ -152,6 +152,20 @@ def test_batches_drawn_ahead_are_those_of_each_step(problem, monkeypatch):
     assert_equal_trees(ahead.lanes.agent, expected.lanes.agent, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("keep_demos", [True, False])
+def test_demonstrations_are_sampled_until_the_replay_is_full_of_own_transitions_unless_they_are_kept(
+    problem, keep_demos
+):
+    method = tiny_method("naive", replay_capacity=CHUNK, keep_demos=keep_demos, batch_size=1024)
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK)
+    demonstrated = [
+        np.asarray(loop.sample(method, state.replace(step=jnp.asarray(step)), state.lanes.key)[1].row)
+        < int(state.replay.first_row)
+        for step in (CHUNK - 1, CHUNK)
+    ]
+    assert [rows.any() for rows in demonstrated] == [True, keep_demos]
+
+
 def test_a_step_started_on_the_host_and_finished_later_equals_a_whole_step(door, monkeypatch):
     method = tiny_method("fbrl", demo_share=0.5)
     start = make_train_state(door, method, [0, 1])

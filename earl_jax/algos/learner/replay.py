@@ -182,18 +182,30 @@ def _without_row(replay: Replay, row: jax.Array) -> Replay:
 
 @jax.named_scope("sample")
 def sample(
-    replay: Replay, keys: jax.Array, controller: jax.Array, size: int, demo_share: jax.Array, later_steps: float = 0
+    replay: Replay,
+    keys: jax.Array,
+    controller: jax.Array,
+    size: int,
+    demo_share: jax.Array,
+    later_steps: float = 0,
+    own: jax.Array | None = None,
 ) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
-    A share `demo_share [N]` is drawn from the demonstrations alone. At the first step of a controller without listed
-    transitions, it samples those of the other one. A lane's draw depends only on its own key and counts, not on the
-    number of lanes. With `later_steps`, the batch has states `later` that many steps later on average.
+    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, none is drawn as long as there
+    are other transitions. At the first step of a controller without listed transitions, it samples those of the other
+    one. A lane's draw depends only on its own key and counts, not on the number of lanes. With `later_steps`, the batch
+    has states `later` that many steps later on average.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
-    listed = draw(keys, replay.counts[lanes[:, 0], controller], replay.demos[controller], demo_share, size)
+    counts, demos = replay.counts[lanes[:, 0], controller], replay.demos[controller]
+    if own is None:
+        listed = draw(keys, counts, demos, demo_share, size)
+    else:
+        left_out = jnp.where(own & (counts > demos), demos, 0)
+        listed = left_out[:, None] + draw(keys, counts - left_out, demos - left_out, demo_share, size)
     batch = _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
     if not later_steps:
         return batch

@@ -121,6 +121,13 @@ def test_a_replay_with_a_capacity_keeps_its_demonstrations():
     assert set(np.asarray(shared.row).ravel().tolist()) == {0, 1}
 
 
+@pytest.mark.parametrize("own", [3, 0])
+def test_demonstrations_are_left_out_of_a_sample_of_own_transitions_if_there_are_any(own):
+    buffer = fill_replay([(0, 0)] * own, [(True, True)] * own, buffer=with_demonstrations(3))
+    batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.ones(2, np.float32), own=np.True_)
+    assert set(np.asarray(batch.row).ravel().tolist()) == ({3, 4, 5} if own else {0, 1})
+
+
 def assert_equal_samples(*buffers):
     for controller in np.eye(2, dtype=np.int32):
         assert_equal_trees(*(sample(buffer, KEYS, controller, DRAWS, NO_DEMO_SHARE) for buffer in buffers))
