@@ -20,7 +20,7 @@ minari = optional("minari", "a Minari dataset needs", "minari")
 def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:
     """Return a new `MinariDataset` of a task's recorded demonstrations, an episode for each, with rewards of `task`.
 
-    An episode terminates if success ends attempts (`Env.success_terminates`) and its last step reaches the goal.
+    An episode terminates if the reward is sparse and its last step reaches the goal.
 
     Args:
         task: a task's name, or an `Env`.
@@ -33,7 +33,7 @@ def demonstrations(task: str | Env, direction: str = "forward", dataset: str | N
     env = make(task) if isinstance(task, str) else task
     demos = env.demonstrations.load(direction)
     next_obs = jnp.asarray(np.concatenate([demos.next_states, demos.goals], axis=1))
-    terminal = demos.ends & np.asarray(env.success(next_obs)) & env.success_terminates
+    terminal = demos.ends & np.asarray(env.success(next_obs)) & env.sparse
     demos = demos._replace(rewards=np.asarray(env.reward(next_obs)))
     dataset = dataset or f"earl_jax/{env.name}/{direction}-v0"
     return write(dataset, env, demos, terminal, "script", f"Demonstrations of {env.name}, {direction}")

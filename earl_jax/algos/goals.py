@@ -57,7 +57,7 @@ def later_demonstrated(goals: Goals, row: jax.Array, draw: jax.Array) -> jax.Arr
 def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Array) -> TransitionBatch:
     """Return `batch [B]` with the rewards and successes of its next states under `goal [B, g]` where `changed [B]`."""
     obs = jnp.concatenate([batch.next_state, goal], axis=-1)
-    reached = jnp.where(changed, env.success(obs) & env.success_terminates, batch.flags.reached)
+    reached = jnp.where(changed, env.success(obs) & env.sparse, batch.flags.reached)
     reward = jnp.where(changed, env.reward(obs), batch.reward)
     return batch._replace(reward=reward, flags=batch.flags._replace(reached=reached))
 

@@ -40,7 +40,7 @@ class Phase(NamedTuple):
     """One of the phases between which a method alternates; the first one pursues the task.
 
     `demos` are those of its `controller`; `length`, the steps after which it times out, is H_E
-    for None; `ends_on_success`: reaching the goal ends it (`Env.success_terminates`); `resets`: its end resets the environment.
+    for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment.
     """
 
     demos: tuple[PhaseDemos, ...] = (FORWARD,)

@@ -43,8 +43,6 @@ class Env(abc.ABC):
     """H_E: steps of an evaluation episode, and of a phase of most methods."""
     demo_file: str | None = None
     """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
-    terminate_on_success: bool = False
-    """Whether success ends an attempt with a dense reward too, as in the released training scripts."""
 
     name: ClassVar[str]
     has_absorbing_state: ClassVar[bool] = False
@@ -101,13 +99,8 @@ class Env(abc.ABC):
 
     @property
     def sparse(self) -> bool:
-        """Whether the reward is 1 on success and 0 elsewhere."""
+        """Whether the reward is 1 on success and 0 elsewhere, so that reaching a goal ends a virtual episode."""
         return self.reward_type == "sparse"
-
-    @property
-    def success_terminates(self) -> bool:
-        """Whether reaching a goal ends an attempt: always with a sparse reward."""
-        return self.sparse or self.terminate_on_success
 
     @property
     def reward_scale(self) -> float:

@@ -86,7 +86,7 @@ def advance_rules(
     `key` draws interventions by chance. A fault resets this lane, as an intervention does.
     """
     fault = env.fault(env_state) | attempt.invalid_reward
-    success = env.success_terminates & env.success(env_state.obs) & attempt.ends_on_success
+    success = env.sparse & env.success(env_state.obs) & attempt.ends_on_success
     reached = success & ~fault & (env_state.done == 0)
     intervened = rules.intervened(step, key) | fault
     goal_changes = rules.goal_changes(step)

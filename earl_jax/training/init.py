@@ -98,7 +98,7 @@ def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> 
         return replay
     replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
-    reached = env.success(obs) & env.success_terminates
+    reached = env.success(obs) & env.sparse
     goal, no = jnp.asarray(demos.goals), jnp.zeros_like(reached)
     flags = TransitionFlags(goal=goal, reached=reached, timeout=no, no_successor=no, absorbed=no)
     first, second = demos.sampleable(0), demos.sampleable(1)

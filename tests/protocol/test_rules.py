@@ -48,8 +48,6 @@ def test_an_attempt_ends_at_its_goal_or_at_its_limit(position, changes, expected
 def test_a_dense_reward_and_a_state_after_the_absorbing_end_end_no_attempt():
     env = Chain(reward_type="dense")
     assert step_end(state_at(GOAL, env), env=env) == set()
-    ending = dataclasses.replace(env, terminate_on_success=True)
-    assert step_end(state_at(GOAL, ending), env=ending) == {"reached", "phase_ended"}
     assert step_end(state_at(GOAL).replace(done=jnp.ones(()))) == set()
 
 

@@ -49,7 +49,6 @@ class HelpBudget(Env):
     train_horizon: int = dataclasses.field(init=False, repr=False)
     eval_horizon: int = dataclasses.field(init=False, repr=False)
     demo_file: str | None = dataclasses.field(init=False, repr=False)
-    terminate_on_success: bool = dataclasses.field(init=False, repr=False)
     task: Env
     budget: float = dataclasses.field(metadata=within("(0, 1000000000]"))
     help_cost: float = dataclasses.field(default=1.0, metadata=within("[0, 1000000000]"))
