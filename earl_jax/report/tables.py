@@ -101,6 +101,7 @@ def run_table(rows: Sequence[Row]) -> Table:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, notes)
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
+    notes[1:1] = [LEGEND] if life else []
     return Table.of([*COLUMNS, *life], rows, notes)
 
 
@@ -144,6 +145,10 @@ LIFE: tuple[Column, ...] = (
     _number("still", "still_steps", ",.0f"),
 )
 """Columns that are shown if a row has a value for them."""
+LEGEND = (
+    "Means over seeds in the same window: wide, success from wide starts; forward and back, the share of phases that reached "
+    "their goal; alive, 1 unless a direction has missed its goal for long; still, steps since the object moved."
+)
 
 
 def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Table] = run_table) -> None:
