@@ -119,7 +119,7 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     learner, controller = method.learner, controller_of(method, state.lanes.phase)
     demo_share, size = jnp.asarray(learner.demo_share), learner.batch_size * learner.utd
     most = None if learner.keep_demos else learner.replay_capacity
-    own = None if most is None else state.step >= most
+    own = most is not None and state.step >= most
     batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
     replay, batch = read_before_write(state.replay, batch)
     return state.replace(replay=replay), batch

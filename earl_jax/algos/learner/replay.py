@@ -188,7 +188,7 @@ def sample(
     size: int,
     demo_share: jax.Array,
     later_steps: float = 0,
-    own: jax.Array | None = None,
+    own: jax.Array | bool = False,
 ) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
@@ -201,11 +201,8 @@ def sample(
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, None))
     counts, demos = replay.counts[lanes[:, 0], controller], replay.demos[controller]
-    if own is None:
-        listed = draw(keys, counts, demos, demo_share, size)
-    else:
-        left_out = jnp.where(own & (counts > demos), demos, 0)
-        listed = left_out[:, None] + draw(keys, counts - left_out, demos - left_out, demo_share, size)
+    left_out = jnp.where(own & (counts > demos), demos, 0)
+    listed = left_out[:, None] + draw(keys, counts - left_out, demos - left_out, demo_share, size)
     batch = _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
     if not later_steps:
         return batch
