@@ -83,10 +83,10 @@ def compare(
         rows = published_rows(groups, metric)
     else:
         pairs = [pair for pair in itertools.combinations(groups, 2) if pair[0].env == pair[1].env]
-        for first, second in itertools.filterfalse(overlap, pairs):
+        for first, second in (pair for pair in pairs if not overlap(*pair)):
             apart = f"{first.label} and {second.label} on {first.env} are not compared"
             warnings.warn(f"{apart}: one ends before the other's first evaluation", RunWarning, stacklevel=2)
-        rows = [pair_row(*pair, metric) for pair in filter(overlap, pairs)]
+        rows = [pair_row(*pair, metric) for pair in pairs if overlap(*pair)]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
@@ -95,10 +95,10 @@ def compare(
     return with_verdicts(rows)
 
 
-def overlap(pair: tuple[MethodRuns, MethodRuns]) -> bool:
-    """Return whether both methods of a `pair` have evaluations up to a common step."""
-    first, last = common_steps(*(runs.curves for runs in pair))
-    return first <= last
+def overlap(first: MethodRuns, second: MethodRuns) -> bool:
+    """Return whether both methods have evaluations up to a common step."""
+    start, end = common_steps(first.curves, second.curves)
+    return start <= end
 
 
 def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:

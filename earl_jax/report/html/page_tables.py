@@ -92,7 +92,7 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
 
     A pair of which one run ends before the other's first evaluation is left out.
     """
-    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap((pair[0].group, pair[1].group))]
+    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap(*(line.group for line in pair))]
     tested = with_verdicts([pair_row(first.group, second.group) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
     rows = [
