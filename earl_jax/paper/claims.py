@@ -15,7 +15,7 @@ from earl_jax.metrics.comparison import CANNOT_TELL
 from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
-from earl_jax.report.published import RECONSTRUCTED, published_score, released_curves
+from earl_jax.report.published import is_comparable, published_score, released_curves
 from earl_jax.report.runs import Curves, MethodRuns, common_steps
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.style import method_title, task_order, task_title
@@ -88,7 +88,7 @@ def claim_rows(number: int, groups: Sequence[MethodRuns] | None = None) -> list[
     """Return a row for each of `CLAIMS` about a table, tested with the first runs of each method, or with the published ones."""
     curves: dict[tuple[str, str], Curves] = {}
     for group in groups or ():
-        if group.curves.comparable and group.env not in RECONSTRUCTED:
+        if is_comparable(group.curves):
             curves.setdefault((group.env, group.algo), group.curves)
     rows = []
     for claim in (claim for claim in CLAIMS if claim.number == number):
@@ -197,6 +197,6 @@ def _published() -> Iterator[tuple[str, str, float, float]]:
 def _ours(groups: Sequence[MethodRuns]) -> Iterator[tuple[str, str, float, float]]:
     """Yield the mean scores of the runs that can be compared with the paper's."""
     for group in groups:
-        if group.curves.comparable and group.env not in RECONSTRUCTED:
+        if is_comparable(group.curves):
             continuing = float(table_scores(2, group.curves).mean())
             yield group.env, group.algo, float(seed_scores(group.curves).mean()), continuing
