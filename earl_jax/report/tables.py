@@ -95,14 +95,13 @@ def _metric_row(curves: Curves, metric: str, name: str) -> Row:
 
 def run_table(rows: Sequence[Row]) -> Table:
     """Return the table of rows of `tabulate`, with notes of what their scores are means of, and of the options of each."""
-    notes = [f"The score of a seed is its mean over {rows[0]['mean_over']}. {INTERVALS}"]
-    notes += [f"{row['algo']}: {row['options']}" for row in rows]
+    score = f"The score of a seed is its mean over {rows[0]['mean_over']}. {INTERVALS}"
+    options = [f"{row['algo']}: {row['options']}" for row in rows]
     if "metric" in rows[0]:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
-        return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, notes)
+        return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, [score, *options])
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
-    notes[1:1] = [LEGEND] if life else []
-    return Table.of([*COLUMNS, *life], rows, notes)
+    return Table.of([*COLUMNS, *life], rows, [score, *([LEGEND] if life else []), *options])
 
 
 def _interval(row: Row, name: str, ends: Sequence[str] = (), style: str = ".3f") -> str:
