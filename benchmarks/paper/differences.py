@@ -68,8 +68,8 @@ class Difference:
 BIASED = f"{CHEETAH}/naive/train_horizon_1000"
 BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
-SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
 RELEASED_REPLAY = "replay_capacity_1000000"
+SCRIPT_OPTIONS = f"random_steps_10000-{RELEASED_REPLAY}-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
 
@@ -83,14 +83,13 @@ RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
     tuple(_released(update, horizon) for horizon in HORIZONS) for update in ("", "-timeout_bootstrap")
 )
 ORACLE = (f"{PEG}/oracle", f"{PEG}/oracle/seeds_5_to_14")
-ORACLE_KITCHEN = f"{KITCHEN}/oracle"
 AGAIN = {
-    f"{TABLETOP}/fbrl": f"{TABLETOP}/fbrl/commit_438fb6a",
-    f"{TABLETOP}/oracle": f"{TABLETOP}/oracle/commit_438fb6a",
-    f"{DOOR}/r3l": f"{DOOR}/r3l/commit_45e2f6a",
-    f"{KITCHEN}/naive": f"{KITCHEN}/naive/commit_87f9604",
-    ORACLE_KITCHEN: f"{ORACLE_KITCHEN}/commit_87f9604",
-}
+    cell: f"{cell}/commit_{commit}"
+    for cell, commit in (
+        (f"{TABLETOP}/fbrl", "438fb6a"), (f"{TABLETOP}/oracle", "438fb6a"), (f"{DOOR}/r3l", "45e2f6a"),
+        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"),
+    )
+}  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
 VAPRL = {
     DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
@@ -158,7 +157,7 @@ DIFFERENCES = (
         Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
     )),
     Difference("16", "the kitchen's oracle, both of its runs: the light's weight; the release's reward scale 0.1", tuple(
-        Pair((ORACLE_KITCHEN, AGAIN[ORACLE_KITCHEN]), (f"{ORACLE_KITCHEN}/{name}",))
+        Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/{name}",))
         for name in ("unweighted_light", "reward_scale_0.1")
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
