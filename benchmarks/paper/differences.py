@@ -22,7 +22,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
 from earl_jax.metrics.scores import SUCCESS
 from earl_jax.paper.artefact import training_steps
-from earl_jax.report.comparison import comparison_columns, pair_row, verdict_text, with_verdicts
+from earl_jax.report.comparison import comparison_columns, pair_row, published_rows, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_all
@@ -37,14 +37,19 @@ DEPLOYED = "deployed"
 """The metric of a pair that names none: success or return."""
 LEAST = 0.001
 """The least p that is printed as a number."""
-FAMILY = "In this table a family has the tests of one difference on a task, at all ages."
+FAMILY = (
+    "In this table a family has the tests of one difference on a task, at all ages: those between our runs, or those with the "
+    "released runs."
+)
+PUBLISHED = ("published",)
+"""The second side of a pair that tests ours against the released runs."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
     """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled.
 
-    They are compared by the `metric`, by default the deployed score.
+    They are compared by the `metric`, by default the deployed score. The second set may be `PUBLISHED`.
     """
 
     first: tuple[str, ...]
@@ -68,8 +73,9 @@ class Difference:
 BIASED = f"{CHEETAH}/naive/train_horizon_1000"
 BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
-RELEASED_REPLAY = "replay_capacity_1000000"
-SCRIPT_OPTIONS = f"random_steps_10000-{RELEASED_REPLAY}-reward_scale_0.1"
+CAPACITY = "replay_capacity_1000000"
+RELEASED_REPLAY = f"keep_demos_False-{CAPACITY}"
+SCRIPT_OPTIONS = f"random_steps_10000-{CAPACITY}-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
 
@@ -77,6 +83,13 @@ def _released(update: str, horizon: int) -> tuple[str, str]:
     """Return the run of the released script with an `update` and its further seeds, which trained longer."""
     name = f"{CHEETAH}/naive/{SCRIPT_OPTIONS}{update}-train_horizon_{horizon}"
     return name, f"{name}-seeds_5_to_9"
+
+
+def _replays(cell: str) -> tuple[Pair, ...]:
+    """Return the tests of a cell's replay: every step, or the last 1,000,000, with the demonstrations or without them."""
+    released = f"{cell}/{RELEASED_REPLAY}"
+    sides = ((cell,), (f"{cell}/{CAPACITY}",)), ((cell,), (released,)), ((released,), PUBLISHED)
+    return tuple(Pair(*pair, metric) for pair in sides for metric in (None, CONTINUING))
 
 
 RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
@@ -124,7 +137,7 @@ DIFFERENCES = (
     )),
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps; its replay", (
         Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
-        *(Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/{RELEASED_REPLAY}",), metric) for metric in (None, CONTINUING)),
+        *_replays(f"{DOOR}/naive"),
     )),
     Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
         Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
@@ -141,9 +154,7 @@ DIFFERENCES = (
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
         ),
     )),
-    Difference("14", "VaPRL's life on the door: the release's replay of 1,000,000 steps", tuple(
-        Pair((f"{DOOR}/vaprl",), (f"{DOOR}/vaprl/{RELEASED_REPLAY}",), metric) for metric in (None, CONTINUING)
-    )),
+    Difference("14", "VaPRL's life on the door: the release's replay", _replays(f"{DOOR}/vaprl")),
     Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
@@ -156,9 +167,12 @@ DIFFERENCES = (
         ),
         Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
     )),
-    Difference("16", "the kitchen's oracle, both of its runs: the light's weight; the release's reward scale 0.1", tuple(
-        Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/{name}",))
-        for name in ("unweighted_light", "reward_scale_0.1")
+    Difference("16", "the kitchen's oracle, both of its runs: the light's weight; the release's reward scale 0.1", (
+        *(
+            Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/{name}",))
+            for name in ("unweighted_light", "reward_scale_0.1")
+        ),
+        Pair((f"{KITCHEN}/oracle/reward_scale_0.1",), PUBLISHED),
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
         Pair((cell,), (earlier,)) for cell, earlier in AGAIN.items()
@@ -175,7 +189,8 @@ def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
     for entry in DIFFERENCES:
         tested = [(pair.metric, row) for pair in entry.pairs if (row := _pair_row(root, pair))]
         rows += [{"number": entry.number, "metric": metric or DEPLOYED, **row} for metric, row in tested]
-    return with_verdicts(rows, family=("number", "env"))
+    rows = [{**row, "released": row["second"] == PUBLISHED[0]} for row in rows]
+    return with_verdicts(rows, family=("number", "env", "released"))
 
 
 def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
@@ -201,17 +216,18 @@ def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
 
 def _pair_row(root: Path, pair: Pair) -> Row | None:
     """Return the test of a pair, or None if a side has no run; further folders of a side may be missing."""
-    sides = [
-        [root / name for name in names if (root / name / "metrics.csv").is_file()]
-        for names in (pair.first, pair.second)
-    ]
-    if not all(sides):
+    first = _pooled(root, pair.first)
+    if first and pair.second == PUBLISHED:
+        return published_rows([first], pair.metric)[-1]
+    second = _pooled(root, pair.second)
+    return pair_row(first, second, pair.metric) if first and second else None
+
+
+def _pooled(root: Path, names: tuple[str, ...]) -> MethodRuns | None:
+    """Return the pooled seeds of those of the folders that have a run."""
+    folders = [root / name for name in names if (root / name / "metrics.csv").is_file()]
+    if not folders:
         return None
-    first, second = (_pooled(root, folders) for folders in sides)
-    return pair_row(first, second, pair.metric)
-
-
-def _pooled(root: Path, folders: list[Path]) -> MethodRuns:
     groups = read_all(folders)
     if len(groups) > 1:
         raise InputError(f"{', '.join(map(str, folders))} differ in their options, so their seeds cannot be pooled")
