@@ -99,13 +99,10 @@ class HelpBudget(Env):
     @property
     def starts(self) -> Starts:
         own = self.task.starts
-        uniform, wide = (start and functools.partial(self._reset_by, start) for start in (own.uniform, own.wide))
-        return own._replace(uniform=uniform, wide=wide, numbered=own.numbered and self._numbered_start)
-
-    def _numbered_start(self, key: jax.Array, number: jax.Array) -> State:
-        start = self.task.starts.numbered
-        assert start is not None
-        return self._reset_by(lambda inner_key: start(inner_key, number), key)
+        uniform, wide, numbered = (
+            start and functools.partial(self._reset_by, start) for start in (own.uniform, own.wide, own.numbered)
+        )
+        return own._replace(uniform=uniform, wide=wide, numbered=numbered)
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
@@ -117,14 +114,14 @@ class HelpBudget(Env):
         task_map = self.task.map
         return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
-    def _reset_by(self, reset: Callable[[jax.Array], State], key: jax.Array) -> State:
-        """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key)`.
+    def _reset_by(self, reset: Callable[..., State], key: jax.Array, *number: jax.Array) -> State:
+        """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key, *number)`.
 
         `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime.
         Its `key` draws s' ~ rho.
         """
         inner_key, own_key = jax.random.split(key)
-        inner, none = reset(inner_key), jnp.zeros((), jnp.int32)
+        inner, none = reset(inner_key, *number), jnp.zeros((), jnp.int32)
         info = {
             "goal": inner.info["goal"],
             "budget": jnp.asarray(self.budget, jnp.float32),
