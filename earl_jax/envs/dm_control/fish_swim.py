@@ -76,7 +76,7 @@ class FishSwim(MujocoEnv):
         return self.make_state(data, _observed(data), {"goal": goal})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        return state.data.replace(mocap_pos=state.info["goal"][None]), action
+        return self._at_goal(state), action
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, _observed(data), {}
