@@ -25,16 +25,16 @@ FIRST = np.array([*range(9), 9, 11, 13, 15, 17, 19, 20, 21, 22])
 """Index of each joint of the MJCF in a state."""
 MEMBERS = np.array([[index in component for index in range(9, 23)] for component in COMPONENTS], np.float32)
 TOLERANCE = 0.01 * MEMBERS.sum(axis=1)
+SLIDE = 2
+"""MuJoCo's type of a slide joint."""
 
 
 class Link(NamedTuple):
-    """A body in the chain from the world body to a site: its frame in its parent, and its joint if it has one."""
+    """A body in the chain from the world body to a site: its frame in its parent, and MuJoCo's joint if it has one."""
 
     pos: np.ndarray
     rotation: np.ndarray
-    joint: int | None
-    slides: bool
-    axis: np.ndarray
+    joint: Any
 
 
 def observed(qpos: Any) -> Any:
@@ -91,12 +91,9 @@ def _chain(site: str) -> tuple[tuple[Link, ...], np.ndarray]:
     while index:
         body, address = model.body(index), model.body_jntadr[index]
         joint = model.joint(address) if address >= 0 else None
-        axis = np.zeros(3) if joint is None else joint.axis.copy()
-        slides = joint is not None and joint.type[0] == 2
-        number = None if joint is None else int(joint.qposadr[0])
-        links.append(Link(body.pos.copy(), _rotation_matrix(body.quat), number, slides, axis))
+        links.append(Link(body.pos, _rotation_matrix(body.quat), joint))
         index = body.parentid[0]
-    return tuple(links[::-1]), model.site(site).pos.copy()
+    return tuple(links[::-1]), model.site(site).pos
 
 
 @functools.cache
@@ -115,11 +112,11 @@ def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -
     point = tuple(end.tolist())
     for link in reversed(links):
         if link.joint is not None:
-            value = qpos[link.joint]
-            if link.slides:
-                point = tuple(x + value * along for x, along in zip(point, link.axis.tolist(), strict=True))
+            value, axis = qpos[int(link.joint.qposadr[0])], link.joint.axis.tolist()
+            if link.joint.type[0] == SLIDE:
+                point = tuple(x + value * along for x, along in zip(point, axis, strict=True))
             else:
-                point = jax.lax.optimization_barrier(_rotated(point, link.axis.tolist(), value))
+                point = jax.lax.optimization_barrier(_rotated(point, axis, value))
         point = tuple(_dot(row, point) + x for row, x in zip(link.rotation.tolist(), link.pos.tolist(), strict=True))
     return jnp.stack([jnp.asarray(x, jnp.float32) for x in point])
 
