@@ -21,7 +21,7 @@ SITES = ("knob1", "knob2", "knob3", "knob4", "switch", "slide", "right_door", "m
 JOINT = np.array([*range(9), 9, 9, 10, 10, 11, 11, 12, 12, 13, 13, 14, 15, 16, 17])
 GEAR = np.array([*[1.0] * 9, *[1.0, 1 / 174] * 4, 1.0, 1 / 14, *[1.0] * 4], np.float32)
 """A state is `qpos[JOINT] * GEAR`: the plates and the light block follow a joint of the MJCF."""
-FIRST = np.array([*range(9), 9, 11, 13, 15, 17, 19, 20, 21, 22])
+FIRST = np.unique(JOINT, return_index=True)[1]
 """Index of each joint of the MJCF in a state."""
 MEMBERS = np.array([[index in component for index in range(9, 23)] for component in COMPONENTS], np.float32)
 TOLERANCE = 0.01 * MEMBERS.sum(axis=1)
