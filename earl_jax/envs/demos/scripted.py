@@ -75,9 +75,9 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         action = np.array(act(obs))
         action[:-1] += rng.uniform(-noise, noise, len(action) - 1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
-        state, success = _step(env, state, action)
+        state = _step(env, state, action)
         next_obs = np.asarray(state.obs)
-        reached = bool(success)
+        reached = bool(state.metrics["success"])
         ends = reached if steps is None else number + 1 == steps
         rows.append((obs[:size], obs[size:], action, next_obs[:size], np.float32(reached), ends))
         if reached and ends:
@@ -94,9 +94,8 @@ def _expert_action(env: Env, obs: jax.Array) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _step(env: Env, state: State, action: jax.Array) -> tuple[State, jax.Array]:
-    state = env.step(state, action)
-    return state, env.success(state.obs)
+def _step(env: Env, state: State, action: jax.Array) -> State:
+    return env.step(state, action)
 
 
 def stacked(rows: list[tuple]) -> Demos:
