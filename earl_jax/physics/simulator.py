@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.physics.engines import c, mjx
@@ -62,12 +63,9 @@ class Simulator:
             return command, memory
         return self.actuator(xp, qpos, qvel, command, memory)
 
-    def variation(self, constants: Any) -> dict[str, Any]:
+    def variation(self, constants: jax.Array) -> dict[str, jax.Array]:
         """Return a lane's `constants [k]` as the model fields `varied`, in their shapes."""
-        shapes = {field: getattr(self.mujoco_model(), field).shape for field in self.varied}
-        ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()]).tolist()
-        starts = [0, *ends[:-1]]
-        return {
-            field: constants[start:end].reshape(shape)
-            for (field, shape), start, end in zip(shapes.items(), starts, ends, strict=True)
-        }
+        nominal = [getattr(self.mujoco_model(), field) for field in self.varied]
+        parts = jnp.split(constants, np.cumsum([values.size for values in nominal])[:-1])
+        shaped = [part.reshape(values.shape) for part, values in zip(parts, nominal, strict=True)]
+        return dict(zip(self.varied, shaped, strict=True))
