@@ -12,7 +12,7 @@ from jax.core import Tracer
 
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
-from earl_jax.envs.state import NextState, State, all_finite
+from earl_jax.envs.state import NextState, State, all_finite, random_row
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
@@ -230,8 +230,7 @@ class Env(abc.ABC):
     @package_types()
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """Return a task goal [g], uniform over `goal_states`."""
-        goals = jnp.asarray(self.goal_states)
-        return goals[jax.random.randint(key, (), 0, goals.shape[0])]
+        return random_row(key, self.goal_states)
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
         """Return `state` with the goal `goal [g]`; reward and metrics still describe the last transition."""

@@ -53,6 +53,12 @@ def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), tree, other)
 
 
+def random_row(key: jax.Array, table: Any) -> Any:
+    """Return one row of `table`, a tree of arrays [n, ...], uniform over the n."""
+    index = jax.random.randint(key, (), 0, len(jax.tree.leaves(table)[0]))
+    return jax.tree.map(lambda values: jnp.asarray(values)[index], table)
+
+
 def all_finite(tree: Any) -> jax.Array:
     """Return whether every floating-point number in `tree` is finite, bool []."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]

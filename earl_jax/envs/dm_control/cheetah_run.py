@@ -18,7 +18,7 @@ from earl_jax import assets
 from earl_jax.envs.features import ContinuingDefaults
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import linear, tolerance
-from earl_jax.envs.state import NextState, State
+from earl_jax.envs.state import NextState, State, random_row
 from earl_jax.physics import EngineCost, PhysicsState, load_model
 
 TARGET_SPEED = 10.0
@@ -61,9 +61,7 @@ class CheetahRun(MujocoEnv):
     control_step: ClassVar[float] = 0.01
 
     def reset(self, key: jax.Array) -> State:
-        table = assets.starts(self.name)
-        index = jax.random.randint(key, (), 0, len(table["qpos"]))
-        data = PhysicsState.at(**{field: jnp.asarray(values)[index] for field, values in table.items()})
+        data = PhysicsState.at(**random_row(key, assets.starts(self.name)))
         return self.make_state(data, _observed(data), {"goal": jnp.zeros((0,))})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:

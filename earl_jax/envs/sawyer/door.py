@@ -12,7 +12,7 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
 from earl_jax.envs.shaping import tolerance
-from earl_jax.envs.state import State, tree_where
+from earl_jax.envs.state import State, random_row, tree_where
 from earl_jax.physics import EngineCost
 
 HINGE = np.array([-0.085, 0.85], np.float32)
@@ -151,8 +151,6 @@ def handle_at(angle: jax.Array) -> jax.Array:
 
 def drawn_arm(key: jax.Array, name: str) -> Pose:
     """Return one of the poses of task `name`, at rest with an open gripper; its fields are arrays."""
-    table = assets.starts(name)
-    index = jax.random.randint(key, (), 0, len(table["qpos"]))
-    arm = {field: jnp.asarray(values)[index] for field, values in table.items()}
+    arm = random_row(key, assets.starts(name))
     still = jnp.zeros_like(arm["qpos"])
     return Pose(arm["target"], arm["qpos"], still, still, arm["hand"], 1.0)

@@ -12,7 +12,7 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
-from earl_jax.envs.state import State
+from earl_jax.envs.state import State, random_row
 from earl_jax.errors import InputError
 from earl_jax.physics import EngineCost
 
@@ -109,9 +109,8 @@ class SawyerPeg(Sawyer):
 
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
-        goals = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)
-        start = self._peg_start(start_key)
-        return self._start_with_peg(start, goals[jax.random.randint(goal_key, (), 0, len(goals))])
+        goals = self.initial_states if self.reset_at_goal else self.goal_states
+        return self._start_with_peg(self._peg_start(start_key), random_row(goal_key, goals))
 
     def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
         """Return the start with that `number []` in the published list."""
@@ -156,9 +155,10 @@ class SawyerPeg(Sawyer):
         if self.reset_at_goal:
             return jnp.asarray(INSERTED - HEAD) + scatter
         if self.listed:
-            return _lying_peg(_drawn(HEADS, head_key))
+            return _lying_peg(random_row(head_key, HEADS))
         if self.wide:
-            return jnp.where(jax.random.bernoulli(wide_key), uniform, _lying_peg(_drawn(FAR_HEADS, head_key)) + scatter)
+            far = _lying_peg(random_row(head_key, FAR_HEADS)) + scatter
+            return jnp.where(jax.random.bernoulli(wide_key), uniform, far)
         return uniform
 
     def _changed_info(
@@ -232,11 +232,6 @@ class SawyerPeg(Sawyer):
 
     def _expert(self, obs: jax.Array) -> jax.Array:
         return experts.peg(obs[:3], obs[GRIPPER], obs[4:7], obs[-3:])
-
-
-def _drawn(heads: np.ndarray, key: jax.Array) -> jax.Array:
-    """Return one of `heads [n, 2]`."""
-    return jnp.asarray(heads)[jax.random.randint(key, (), 0, len(heads))]
 
 
 def _lying_peg(head: jax.Array) -> jax.Array:
