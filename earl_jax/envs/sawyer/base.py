@@ -200,9 +200,7 @@ class Sawyer(MujocoEnv):
 
     def to_goal(self, obs: jax.Array) -> jax.Array:
         """Return the object's distance [...] to its goal in `obs [..., o]`, in metres."""
-        return jnp.linalg.norm(
-            self.object_in(obs) - obs[..., self.observation_size - 3 : self.observation_size], axis=-1
-        )
+        return jnp.linalg.norm(self.object_in(obs) - obs[..., -3:], axis=-1)
 
     def success(self, obs: jax.Array) -> jax.Array:
         return self.to_goal(obs) <= self.radius[self.variant]

@@ -132,13 +132,13 @@ class SawyerDoor(Sawyer):
         hand, handle = obs[..., :3], self.object_in(obs)
         hand_start = jnp.asarray(self.pose.target, jnp.float32)
         reach = jnp.linalg.norm(hand_start - handle, axis=-1) + 0.1
-        margin = jnp.linalg.norm(DOOR - obs[..., self.observation_size - 3 :], axis=-1)
+        margin = jnp.linalg.norm(DOOR - obs[..., -3:], axis=-1)
         near = tolerance(jnp.linalg.norm(hand - handle, axis=-1), 0.0, GOAL_RADIUS / 4, reach)
         placed = tolerance(self.to_goal(obs), 0.0, GOAL_RADIUS, margin)
         return jnp.where(self.to_goal(obs) < GOAL_RADIUS, 10.0, 3.0 * near + 6.0 * placed)
 
     def _expert(self, obs: jax.Array) -> jax.Array:
-        return experts.door(obs[:3], self.object_in(obs), obs[self.observation_size - 3 :])
+        return experts.door(obs[:3], self.object_in(obs), obs[-3:])
 
 
 def handle_at(angle: jax.Array) -> jax.Array:
