@@ -159,14 +159,7 @@ class Sawyer(MujocoEnv):
         hand, right, left, object_position = jnp.split(sensors, 4)
         grip = jnp.clip(jnp.linalg.norm(right - left) / OPENING, 0.0, 1.0)
         vector = jnp.concatenate([hand, grip[None], object_position])[self.observed_indices]
-        return data, vector, self._changed_info(state, action, jnp.stack([right, left]), object_position)
-
-    def _changed_info(
-        self, state: State, action: jax.Array, tips: jax.Array, object_position: jax.Array
-    ) -> dict[str, jax.Array]:
-        """Return the fields of `info` that a step changes, given finger `tips [2, 3]` and the `object_position [3]`."""
-        del state, action, tips, object_position
-        return {}
+        return data, vector, {}
 
     def _observed_demos(self, demos: Demos) -> Demos:
         """Return `demos` with the numbers that this variant observes."""

@@ -12,9 +12,9 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
-from earl_jax.envs.state import State, random_row
+from earl_jax.envs.state import NextState, State, random_row
 from earl_jax.errors import InputError
-from earl_jax.physics import EngineCost
+from earl_jax.physics import EngineCost, PhysicsState
 
 HEAD = np.array([-0.1, 0.0, 0.0], np.float32)
 """Position of the peg's head, the observed object, relative to the peg's middle."""
@@ -161,12 +161,12 @@ class SawyerPeg(Sawyer):
             return jnp.where(jax.random.bernoulli(wide_key), uniform, far)
         return uniform
 
-    def _changed_info(
-        self, state: State, action: jax.Array, tips: jax.Array, object_position: jax.Array
-    ) -> dict[str, jax.Array]:
+    def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
+        data, vector, _ = super().observe(state, action, data, sensors)
         if self.sparse:
-            return {"grasp": jnp.zeros(())}
-        return {"grasp": _caging(tips, object_position, state.info["start"], action[GRIPPER])}
+            return data, vector, {}
+        _, right, left, head = jnp.split(sensors, 4)
+        return data, vector, {"grasp": _caging(jnp.stack([right, left]), head, state.info["start"], action[GRIPPER])}
 
     def irreversible(self, state: State) -> jax.Array:
         """Return whether the peg is off the table (a `fault`: its middle is past an edge) or out of reach."""
