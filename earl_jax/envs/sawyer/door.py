@@ -11,11 +11,11 @@ from earl_jax import assets
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
+from earl_jax.envs.sawyer.experts import HINGE
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import State, random_row, tree_where
 from earl_jax.physics import EngineCost
 
-HINGE = np.array([-0.085, 0.85], np.float32)
 HANDLE = np.array([0.375722, -0.10714], np.float32)
 """The handle's position relative to the hinge, in the door's frame."""
 HEIGHT = np.float32(0.100036)
