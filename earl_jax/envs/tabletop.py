@@ -69,8 +69,7 @@ class TabletopOrganization(KinematicEnv):
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
         qpos = self._wide_start(start_key) if self.wide else jnp.asarray(HOME)
-        info = {"goal": self.sample_goal(goal_key)}
-        return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
+        return self._state_at(jnp.concatenate([qpos, FREE]), self.sample_goal(goal_key))
 
     @property
     def starts(self) -> Starts:
@@ -80,8 +79,11 @@ class TabletopOrganization(KinematicEnv):
     def _uniform_start(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
         qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)
-        info = {"goal": self.sample_goal(goal_key)}
-        return self.make_state(PhysicsState.at(qpos), jnp.concatenate([qpos, FREE]), info)
+        return self._state_at(jnp.concatenate([qpos, FREE]), self.sample_goal(goal_key))
+
+    def _state_at(self, vector: jax.Array, goal: jax.Array) -> State:
+        """Return the state with the state vector `vector [6]` and the goal `goal [6]`."""
+        return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
 
     def object_position(self, state: State) -> jax.Array:
         """Return the mug's x, y [2] in `state`, table units."""
@@ -140,12 +142,7 @@ class TabletopOrganization(KinematicEnv):
     @property
     def demonstrations(self) -> TaskDemos:
         script = DemoScript(noise=0.1, starts=self._demo_starts, action=self._demo_action)
-        return dataclasses.replace(
-            super().demonstrations, expert=self._expert, script=script, state_at=self._demonstrated_state
-        )
-
-    def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
-        return self.make_state(PhysicsState.at(vector[:4]), vector, {"goal": goal})
+        return dataclasses.replace(super().demonstrations, expert=self._expert, script=script, state_at=self._state_at)
 
     def _expert(self, obs: jax.Array) -> jax.Array:
         """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
