@@ -34,8 +34,9 @@ def test_the_model_keeps_the_originals_numbers(model):
     np.testing.assert_allclose(model.dof_armature[:7], 1.0)
     np.testing.assert_allclose(model.dof_damping[7:23], 1.0)
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], 5.0)
-    limits = np.stack([task.FINGER_LOW, task.FINGER_HIGH], axis=1)
-    np.testing.assert_allclose(model.actuator_ctrlrange, limits, rtol=1e-6)
+    spread, bend = (-0.3, 0.3), (-0.2, 1.57)
+    limits = [*[spread, bend, bend, bend] * 3, bend, (-2.57, 0.57), bend, bend]
+    np.testing.assert_array_equal(model.actuator_ctrlrange, limits)
     np.testing.assert_array_equal(model.actuator_trnid[:, 0], np.arange(7, 23))
     assert model.body("bulb").mass[0] == pytest.approx(0.5)
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -238,7 +239,7 @@ def test_the_tether_holds_a_thrown_bulb():
     assert not jax.jit(jax.vmap(ENV.fault))(states).any()
 
 
-def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it():
+def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it(model):
     """Stiff fingers point straight down while the wrist moves down; without the guard, the tips end 6 cm deep."""
     actions = np.zeros((40, 22))
     actions[:, [1, 5, 9]], actions[:, [2, 3, 6, 7, 10, 11]], actions[15:, 18] = 1.0, -0.1, -1.0
@@ -248,6 +249,6 @@ def test_fingers_pressed_onto_the_table_fold_and_do_not_penetrate_it():
     assert (np.diff(target)[pressed[:-1]] >= 0).all(), "the target does not go down while the fingers are pressed"
     data = physics.mujoco_data(ENV.name, jax.tree.map(lambda leaf: leaf[-1], states.data))
     assert min(data.site(f"{finger}_tip").xpos[2] for finger in ("FF", "MF", "PF")) > task.TABLE + 0.015
-    fingers = states.obs[:, :12]
-    assert (fingers > task.FINGER_LOW[:12] - 0.1).all()
-    assert (fingers < task.FINGER_HIGH[:12] + 0.1).all()
+    fingers, (low, high) = states.obs[:, :12], model.actuator_ctrlrange[:12].T
+    assert (fingers > low - 0.1).all()
+    assert (fingers < high + 0.1).all()

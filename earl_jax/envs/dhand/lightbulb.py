@@ -32,11 +32,6 @@ LOW = np.array([0.42, 0.035, 0.825], np.float32)
 HIGH = np.array([0.72, 0.335, 1.1], np.float32)
 """Range of the mocap target: MTRF's range for picking up."""
 TWIST = np.float32(np.pi / 6)
-FINGER_LOW = np.tile(np.array([-0.3, -0.2, -0.2, -0.2], np.float32), 4)
-FINGER_HIGH = np.tile(np.array([0.3, 1.57, 1.57, 1.57], np.float32), 4)
-FINGER_LOW[12:14], FINGER_HIGH[12:14] = (-0.2, -2.57), (1.57, 0.57)
-"""Range of motor commands: three fingers with spread, knuckle, middle and tip, then the thumb, whose knuckle comes
-first."""
 
 START_LOW = np.array([0.58, 0.03], np.float32)
 START_HIGH = np.array([0.86, 0.3], np.float32)
@@ -192,8 +187,10 @@ class DHandLightbulb(MujocoEnv):
         move = jnp.maximum(wrist[:3], jnp.stack([jnp.asarray(-1.0), jnp.asarray(-1.0), lower]))
         target = jnp.clip(data.mocap_pos[0] + REACH * move, LOW, HIGH)
         yaw = jnp.clip(yaw_of(data.mocap_quat[0]) + TURN * wrist[5], -TWIST, TWIST)
+        # Three fingers with spread, knuckle, middle and tip, then the thumb, whose knuckle comes first.
         fingers = data.qpos[ARM : ARM + FINGERS]
-        ctrl = jnp.clip(fingers + SPAN * action[:FINGERS], FINGER_LOW, FINGER_HIGH)
+        low, high = self.simulator.mujoco_model().actuator_ctrlrange.T.astype(np.float32)
+        ctrl = jnp.clip(fingers + SPAN * action[:FINGERS], low, high)
         return data.replace(mocap_pos=target[None], mocap_quat=palm_down(yaw)[None]), ctrl
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
