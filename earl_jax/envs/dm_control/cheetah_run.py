@@ -93,9 +93,8 @@ class CheetahRun(MujocoEnv):
         angles = obs[..., None, SLIDES - 1 : POSITIONS] * turned_by
         rates = obs[..., None, POSITIONS + SLIDES : self.state_size] * turned_by
         angle, rate = angles.sum(axis=-1), rates.sum(axis=-1)
-        return obs[..., POSITIONS] + (rate * (levers[:, 1] * jnp.cos(angle) - levers[:, 0] * jnp.sin(angle))).sum(
-            axis=-1
-        )
+        moved = rate * (levers[:, 1] * jnp.cos(angle) - levers[:, 0] * jnp.sin(angle))
+        return obs[..., POSITIONS] + moved.sum(axis=-1)
 
     def success(self, obs: jax.Array) -> jax.Array:
         return self.speed(obs) >= TARGET_SPEED
