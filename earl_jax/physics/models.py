@@ -5,6 +5,7 @@ import functools
 import importlib
 import importlib.util
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,31 +37,29 @@ def load_model(name: str, timestep: float | None = None) -> Any:
     spec = mujoco.MjSpec.from_file(str(assets.mjcf(name)))
     spec.compiler.discardvisual = True
     model = spec.compile()
-    for number in map(model.numeric, range(model.nnumeric)):
-        if number.name.startswith(INVWEIGHT):
-            model.body_invweight0[model.body(number.name.removeprefix(INVWEIGHT)).id] = number.data
+    numbers = {number.name: number.data for number in map(model.numeric, range(model.nnumeric))}
+    for key, data in numbers.items():
+        if key.startswith(INVWEIGHT):
+            model.body_invweight0[model.body(key.removeprefix(INVWEIGHT)).id] = data
     if timestep is not None:
         model.opt.timestep = timestep
-    _adapt_to_timestep(model)
+    if REFERENCE in numbers:
+        _adapt_to_timestep(model, float(numbers[REFERENCE][0]), numbers.get(GROWTH, ()))
     return model
 
 
-def _adapt_to_timestep(model: Any) -> None:
-    """Keep the motion of `REFERENCE` at a longer time step.
+def _adapt_to_timestep(model: Any, reference: float, growth: Sequence[float]) -> None:
+    """Keep the motion of the time step `reference` at a longer one, with the armature's `growth` as in `GROWTH`.
 
     MuJoCo raises time constants of constraints to two time steps, which makes them softer; a smaller damping ratio keeps
     their stiffness. It also applies joint damping at the end of a step, after the constraints, so that a damped joint
     yields the less to them the longer the step is; more armature cancels that.
     """
-    numbers = {number.name: number.data for number in map(model.numeric, range(model.nnumeric))}
-    if REFERENCE not in numbers:
-        return
-    shortest, excess = 2.0 * model.opt.timestep, model.opt.timestep - float(numbers[REFERENCE][0])
+    shortest, excess = 2.0 * model.opt.timestep, model.opt.timestep - reference
     for solref in (model.eq_solref, model.pair_solref, model.jnt_solref):
         raised = (solref[:, 0] > 0.0) & (solref[:, 0] < shortest)
         solref[raised, 1] *= solref[raised, 0] / shortest
         solref[raised, 0] = shortest
-    growth = numbers.get(GROWTH, ())
     model.dof_armature[: len(growth)] += excess * np.asarray(growth)
 
 
