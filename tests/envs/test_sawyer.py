@@ -60,6 +60,12 @@ def test_peg_starts_cover_the_released_positions():
         make("sawyer_peg", wide=True, listed=True)
 
 
+@pytest.mark.parametrize("option", ["listed", "wide"])
+def test_backward_demonstrations_start_inserted_whatever_the_tasks_starts(option):
+    start = next(iter(make("sawyer_peg", **{option: True}).demonstrations.script.starts(0)))
+    assert np.abs(start.backward.obs[4:7] - PEG.goal_states[0, 4:]).max() <= 0.02 + 1e-6
+
+
 @pytest.mark.parametrize(("released", "radii"), [(DOOR, (0.02, 0.08)), (PEG, (0.05, 0.05))])
 def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(released, radii):
     env = dataclasses.replace(released, variant="paper")
