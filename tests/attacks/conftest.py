@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from tests.cli.process import run, snapshot, training
+from tests.cli.process import snapshot, succeed, training
 
 
 def one_line(code, err, *words):
@@ -35,8 +35,7 @@ def contents(folder):
 def whole(tmp_path_factory):
     """The folder of a finished run of fbrl, two seeds and 120 steps."""
     folder = tmp_path_factory.mktemp("attacks") / "whole"
-    code, _, err = run(*training(folder))
-    assert code == 0, err
+    succeed(*training(folder))
     return folder
 
 

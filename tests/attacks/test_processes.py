@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from tests.cli.process import ENVIRONMENT, run_process, start, training
+from tests.cli.process import ENVIRONMENT, run_process, start, succeed, training
 
 pytestmark = pytest.mark.slow
 LIMITED = """
@@ -30,8 +30,7 @@ def test_a_limit_of_files_stops_with_an_error_line_and_the_run_continues_without
         assert result.returncode == 2, result.stderr
         assert "Traceback" not in result.stderr
         assert any(line.startswith("earl-jax: ") for line in result.stderr.splitlines())
-        code, _, err = run_process(*(("resume", folder) if (folder / "metrics.csv").exists() else training(folder)))
-        assert code == 0, err
+        succeed(*(("resume", folder) if (folder / "metrics.csv").exists() else training(folder)), by=run_process)
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
@@ -57,6 +56,5 @@ def test_a_folder_that_goes_away_in_training_ends_with_a_line(act, whole, tmp_pa
     assert process.returncode in (0, 2), err
     assert "Traceback" not in err
     if act == "move":
-        code, _, err = run_process("resume", tmp_path / "moved")
-        assert code == 0, err
+        succeed("resume", tmp_path / "moved", by=run_process)
         assert (tmp_path / "moved/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from tests.attacks.conftest import one_line
-from tests.cli.process import run
+from tests.cli.process import run, succeed
 from tests.report.run_files import change_config, rising, write_page_run
 
 HOSTILE = (
@@ -69,8 +69,7 @@ def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch)
                 folders[-1], provenance={**json.loads((whole / "config.json").read_text())["provenance"], **fields}
             )
     for name, runs in (("clean", folders[:1]), ("page", folders)):
-        code, _, err = run("report", *runs, "--out", f"{name}.html")
-        assert code == 0, err
+        succeed("report", *runs, "--out", f"{name}.html")
     page, clean = ((tmp_path / f"{name}.html").read_text() for name in ("page", "clean"))
     assert not runs_code(page, clean)
     assert all(runs_code(clean + text, clean) for text in HOSTILE[:3])
@@ -93,8 +92,7 @@ def test_a_page_shows_the_good_run_and_names_the_bad_one(name, whole, tmp_path, 
     monkeypatch.chdir(tmp_path)
     shutil.copytree(whole, tmp_path / "good")
     BAD_RUNS[name](copy_of(whole, tmp_path / "bad"))
-    code, _, err = run("report", "good", "bad", "--out", "page.html")
-    assert code == 0, err
+    succeed("report", "good", "bad", "--out", "page.html")
     page = (tmp_path / "page.html").read_text()
     assert '<p class="path">good</p>' in page
     assert '<p class="path">bad</p>' in page or "<dt>bad</dt>" in page

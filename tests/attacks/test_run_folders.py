@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from tests.attacks.conftest import contents, one_line, refused
-from tests.cli.process import run, training
+from tests.cli.process import run, succeed, training
 
 BLOCKED = {
     "a folder with a thesis": lambda path: (path.mkdir(), (path / "thesis.tex").write_text("all of it")),
@@ -47,8 +47,7 @@ def test_a_start_that_a_crash_left_ends_with_the_identical_table(command, whole,
         (folder / "config.json.part").write_text(text[: len(text) // 2])
     else:
         (folder / "config.json").write_text(text)
-    code, _, err = run(*(training(folder) if command == "train" else ("resume", folder)))
-    assert code == 0, err
+    succeed(*(training(folder) if command == "train" else ("resume", folder)))
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 

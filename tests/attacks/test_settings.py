@@ -7,7 +7,7 @@ import jax
 import pytest
 
 from tests.attacks.conftest import contents, one_line
-from tests.cli.process import ENVIRONMENT, TASK, run, run_process, training
+from tests.cli.process import ENVIRONMENT, TASK, run, run_process, succeed, training
 
 STRICT = {
     "JAX_ENABLE_X64": "1",
@@ -45,8 +45,7 @@ def test_types_promotion_and_transfers_that_a_process_forbids_change_no_number(w
         jax.numpy_dtype_promotion("strict"),
         jax.transfer_guard("disallow"),
     ):
-        code, _, err = run(*training(tmp_path / "run"))
-    assert code == 0, err
+        succeed(*training(tmp_path / "run"))
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
@@ -82,8 +81,7 @@ def test_a_config_records_the_settings_and_one_without_them_had_the_defaults(cop
 def test_variables_that_forbid_or_check_change_no_number(variables, whole, tmp_path, monkeypatch):
     for name, value in variables.items():
         monkeypatch.setitem(ENVIRONMENT, name, value)
-    code, _, err = run_process(*training(tmp_path / "run"))
-    assert code == 0, err
+    succeed(*training(tmp_path / "run"), by=run_process)
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 

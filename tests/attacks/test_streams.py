@@ -16,7 +16,7 @@ import pytest
 
 from earl_jax import cli
 from earl_jax.runs.progress import Progress
-from tests.cli.process import ENVIRONMENT, TASK, run_process, training
+from tests.cli.process import ENVIRONMENT, TASK, run_process, succeed, training
 
 STREAMS = (
     ">&-", "2>&-", "<&-", "<&- >&- 2>&-", ">/dev/full", "2>/dev/full", ">/dev/full 2>&1", "2>&1 | head -1", "| true",
@@ -134,8 +134,7 @@ def test_a_terminal_that_closes_costs_no_step(controlling, whole, tmp_path):
         shown += os.read(master, 1000)
     os.close(master)
     assert process.wait(300) == (128 + signal.SIGHUP if controlling else 0)
-    code, _, err = run_process("resume", tmp_path / "run")
-    assert code == 0, err
+    succeed("resume", tmp_path / "run", by=run_process)
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 

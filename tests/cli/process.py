@@ -59,6 +59,13 @@ def run(*arguments):
     return code, out.getvalue(), err.getvalue()
 
 
+def succeed(*arguments, by=run):
+    """Return what one command prints to stdout; `by` runs it, and it must end with code 0."""
+    code, out, err = by(*arguments)
+    assert code == 0, err
+    return out
+
+
 def train(folder, algo="fbrl"):
     """Return the arguments of a training run of 400 steps into `folder`."""
     return ["train", TASK, "--algo", algo, "--out", folder, *LENGTHS, *OPTIONS]

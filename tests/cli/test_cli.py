@@ -15,7 +15,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import TASK, run, start, training
+from tests.cli.process import TASK, run, start, succeed, training
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -25,9 +25,7 @@ SWEEP = ["sweep", "nowhere.toml"]
 def finished(tmp_path_factory):
     """The folder of a finished run, and the JSON that the command printed."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    code, out, err = run(*training(folder), "--json")
-    assert code == 0, err
-    return folder, json.loads(out)
+    return folder, json.loads(succeed(*training(folder), "--json"))
 
 
 def test_a_run_folder_has_its_config_and_metrics(finished):
@@ -41,12 +39,11 @@ def test_a_run_folder_has_its_config_and_metrics(finished):
 
 def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     folder = shutil.copytree(finished[0], tmp_path / "run", ignore=shutil.ignore_patterns("checkpoints"))
-    code, out, err = run("show", folder)
-    assert code == 0, err
+    out = succeed("show", folder)
     shown = [" ".join(line.split()) for line in out.splitlines()]
     method = "method: fbrl (batch_size=16, random_steps=20, hidden_sizes=[16])"
     assert {method, "seeds: 0, 1", "policies: of step 120", f"in Python: earl_jax.load('{folder}')"} <= set(shown)
-    printed = json.loads(run("show", folder, "--json")[1])
+    printed = json.loads(succeed("show", folder, "--json"))
     assert (printed["step"], printed["finished"], printed["policies"]) == (120, True, 120)
     assert printed["score"]["metric"] == "deployed/success"
     mean = np.mean(printed["metrics"]["critic_loss"])
@@ -55,8 +52,7 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
 
 
 def test_new_episodes_are_scored_beside_the_run(finished):
-    code, out, _ = run("evaluate", finished[0], "--episodes", "2")
-    assert code == 0
+    out = succeed("evaluate", finished[0], "--episodes", "2")
     assert re.search(r"^deployed/success \d\.\d{3}, per seed \d\.\d{3}, \d\.\d{3}$", out, re.MULTILINE), out
     assert out.splitlines()[-1].startswith("the run: deployed/success ")
 
@@ -77,11 +73,10 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     process.communicate()
     assert process.returncode == -signal.SIGKILL
     assert (folder / "metrics.csv").read_text() != (whole / "metrics.csv").read_text()
-    code, _, err = run("resume", folder)
-    assert code == 0, err
+    succeed("resume", folder)
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
     assert [newest(path / "checkpoints") for path in (folder, whole)] == [120, 120]
-    evaluations = [run("evaluate", path, "--episodes", "5", "--json")[1] for path in (folder, whole)]
+    evaluations = [succeed("evaluate", path, "--episodes", "5", "--json") for path in (folder, whole)]
     assert evaluations[0] == evaluations[1]
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
 
@@ -89,8 +84,7 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
 def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path, monkeypatch):
     minari = pytest.importorskip("minari", reason="datasets need the extra 'minari'")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    code, out, err = run("export", finished[0], "--seed", "1")
-    assert code == 0, err
+    out = succeed("export", finished[0], "--seed", "1")
     assert out.startswith(f"earl_jax/{TASK}/fbrl-seed-1-v0: ")
     loaded = list(minari.load_dataset(f"earl_jax/{TASK}/fbrl-seed-1-v0"))
     _, steps, terminal = load_transitions(finished[0], 1)

@@ -9,7 +9,7 @@ import pytest
 from earl_jax import cli, envs
 from earl_jax.report.runs import read
 from earl_jax.runs.files import RunWarning
-from tests.cli.process import run, training
+from tests.cli.process import run, succeed, training
 from tests.conftest import MINE, own_registries, write_mine
 from tests.report.run_files import change_config, write_page_run
 
@@ -22,10 +22,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     mine = write_mine(folder)
     with own_registries():
-        code, _, err = run(
-            *training(folder / "run", "--learner", "slow", task="meadow", algo="patient"), "--import", mine
-        )
-    assert code == 0, err
+        succeed(*training(folder / "run", "--learner", "slow", task="meadow", algo="patient"), "--import", mine)
     return folder
 
 
@@ -61,8 +58,8 @@ def test_a_command_that_needs_the_classes_names_the_file_and_never_runs_it(own, 
 
 
 def test_commands_know_the_classes_of_the_file(own):
-    assert run("evaluate", "run", "--episodes", "2", "--import", "mine.py")[0] == 0
-    assert run("list", "meadow", "--import=mine.py")[1].splitlines()[0] == "meadow (task)"
+    succeed("evaluate", "run", "--episodes", "2", "--import", "mine.py")
+    assert succeed("list", "meadow", "--import=mine.py").splitlines()[0] == "meadow (task)"
     code, _, err = run("resume", "run", "--import", "mine.py")
     assert code == 0, err
     assert "changed" not in err

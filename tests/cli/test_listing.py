@@ -8,7 +8,7 @@ import pytest
 
 import earl_jax
 from earl_jax.cli import catalog, descriptions, listing
-from tests.cli.process import run
+from tests.cli.process import run, succeed
 from tests.conftest import write_files
 
 LIST_OWN = """
@@ -78,8 +78,7 @@ def test_every_name_is_described_with_the_meaning_of_its_options(everything):
     ],
 )  # fmt: skip
 def test_the_text_fits_eighty_columns_and_that_of_all_names_a_screen(arguments, texts):
-    code, out, _ = run("list", *arguments)
-    assert code == 0
+    out = succeed("list", *arguments)
     assert max(map(len, out.splitlines())) <= 80
     assert arguments or len(out.splitlines()) < 24
     assert [text for text in texts if text not in out] == []
@@ -94,14 +93,14 @@ def test_a_long_name_stays_apart_from_its_summary(length):
 
 
 def test_json_describes_one_name_or_all():
-    everything = json.loads(run("list", "--json")[1])
+    everything = json.loads(succeed("list", "--json"))
     assert everything["envs"] == list(everything["tasks"]) == earl_jax.list_envs()
     assert everything["algos"] == list(everything["methods"]) == earl_jax.list_algos()
-    assert json.loads(run("list", "sawyer_door", "--json")[1]) == everything["tasks"]["sawyer_door"]
-    fbrl = json.loads(run("list", "fbrl", "--json")[1])
+    assert json.loads(succeed("list", "sawyer_door", "--json")) == everything["tasks"]["sawyer_door"]
+    fbrl = json.loads(succeed("list", "fbrl", "--json"))
     learner = {**everything["shared"], **everything["learners"]["sac"]["options"]}
     assert fbrl == {**everything["methods"]["fbrl"], "learner": learner}
-    assert json.loads(run("list", "quick", "--json")[1]) == everything["presets"]["quick"]
+    assert json.loads(succeed("list", "quick", "--json")) == everything["presets"]["quick"]
     code, _, err = run("list", "ppo")
     assert code == 2
     assert "no task, method, learner or preset 'ppo'; choose from cheetah_run" in err
@@ -110,7 +109,7 @@ def test_json_describes_one_name_or_all():
 def test_trained_policies_that_ship_are_listed(everything):
     shipped = {name: list(task["policies"]) for name, task in everything["tasks"].items() if task["policies"]}
     assert shipped == earl_jax.list_pretrained()
-    assert "trained policies" not in run("list", "fish_swim")[1]
+    assert "trained policies" not in succeed("list", "fish_swim")
 
 
 def test_listing_loads_no_jax_and_no_numpy():
@@ -134,8 +133,8 @@ def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatc
     assert meadow["options"]["reward_type"]["valid"] == ["sparse", "dense"]
     assert (patient["year"], patient["source"]) == (2025, "Lamb et al. 2025")
     assert set(patient["options"]) == {"episode_length", "global_clock", "patience"}
-    text = run("list")[1]
+    text = succeed("list")
     assert "meadow                 Cross a meadow. From theirs 0.3.\n" in text
     assert "patient     Wait. From theirs 0.3.\n" in text
     assert "'fog' of theirs 0.3 cannot be loaded:..." in text
-    assert "ModuleNotFoundError: No module named 'nowhere'" in " ".join(run("list", "fog")[1].split())
+    assert "ModuleNotFoundError: No module named 'nowhere'" in " ".join(succeed("list", "fog").split())

@@ -9,7 +9,7 @@ from earl_jax import training
 from earl_jax.cli import quickstart
 from earl_jax.options.presets import PRESETS
 from earl_jax.training import load
-from tests.cli.process import run
+from tests.cli.process import succeed
 from tests.report.run_files import TABLETOP, write_page_run
 
 
@@ -29,8 +29,7 @@ def asked(monkeypatch):
 
 
 def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(asked, tmp_path):
-    code, out, _ = run("quickstart", "--out", tmp_path)
-    assert code == 0
+    out = succeed("quickstart", "--out", tmp_path)
     assert (asked["env"], asked["algo"]) == (TABLETOP, "fbrl")
     quick = PRESETS["quick"]
     assert (asked["seeds"], asked["steps"], asked["eval_every"]) == (2, quick.schedule.steps, quick.schedule.eval_every)
@@ -44,8 +43,7 @@ def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(as
 
 @pytest.mark.parametrize(("steps", "every"), [(15_000, 2500), (16_000, 16_000)])
 def test_another_length_has_no_promise(asked, tmp_path, steps, every):
-    code, out, _ = run("quickstart", "--out", tmp_path, "--steps", steps)
-    assert code == 0
+    out = succeed("quickstart", "--out", tmp_path, "--steps", steps)
     assert "Expect" not in out
     assert f"50 episodes every {every:,} steps" in out
     assert (asked["steps"], asked["eval_every"]) == (steps, every)

@@ -13,7 +13,7 @@ from earl_jax.runs.contents import unknown_entries
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import open_logs
-from tests.cli.process import run, training
+from tests.cli.process import succeed, training
 from tests.conftest import tiny_train
 from tests.runs.test_logging import make_folder
 
@@ -48,8 +48,7 @@ def test_videos_are_in_the_folder_and_in_tensorboard_also_after_a_resumption_and
 ):
     pytest.importorskip("tensorboardX", reason="the test needs the extra 'tensorboard'")
     out, shown = tmp_path / "run", tmp_path / "run" / "videos"
-    code, _, err = run(*training(out, "--videos", "1", "--log", "tensorboard"))
-    assert code == 0, err
+    succeed(*training(out, "--videos", "1", "--log", "tensorboard"))
     expected = tiny_train("fbrl").metrics
     np.testing.assert_equal(RunFolder.open(out).table().metrics, expected)
     assert sorted(path.name for path in shown.iterdir()) == ["000000120.gif"]
@@ -62,7 +61,7 @@ def test_videos_are_in_the_folder_and_in_tensorboard_also_after_a_resumption_and
         assert (film.n_frames, film.size) == (FRAMES, (images[120].width, images[120].height)) == (FRAMES, (48, 32))
     shutil.rmtree(shown)
     shutil.rmtree(out / "checkpoints/000000120")
-    assert run("resume", out)[0] == 0
+    succeed("resume", out)
     assert [(path.name, path.read_bytes()) for path in shown.iterdir()] == [("000000120.gif", content)]
     np.testing.assert_equal(RunFolder.open(out).table().metrics, expected)
 

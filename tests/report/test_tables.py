@@ -8,7 +8,7 @@ from earl_jax.metrics.phase_stats import BACK, STILL
 from earl_jax.metrics.scores import Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
-from tests.cli.process import run
+from tests.cli.process import run, succeed
 from tests.report.run_files import TABLETOP, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
@@ -98,8 +98,7 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     write_three_evaluations(tmp_path / "runs/a")
     write_three_evaluations(tmp_path / "runs/b", reward_scale=1.0)
     arguments = ("table", tmp_path / "runs", "--metric", "continuing/recent", "--labels", "ten", "--last", "2")
-    code, out, _ = run(*arguments, "--out", tmp_path / "t.tex", "--labels", "one")
-    assert code == 0
+    out = succeed(*arguments, "--out", tmp_path / "t.tex", "--labels", "one")
     assert "| task | method | seeds | steps | continuing/recent, mean [95 %] |" in out
     assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out
     assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from earl_jax.runs.checkpoint import newest
-from tests.cli.process import ENVIRONMENT, run_process, snapshot, train
+from tests.cli.process import ENVIRONMENT, run_process, snapshot, succeed, train
 
 pytestmark = pytest.mark.slow
 MAIN_WITH_A_JUMPING_CLOCK = """
@@ -45,8 +45,7 @@ def remount(path, options):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    code, _, err = run_process(*train(folder))
-    assert code == 0, err
+    succeed(*train(folder), by=run_process)
     return folder
 
 
@@ -67,8 +66,7 @@ def test_a_run_on_a_full_disk_stops_with_an_error_line_and_resumes_when_there_is
         assert 0 < newest(disk / "run/checkpoints") < 400
         assert "can't be written" in error_line(*run_process("resume", disk / "run")[::2])
         remount(disk, "size=64m")
-        code, _, err = run_process("resume", disk / "run")
-        assert code == 0, err
+        succeed("resume", disk / "run", by=run_process)
         assert (disk / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
@@ -77,8 +75,7 @@ def test_a_full_disk_at_the_start_leaves_a_folder_that_can_be_used_later(tmp_pat
         (disk / "filler").write_bytes(b"x" * 4096)
         assert "No space left" in error_line(*run_process(*train(disk / "run"))[::2])
         remount(disk, "size=64m")
-        code, _, err = run_process(*train(disk / "run"))
-        assert code == 0, err
+        succeed(*train(disk / "run"), by=run_process)
 
 
 def test_a_read_only_run_can_be_evaluated_and_is_not_changed(whole, tmp_path):
@@ -89,8 +86,7 @@ def test_a_read_only_run_can_be_evaluated_and_is_not_changed(whole, tmp_path):
         assert "can't be written" in error_line(*run_process("resume", disk / "run")[::2])
         assert "Read-only file system" in error_line(*run_process("resume", disk / "run", "--steps", "800")[::2])
         assert "Read-only file system" in error_line(*run_process(*train(disk / "other"))[::2])
-        code, out, err = run_process("evaluate", disk / "run", "--episodes", "2", "--json")
-        assert code == 0, err
+        out = succeed("evaluate", disk / "run", "--episodes", "2", "--json", by=run_process)
         assert len(json.loads(out)["deployed/success"]) == 2
         assert snapshot(disk) == before
 

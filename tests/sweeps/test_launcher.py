@@ -13,7 +13,7 @@ import pytest
 
 from earl_jax import cli
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import ENVIRONMENT, run_process, start
+from tests.cli.process import ENVIRONMENT, run_process, start, succeed
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -38,8 +38,7 @@ def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid,
     write_mine(tmp_path)
     grid.write_text('import = ["mine.py"]\n' + GRID.replace("steps = 120", "steps = 800").replace("oracle", "patient"))
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    code, out, err = run_process("sweep", grid, "--out", whole)
-    assert code == 0, err
+    out = succeed("sweep", grid, "--out", whole, by=run_process)
     assert "2 runs: 0 done before, 2 done now, 0 failed" in out
     process = start("sweep", grid, "--out", killed)
     deadline = time.monotonic() + 240
@@ -48,8 +47,7 @@ def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid,
     process.send_signal(signal.SIGKILL)  # only the launcher, so that its worker must notice
     process.communicate()
     assert read_tables(killed) != read_tables(whole)
-    code, out, err = run_process("sweep", grid, "--out", killed)
-    assert code == 0, err
+    out = succeed("sweep", grid, "--out", killed, by=run_process)
     assert out.count("resumed ") + out.count("started ") == 2
     assert read_tables(killed) == read_tables(whole)
     assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())

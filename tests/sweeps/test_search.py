@@ -11,7 +11,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module
 from earl_jax.sweeps import worker
 from earl_jax.sweeps.search import read_space, search
-from tests.cli.process import run
+from tests.cli.process import run, succeed
 
 SPACE = """
 envs = ["tabletop_organization"]
@@ -119,11 +119,10 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
 def test_minutes_leave_the_trials_running(space, tmp_path, batches, monkeypatch):
     monkeypatch.setattr(module, "work", lambda *arguments, **options: None)
     arguments = ("search", space, "--out", tmp_path / "out", "--trials", "2", "--minutes", "1e-9")
-    code, out, _ = run(*arguments)
-    assert code == 0
+    out = succeed(*arguments)
     assert "repeat the command to continue" in out
     assert "2 running" in out
-    values = json.loads(run(*arguments, "--json")[1])
+    values = json.loads(succeed(*arguments, "--json"))
     assert (values["stopped"], values["running"], values["best"]) == (True, 2, None)
 
 

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from earl_jax.sweeps import slurm
-from tests.cli.process import ENVIRONMENT, free_port, run_process
+from tests.cli.process import ENVIRONMENT, free_port, run_process, succeed
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -96,8 +96,7 @@ def whole(cluster, tmp_path_factory):
     """The metrics of the runs of LONG, trained at once and without SLURM."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "grid.toml").write_text(LONG)
-    code, _, err = run_process("sweep", folder / "grid.toml", "--out", folder / "out")
-    assert code == 0, err
+    succeed("sweep", folder / "grid.toml", "--out", folder / "out", by=run_process)
     return read_tables(folder / "out")
 
 
