@@ -39,6 +39,7 @@ from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
 
+pytest.register_assert_rewrite("tests.cli.process")
 TESTS = Path(__file__).parent
 CACHE = TESTS.parent / ".cache" / "jax"
 TINY = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 20}

@@ -4,26 +4,17 @@ import shutil
 
 import pytest
 
-from tests.cli.process import snapshot, succeed, training
+from tests.cli.process import one_line, snapshot, succeed, training
 
 
-def one_line(code, err, *words):
-    """Assert that a command was refused with exit code 2 and one readable line that has all `words`."""
-    lines = err.strip().splitlines()
-    assert code == 2, (code, err[-500:])
-    assert len(lines) == 1, err[-500:]
-    assert lines[0].startswith("earl-jax: ")
-    assert len(lines[0]) < 2000
-    assert all(word in lines[0] for word in words), lines[0]
-
-
-def refused(code, err):
+def refused(result):
     """Assert exit code 2 with one line, the parser's usage, or the cause of each run that a report leaves out."""
+    code, _, err = result
     assert "Traceback" not in err
     if any(word in err for word in ("usage:", "helptext", "none of the runs can be shown")):
         assert code == 2
     else:
-        one_line(code, err)
+        one_line(result)
 
 
 def contents(folder):

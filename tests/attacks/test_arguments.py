@@ -57,16 +57,10 @@ def shown(value):
     return ascii(text)[1:-1] if len(text) < 60 else f"{ascii(text[:30])[1:-1]}... of {len(text)} characters"
 
 
-def trained(*arguments):
-    """Return what a training command with `arguments` at its end says."""
-    code, _, err = run(*training("run"), *arguments)
-    return code, err
-
-
 @pytest.mark.parametrize("text", SETS, ids=shown)
 def test_an_option_without_a_meaning_is_refused(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    refused(*trained(text))
+    refused(run(*training("run"), text))
     assert not any(tmp_path.iterdir())
 
 
@@ -77,14 +71,12 @@ def test_an_option_without_a_meaning_is_refused(text, tmp_path, monkeypatch):
 )
 def test_a_number_or_name_without_a_meaning_is_refused(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run("train", arguments[0], "--steps", "120", "--out", "run", *arguments[1:])
-    refused(code, err)
+    refused(run("train", arguments[0], "--steps", "120", "--out", "run", *arguments[1:]))
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("arguments", OTHERS, ids=shown)
 def test_arguments_of_other_commands_are_refused_and_change_nothing(arguments, copy):
     before = contents(copy)
-    code, _, err = run(*arguments)
-    refused(code, err)
+    refused(run(*arguments))
     assert contents(copy) == before

@@ -5,8 +5,7 @@ import shutil
 
 import pytest
 
-from tests.attacks.conftest import one_line
-from tests.cli.process import run, succeed
+from tests.cli.process import one_line, run, succeed
 from tests.report.run_files import change_config, rising, write_page_run
 
 HOSTILE = (
@@ -96,6 +95,6 @@ def test_a_page_shows_the_good_run_and_names_the_bad_one(name, whole, tmp_path, 
     page = (tmp_path / "page.html").read_text()
     assert '<p class="path">good</p>' in page
     assert '<p class="path">bad</p>' in page or "<dt>bad</dt>" in page
-    code, _, err = run("table", "good", "bad", "--out", "table.md")
-    if code:
-        one_line(code, err, "bad")
+    result = run("table", "good", "bad", "--out", "table.md")
+    if result[0]:
+        one_line(result, "bad")

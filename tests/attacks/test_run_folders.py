@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from tests.attacks.conftest import contents, one_line, refused
-from tests.cli.process import run, succeed, training
+from tests.attacks.conftest import contents, refused
+from tests.cli.process import one_line, run, succeed, training
 
 BLOCKED = {
     "a folder with a thesis": lambda path: (path.mkdir(), (path / "thesis.tex").write_text("all of it")),
@@ -33,8 +33,7 @@ def _in_time():
 def test_a_taken_name_is_refused_and_left_as_it_is(name, overwrite, tmp_path):
     BLOCKED[name](tmp_path / "run")
     before = contents(tmp_path), [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()]
-    code, _, err = run(*training(tmp_path / "run", *overwrite))
-    one_line(code, err)
+    one_line(run(*training(tmp_path / "run", *overwrite)))
     assert (contents(tmp_path), [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()]) == before
 
 
@@ -61,8 +60,7 @@ def test_a_folder_of_any_name_holds_the_run_or_is_refused(name, whole, tmp_path,
     try:
         shutil.copytree(whole, tmp_path / name)
     except OSError:
-        code, _, err = run("table", name)
-        refused(code, err)
+        refused(run("table", name))
     else:
         code, out, err = run("table", name)
         assert (code, err) == (0, "")
@@ -79,6 +77,5 @@ UNUSABLE = {
 @pytest.mark.parametrize("name", UNUSABLE, ids=["an address", "no text", "too long"])
 def test_a_folder_that_cannot_hold_checkpoints_is_refused_before_training(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(*training(name[: 4040 - len(str(tmp_path))]))
-    one_line(code, err, UNUSABLE[name])
+    one_line(run(*training(name[: 4040 - len(str(tmp_path))])), UNUSABLE[name])
     assert not list(tmp_path.rglob("config.json"))

@@ -6,8 +6,8 @@ import json
 import jax
 import pytest
 
-from tests.attacks.conftest import contents, one_line
-from tests.cli.process import ENVIRONMENT, TASK, run, run_process, succeed, training
+from tests.attacks.conftest import contents
+from tests.cli.process import ENVIRONMENT, TASK, one_line, run, run_process, succeed, training
 
 STRICT = {
     "JAX_ENABLE_X64": "1",
@@ -53,12 +53,11 @@ def test_a_run_is_not_continued_or_repeated_with_a_setting_that_changes_its_numb
     before = contents(copy)
     for name, value in OTHER.items():
         with configured(**{name: value}):
-            code, _, err = run("resume", copy)
-        one_line(code, err, name, str(value), f"unset {name.upper()}")
+            one_line(run("resume", copy), name, str(value), f"unset {name.upper()}")
     for config in (copy, copy / "config.json"):
         with configured(jax_random_seed_offset=7):
-            code, _, err = run("train", "--config", config, "--out", tmp_path / "other")
-        one_line(code, err, "unset JAX_RANDOM_SEED_OFFSET")
+            result = run("train", "--config", config, "--out", tmp_path / "other")
+        one_line(result, "unset JAX_RANDOM_SEED_OFFSET")
     assert contents(copy) == before
     assert not (tmp_path / "other").exists()
 
@@ -69,11 +68,11 @@ def test_a_config_records_the_settings_and_one_without_them_had_the_defaults(cop
     assert set(OTHER) < set(recorded)
     (copy / "config.json").write_text(json.dumps(config))
     with configured(jax_random_seed_offset=7):
-        one_line(*run("resume", copy)[::2], "jax_random_seed_offset 0")
+        one_line(run("resume", copy), "jax_random_seed_offset 0")
     (copy / "config.json").write_text(json.dumps(config | {"jax": recorded | {"jax_random_seed_offset": 7}}))
-    one_line(*run("resume", copy)[::2], "set JAX_RANDOM_SEED_OFFSET=7")
+    one_line(run("resume", copy), "set JAX_RANDOM_SEED_OFFSET=7")
     (copy / "config.json").write_text(json.dumps(config | {"jax": [7]}))
-    one_line(*run("resume", copy)[::2], "jax must be a dict")
+    one_line(run("resume", copy), "jax must be a dict")
 
 
 @pytest.mark.slow
@@ -100,7 +99,6 @@ def test_a_variable_with_which_jax_does_not_start_is_named_in_one_line(name, val
     monkeypatch.setitem(ENVIRONMENT, name, value)
     before = contents(copy)
     for command in (["train", TASK, "--out", "new"], ["resume", copy]):
-        code, _, err = run_process(*command)
-        one_line(code, err, f"{name}={value}")
+        one_line(run_process(*command), f"{name}={value}")
     assert contents(copy) == before
     assert run_process("list")[0] == 0

@@ -66,6 +66,17 @@ def succeed(*arguments, by=run):
     return out
 
 
+def one_line(result, *words):
+    """Assert that the `result` of a command is exit code 2 and one readable line that has all `words`."""
+    code, _, err = result
+    lines = err.strip().splitlines()
+    assert code == 2, (code, err[-500:])
+    assert len(lines) == 1, err[-500:]
+    assert lines[0].startswith("earl-jax: ")
+    assert len(lines[0]) < 2000
+    assert all(word in lines[0] for word in words), lines[0]
+
+
 def train(folder, algo="fbrl"):
     """Return the arguments of a training run of 400 steps into `folder`."""
     return ["train", TASK, "--algo", algo, "--out", folder, *LENGTHS, *OPTIONS]

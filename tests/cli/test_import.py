@@ -9,7 +9,7 @@ import pytest
 from earl_jax import cli, envs
 from earl_jax.report.runs import read
 from earl_jax.runs.files import RunWarning
-from tests.cli.process import run, succeed, training
+from tests.cli.process import one_line, run, succeed, training
 from tests.conftest import MINE, own_registries, write_mine
 from tests.report.run_files import change_config, write_page_run
 
@@ -91,9 +91,7 @@ def test_a_file_that_has_changed_since_training_is_named_and_recorded(own):
 def test_a_file_that_cannot_be_imported_is_an_error_of_one_line(own, name, text, message):
     if text is not None:
         (own / name).write_text(text)
-    code, _, err = run("list", "--import", name)
-    assert (code, err.count("\n")) == (2, 1)
-    assert message in err
+    one_line(run("list", "--import", name), message)
 
 
 def test_an_error_in_a_file_keeps_its_traceback(own):

@@ -11,7 +11,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module
 from earl_jax.sweeps import worker
 from earl_jax.sweeps.search import read_space, search
-from tests.cli.process import run, succeed
+from tests.cli.process import one_line, run, succeed
 
 SPACE = """
 envs = ["tabletop_organization"]
@@ -133,9 +133,7 @@ def test_a_damaged_journal_or_a_link_is_one_line(space, tmp_path, batches, conte
     (tmp_path / "out").mkdir()
     journal = tmp_path / "out/search.journal"
     journal.symlink_to(tmp_path / "victim") if content is None else journal.write_text(content)
-    code, _, err = run("search", space, "--out", tmp_path / "out")
-    assert (code, len(err.splitlines())) == (2, 1)
-    assert message in err
+    one_line(run("search", space, "--out", tmp_path / "out"), message)
 
 
 @pytest.mark.parametrize("missing", [True, False])
