@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from tests.cli.process import one_line, snapshot, succeed, training
+from tests.cli.process import one_line, succeed, training
 
 
 def refused(result):
@@ -15,11 +15,6 @@ def refused(result):
         assert code == 2
     else:
         one_line(result)
-
-
-def contents(folder):
-    """Return the files of a folder without its lock."""
-    return {path: content for path, content in snapshot(folder).items() if path.name != ".lock"}
 
 
 @pytest.fixture(scope="session")

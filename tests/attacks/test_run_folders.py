@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from tests.attacks.conftest import contents, refused
-from tests.cli.process import one_line, run, succeed, training
+from tests.attacks.conftest import refused
+from tests.cli.process import one_line, run, succeed, training, unchanged
 
 BLOCKED = {
     "a folder with a thesis": lambda path: (path.mkdir(), (path / "thesis.tex").write_text("all of it")),
@@ -32,9 +32,10 @@ def _in_time():
 @pytest.mark.parametrize("name", BLOCKED)
 def test_a_taken_name_is_refused_and_left_as_it_is(name, overwrite, tmp_path):
     BLOCKED[name](tmp_path / "run")
-    before = contents(tmp_path), [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()]
-    one_line(run(*training(tmp_path / "run", *overwrite)))
-    assert (contents(tmp_path), [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()]) == before
+    before = [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()]
+    with unchanged(tmp_path, but=".lock"):
+        one_line(run(*training(tmp_path / "run", *overwrite)))
+    assert [(path.name, path.lstat().st_mode) for path in tmp_path.iterdir()] == before
 
 
 @pytest.mark.parametrize("command", ["train", "resume"])

@@ -90,3 +90,12 @@ def training(folder, *others, task=TASK, algo="fbrl"):
 def snapshot(folder):
     """Return the bytes of every file below `folder`."""
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@contextlib.contextmanager
+def unchanged(folder, but=""):
+    """A context that leaves every file below `folder` as it is, `but` one of that name."""
+    before = snapshot(folder)
+    yield
+    after = snapshot(folder)
+    assert [path for path in before | after if before.get(path) != after.get(path) and path.name != but] == []

@@ -24,7 +24,7 @@ from earl_jax.runs.policies import save_policies
 from earl_jax.runs.table import COLUMNS, Table
 from earl_jax.sweeps.worker import open_folder
 from earl_jax.training import api
-from tests.cli.process import one_line, run, snapshot
+from tests.cli.process import one_line, run, snapshot, unchanged
 from tests.conftest import make_train_state, tiny_method
 from tests.runs import damage
 
@@ -77,11 +77,10 @@ def message_of(action):
 @pytest.mark.parametrize("kind", damage.TABLE)
 def test_missing_or_foreign_rows_are_refused_before_training_and_by_every_reader(folder, kind):
     damage.TABLE[kind](folder)
-    before = snapshot(folder)
     config = RunFolder.open(folder).config
     for action in (lambda: resume(folder), lambda: read(folder), lambda: open_folder(folder, config)):
-        assert "metrics.csv is" in message_of(action)
-    assert snapshot(folder) == before
+        with unchanged(folder):
+            assert "metrics.csv is" in message_of(action)
 
 
 @pytest.mark.parametrize("command", ["table", "plot", "resume"])
@@ -105,14 +104,12 @@ def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
 
 def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
     shutil.rmtree(finished / "checkpoints")
-    before = snapshot(finished)
     expected = (
         rf"is finished \(120 steps\) and its checkpoints are gone; earl_jax\.load\('{finished}'\) or earl-jax show"
     )
     for options in ({}, {"steps": 240}):
-        with pytest.raises(InputError, match=expected):
+        with unchanged(finished), pytest.raises(InputError, match=expected):
             resume(finished, **options)
-    assert snapshot(finished) == before
     RunFolder.open(finished).record(steps=240)
     assert "has reached step 120 (240 steps) and its checkpoints are gone" in message_of(lambda: resume(finished))
 
@@ -200,10 +197,9 @@ def build_all(folder):
 
 
 def assert_refused(folder, cause):
-    before = snapshot(folder)
     for action in (lambda: build_all(folder), lambda: resume(folder)):
-        assert cause in message_of(action)
-    assert snapshot(folder) == before
+        with unchanged(folder):
+            assert cause in message_of(action)
 
 
 @pytest.mark.parametrize(
@@ -252,10 +248,9 @@ def test_a_checkpoint_after_the_end_of_the_run_is_refused(finished):
 def test_a_link_is_named_and_what_it_leads_to_stays(folder, state, name):
     config = RunFolder.open(folder).config
     damage.LINKS[name](folder)
-    before = snapshot(folder)
     for action in (lambda: resume(folder), lambda: RunFolder.create(folder, config, "c", overwrite=True)):
-        assert name.partition("/events")[0] in message_of(action)
-    assert snapshot(folder) == before
+        with unchanged(folder):
+            assert name.partition("/events")[0] in message_of(action)
     with contextlib.suppress(OSError):
         checkpoint.save(folder / "checkpoints", state.replace(step=jnp.asarray(120)))
     victim = damage.victim_of(folder)
