@@ -11,7 +11,7 @@ from earl_jax.rendering import render
 from earl_jax.rendering.actors import actor_of, episodes
 from earl_jax.rendering.output import GAP
 from earl_jax.rendering.scenes import Scene
-from tests.conftest import tiny_options
+from tests.conftest import tiny_train
 
 pytest.importorskip("mediapy", reason="videos need the extra render")
 images = pytest.importorskip("PIL.Image", reason="pictures need the extra render")
@@ -126,9 +126,7 @@ def test_a_life_goes_on_from_its_last_state_and_back_to_an_initial_state():
 
 @pytest.mark.slow
 def test_a_run_folder_gets_a_video_of_its_policy(graphics, tmp_path, env):
-    from earl_jax.training import train
-
-    train(env, "fbrl", seeds=2, steps=40, eval_every=40, eval_episodes=2, out=tmp_path, **tiny_options("fbrl"))
+    tiny_train("fbrl", env, steps=40, out=tmp_path)
     path = render(tmp_path, steps=5, size=SMALL)
     assert path == tmp_path / "video.mp4"
     assert len(read_video(path)[1]) == 6

@@ -7,7 +7,7 @@ from unittest.mock import Mock, call
 import numpy as np
 import pytest
 
-from earl_jax import make, make_algo, resume, train
+from earl_jax import make, make_algo, resume
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment
@@ -15,7 +15,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs, open_logs, scalars
-from tests.conftest import TINY, TINY_RUN, tiny_train
+from tests.conftest import tiny_train
 
 METRICS = {40: {"deployed/success": np.array([0.0, 1.0])}, 80: {"deployed/success": np.array([0.25, 0.5])}}
 
@@ -114,12 +114,11 @@ def test_a_real_wandb_offline_is_resumed_and_its_end_costs_no_training(tmp_path,
             if ended:
                 wandb.teardown()
 
-    log, out, run = EndOfWandb(), tmp_path / "run", {**TINY_RUN, **TINY, "steps": 80}
+    log, out = EndOfWandb(), tmp_path / "run"
     with pytest.warns(RunWarning, match="the log wandb has failed") if ended else contextlib.nullcontext():
-        train("tabletop_organization", "naive", logs=["wandb", log], out=out, **run)
+        tiny_train("naive", logs=["wandb", log], out=out, steps=80)
         result = resume(out, steps=160)
-    expected = train("tabletop_organization", "naive", **{**run, "steps": 160})
-    np.testing.assert_equal(result.metrics, expected.metrics)
+    np.testing.assert_equal(result.metrics, tiny_train("naive", steps=160).metrics)
     written = {path.stem for path in (out / "wandb").glob("offline-run-*/*.wandb")}
     assert written == {f"run-{RunFolder.open(out).id}"}
 

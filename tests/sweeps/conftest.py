@@ -24,7 +24,6 @@ reward_scale = [1, 10]
 """
 OPTIONS = "batch_size=16,eval_horizon=30,hidden_sizes=16,random_steps=20"
 NAMES = [f"tabletop_organization/oracle/{OPTIONS},reward_scale={scale}" for scale in (1, 10)]
-LENGTHS = {"seeds": 2, "steps": 120, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40}
 WORKER = """
 import json, os, signal, sys, time
 from pathlib import Path

@@ -15,15 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from earl_jax.algos import method_for
 from earl_jax.envs import make
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process
 from earl_jax.sweeps import worker
-from earl_jax.training import load_lanes, memory, runner, train
-from tests.conftest import MINE, TINY, assert_equal_trees, tiny_method, write_mine
-from tests.sweeps.conftest import GRID, LENGTHS, NAMES
+from earl_jax.training import load_lanes, memory, runner
+from tests.conftest import MINE, assert_equal_trees, tiny_method, tiny_train, write_mine
+from tests.sweeps.conftest import GRID, NAMES
 
 LAYER_NORM = GRID.replace('"oracle"', '"naive", "oracle"') + "layer_norm = [true, false]\n"
 
@@ -109,7 +108,7 @@ def separate_folders(tmp_path_factory):
     parent = tmp_path_factory.mktemp("separate")
     env = make("tabletop_organization", eval_horizon=30)  # so short that the oracle is reset within the run
     for scale in (1, 10):
-        train(env, method_for(env, "oracle", **TINY, reward_scale=scale), out=parent / str(scale), **LENGTHS)
+        tiny_train("oracle", env, reward_scale=scale, checkpoint_every=40, out=parent / str(scale))
     return [parent / str(scale) for scale in (1, 10)]
 
 

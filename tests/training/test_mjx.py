@@ -10,11 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.algos import method_for
 from earl_jax.envs import chosen_engine, make
 from earl_jax.physics.engines import mjx
-from earl_jax.training import train
-from tests.conftest import assert_all_finite, make_problem, make_train_state, run_whole, tiny_method, tiny_options
+from tests.conftest import assert_all_finite, make_problem, make_train_state, run_whole, tiny_method, tiny_train
 from tests.test_extending import PACKAGE
 
 STEPS = 16
@@ -60,16 +58,8 @@ def test_a_step_on_mjx_calls_nothing_outside_the_program(pendulum):
 
 
 def test_training_agrees_with_the_engine_that_auto_takes_and_names_it(pendulum, tmp_path, capfd):
-    method = method_for(pendulum, "fbrl", **{**tiny_options("fbrl"), "random_steps": 0, "reward_scale": 10.0})
-    run = {
-        "seeds": 2,
-        "steps": STEPS,
-        "eval_every": STEPS,
-        "eval_episodes": 1,
-        "progress": True,
-        "out": tmp_path / "run",
-    }
-    result = train(pendulum, method, engine="auto", **run)
+    options = {"steps": STEPS, "eval_every": STEPS, "random_steps": 0, "reward_scale": 10.0}
+    result = tiny_train("fbrl", pendulum, engine="auto", progress=True, out=tmp_path / "run", **options)
     assert (chosen_engine(result.env), result.engine) == ("auto", "c")
     assert "physics engine: c, which auto takes for 2 lanes on this cpu machine\n" in capfd.readouterr().err
     assert json.loads((tmp_path / "run" / "config.json").read_text())["engine"] == "c"
