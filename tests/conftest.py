@@ -32,7 +32,9 @@ from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
 from earl_jax.metrics.phase_stats import BACK, FORWARD
 from earl_jax.options import imports
-from earl_jax.protocol import Protocol, Rules
+from earl_jax.options.schedule import Schedule
+from earl_jax.protocol import Deployment, Protocol, Rules
+from earl_jax.runs.config import RunConfig
 from earl_jax.training import runner, select_seed, train
 from earl_jax.training.init import replay_capacity
 from earl_jax.training.plan import per_lane
@@ -174,6 +176,12 @@ def tiny_method(algo, lanes=2, **options):
 def tiny_train(algo="fbrl", env="tabletop_organization", **options):
     """Return the result of a short run of the method named `algo`."""
     return train(env, algo, **{**TINY_RUN, **tiny_options(algo), **options})
+
+
+def make_config(env, method, seeds=(0, 1), setting=None, **lengths):
+    """Return the config of a run of objects with the lengths of a tiny run and checkpoints as often, or other `lengths`."""
+    schedule = Schedule(**{"steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40, **lengths})
+    return RunConfig.from_objects(env, method, setting or Deployment(), seeds, schedule)
 
 
 def make_train_state(problem, method, seeds, steps=RUN_STEPS, rules=None):

@@ -9,10 +9,8 @@ from matplotlib.image import imread
 
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Deployment
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
+from tests.conftest import make_config
 
 TABLETOP, DOOR, KITCHEN, LIGHTBULB = "tabletop_organization", "sawyer_door", "franka_kitchen", "dhand_lightbulb"
 MINITAUR = "minitaur_pen"
@@ -38,13 +36,9 @@ def write_run(
     """
     scores = np.asarray(deployed, float)
     steps = list(steps or range(10, 10 * scores.shape[1] + 1, 10))
-    config = RunConfig.from_objects(
-        make(env, **(env_options or {})),
-        make_algo(algo, **options),
-        setting or Deployment(),
-        tuple(seeds or range(len(scores))),
-        Schedule(steps=planned or steps[-1], eval_every=steps[0], eval_episodes=2, checkpoint_every=10),
-    )
+    lengths = {"steps": planned or steps[-1], "eval_every": steps[0], "checkpoint_every": 10}
+    task, method, lanes = make(env, **(env_options or {})), make_algo(algo, **options), seeds or range(len(scores))
+    config = make_config(task, method, tuple(lanes), setting, **lengths)
     folder = RunFolder.create(path, config, engine="kinematic")
     values = {"deployed/success": scores, "deployed/return": scores, **(metrics or {})}
     columns = {name: np.broadcast_to(value, scores.shape) for name, value in values.items()}

@@ -8,12 +8,9 @@ import pytest
 import earl_jax
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Continuing, Deployment
+from earl_jax.protocol import Continuing
 from earl_jax.runs.config import RunConfig
-from tests.conftest import assert_equal_trees, tiny_method, tiny_options
-
-SEEDS, SCHEDULE = (0, 1), Schedule(steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40)
+from tests.conftest import assert_equal_trees, make_config, tiny_method, tiny_options
 
 
 def through_json(config):
@@ -24,7 +21,7 @@ def through_json(config):
 def test_options_of_task_and_method_are_restored():
     env = earl_jax.make("tabletop_organization", reward_type="dense", wide=True)
     method = earl_jax.make_algo("naive", **tiny_options("naive", reward_scale=0.1))
-    config = through_json(RunConfig.from_objects(env, method, Deployment(), SEEDS, SCHEDULE))
+    config = through_json(make_config(env, method))
     assert config.env_options == {"reward_type": "dense", "wide": True}
     assert config.build_env() == env
     assert_equal_trees(config.build_method(), method)
@@ -32,9 +29,7 @@ def test_options_of_task_and_method_are_restored():
 
 
 def test_the_setting_and_its_budget_are_restored(env):
-    config = RunConfig.from_objects(
-        HelpBudget(env, budget=5.0), tiny_method("naive"), Continuing(goal_change=7), SEEDS, SCHEDULE
-    )
+    config = make_config(HelpBudget(env, budget=5.0), tiny_method("naive"), setting=Continuing(goal_change=7))
     assert config.setting == {"name": "continuing", "budget": 5.0, "goal_change": 7}
     config = through_json(config)
     assert config.build_env() == HelpBudget(env, budget=5.0)
@@ -49,7 +44,7 @@ def test_an_explicit_h_t_is_restored_and_a_config_without_it_keeps_its_h_t(env):
         (Continuing(), {"train_horizon": 700}, 700),
     ]:
         task = dataclasses.replace(env, **options)
-        config = through_json(RunConfig.from_objects(task, tiny_method("naive"), setting, SEEDS, SCHEDULE))
+        config = through_json(make_config(task, tiny_method("naive"), setting=setting))
         assert ("train_horizon" in config.setting, config.env_options) == (horizon == 200_000, options)
         assert config.protocol(config.build_env()).train_horizon == horizon
 
@@ -60,7 +55,7 @@ def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
     assert earl_jax.method_for(dense, "naive").learner.reward_scale == dense.reward_scale == 1.0
     assert earl_jax.method_for(dense, "naive", reward_scale=10.0).learner.reward_scale == 10.0
     for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
-        config = RunConfig.from_objects(env, earl_jax.method_for(env, "naive"), Deployment(), SEEDS, SCHEDULE)
+        config = make_config(env, earl_jax.method_for(env, "naive"))
         assert config.deployed_metric == metric
         assert config.build_method().learner.reward_scale == env.reward_scale
 
@@ -69,7 +64,7 @@ def test_a_class_that_its_name_does_not_build_is_recorded_and_required(env):
     class Impostor(Naive):
         """Another class under a registered name."""
 
-    config = RunConfig.from_objects(env, Impostor(), Deployment(), SEEDS, SCHEDULE)
+    config = make_config(env, Impostor())
     assert config.env_class is None
     assert config.algo_class == f"{__name__}:{Impostor.__qualname__}"
     with pytest.raises(ValueError, match=r"call earl_jax\.register_algo\('naive', Impostor\)"):

@@ -13,11 +13,8 @@ import pytest
 
 from earl_jax import resume
 from earl_jax.errors import InputError
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Deployment
 from earl_jax.report.runs import read
 from earl_jax.runs import checkpoint
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import save_policies
@@ -25,7 +22,7 @@ from earl_jax.runs.table import COLUMNS, Table
 from earl_jax.sweeps.worker import open_folder
 from earl_jax.training import api
 from tests.cli.process import one_line, run, snapshot, unchanged
-from tests.conftest import make_train_state, tiny_method
+from tests.conftest import make_config, make_train_state, tiny_method
 from tests.runs import damage
 
 
@@ -37,8 +34,7 @@ def state(problem):
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory, env, state):
     """The folder of a finished run, and that of a run whose newest checkpoint is of step 80."""
-    schedule = Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40)
-    config = RunConfig.from_objects(env, tiny_method("naive"), Deployment(), (0, 1), schedule)
+    config = make_config(env, tiny_method("naive"))
     folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, "kinematic")
     for step in (40, 80, 120):
         folder.append(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)})
@@ -147,8 +143,7 @@ def test_ten_gigabytes_are_read_in_little_memory_and_cut_off_by_resuming(finishe
 @pytest.mark.parametrize("line", [2, 3, 4097, 4098, 10_001])
 @pytest.mark.parametrize("row", ["x,0,0", "7,0,0", "1,0"])
 def test_the_first_wrong_line_of_a_long_table_is_named(tmp_path, problem, line, row):
-    schedule = Schedule(steps=5000, eval_every=1, eval_episodes=2, checkpoint_every=1)
-    config = RunConfig.from_objects(problem.env, tiny_method("naive"), Deployment(), (5, 3), schedule)
+    config = make_config(problem.env, tiny_method("naive"), seeds=(5, 3), steps=5000, eval_every=1, checkpoint_every=1)
     lines = ["step,seed,x", *(f"{step},{seed},{step / 7}" for step in range(1, 5001) for seed in (5, 3))]
     path = tmp_path / "metrics.csv"
     path.write_text("\n".join([*lines, ""]))

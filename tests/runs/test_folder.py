@@ -12,12 +12,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from earl_jax import make, make_algo
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Deployment
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.plan import per_lane
 from tests.cli.process import unchanged
+from tests.conftest import make_config
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-3, 2**70) | st.floats() | st.text(max_size=5),
@@ -31,13 +29,7 @@ FUZZ = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCh
 @pytest.fixture
 def folder(tmp_path):
     env = make("tabletop_organization", reward_type="dense")
-    config = RunConfig.from_objects(
-        env,
-        make_algo("fbrl", discount=0.9),
-        Deployment(),
-        (3, 5),
-        Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40),
-    )
+    config = make_config(env, make_algo("fbrl", discount=0.9), seeds=(3, 5))
     return RunFolder.create(tmp_path / "run", config, "kinematic")
 
 

@@ -9,21 +9,16 @@ import pytest
 
 from earl_jax import make, make_algo, resume
 from earl_jax.errors import InputError
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Deployment
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs, open_logs, scalars
-from tests.conftest import tiny_train
+from tests.conftest import make_config, tiny_train
 
 METRICS = {40: {"deployed/success": np.array([0.0, 1.0])}, 80: {"deployed/success": np.array([0.25, 0.5])}}
 
 
 def make_folder(path, *logs):
-    env = make("tabletop_organization")
-    schedule = Schedule(steps=120, eval_every=40, eval_episodes=2, checkpoint_every=40)
-    config = RunConfig.from_objects(env, make_algo("naive"), Deployment(), (3, 5), schedule)
+    config = make_config(make("tabletop_organization"), make_algo("naive"), seeds=(3, 5))
     return RunFolder.create(path, config, "kinematic", logs)
 
 

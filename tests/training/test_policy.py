@@ -13,13 +13,10 @@ from benchmarks import pretrained as packing
 from earl_jax import assets
 from earl_jax.envs import HelpBudget, make
 from earl_jax.metrics.deployed import deployed
-from earl_jax.options.schedule import Schedule
-from earl_jax.protocol import Deployment
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_policies, pretrained_env, runner, select_seed
 from earl_jax.training.policy import Policy, actor_of_arrays, arrays_of_actor
-from tests.conftest import make_problem, make_train_state, take_lane, tiny_method
+from tests.conftest import make_config, make_problem, make_train_state, take_lane, tiny_method
 
 NAME = "tabletop_organization"
 
@@ -28,8 +25,7 @@ NAME = "tabletop_organization"
 def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_actor_if_there_is_one(tmp_path, averaged):
     task, method = make(NAME), tiny_method("naive")
     helped = HelpBudget(task, budget=5.0)
-    schedule = Schedule(steps=40, eval_every=40, eval_episodes=1, checkpoint_every=40)
-    config = RunConfig.from_objects(helped, method, Deployment(), (0, 1), schedule)
+    config = make_config(helped, method)
     run = runner.Run.resolve(config, helped, method)
     run.folder = RunFolder.create(tmp_path / "run", config, "kinematic", ())
     lanes = make_train_state(make_problem(helped), method, [0, 1]).lanes
