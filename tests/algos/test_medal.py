@@ -110,18 +110,19 @@ def test_the_backward_replay_has_forward_and_backward_demonstrations_under_each_
     assert len(demos.states) == len(problem.goals.candidates)
 
 
-def test_backward_demonstrations_get_task_goals_and_each_controller_clones_its_own(medal, env):
+def test_backward_demonstrations_get_task_goals_on_ways_back_alone_and_each_controller_clones_its_own(medal, env):
     method, goals, classifier = medal
     demonstrated, backward = np.arange(400) % 2 == 0, np.arange(400) >= 200
     batch = make_batch(*np.zeros((2, 400, 6)), np.where(backward, goals.tasks, 1), demonstrated=demonstrated)
     prepare = jax.jit(lambda phase: method.prepare(KEYS[0], env, goals, batch, phase, classifier))
-    back = prepare(RETURN)
+    forth, back = prepare(TASK), prepare(RETURN)
+    np.testing.assert_array_equal(forth.flags.goal, batch.flags.goal)
+    np.testing.assert_array_equal(forth.demonstrated, demonstrated)
     goal = np.asarray(back.flags.goal)
     np.testing.assert_array_equal(goal[~backward], 1)
     assert set(goal[backward & demonstrated].tolist()) == {0, 1, 2, 3}
     np.testing.assert_array_equal(goal[backward & ~demonstrated], goals.tasks)
     np.testing.assert_array_equal(back.demonstrated, demonstrated & backward)
-    np.testing.assert_array_equal(prepare(TASK).demonstrated, demonstrated)
 
 
 def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):
@@ -139,11 +140,3 @@ def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem
     )
     np.testing.assert_array_equal(own.obs[: len(backward.ends), :6], backward.states)
     np.testing.assert_array_equal(own.action, np.tile(backward.actions, (4, 1)))
-
-
-def test_a_forward_phase_with_all_demos_keeps_the_goals_of_the_ways_back(env, medal):
-    method, goals, classifier = medal
-    batch = make_batch(goals.table[:3], goals.table[:3], goals.tasks)._replace(demonstrated=np.ones(3, bool))
-    goals_in = jax.jit(lambda phase: method.prepare(KEYS[0], env, goals, batch, phase, classifier).flags.goal)
-    np.testing.assert_array_equal(goals_in(TASK), [goals.tasks] * 3)
-    assert (goals_in(RETURN) < goals.tasks).all()
