@@ -7,6 +7,7 @@ import jax
 import pytest
 
 from tests.cli.process import ENVIRONMENT, TASK, one_line, run, run_process, succeed, training, unchanged
+from tests.report.run_files import change_config
 
 STRICT = {
     "JAX_ENABLE_X64": "1",
@@ -60,15 +61,14 @@ def test_a_run_is_not_continued_or_repeated_with_a_setting_that_changes_its_numb
 
 
 def test_a_config_records_the_settings_and_one_without_them_had_the_defaults(copy):
-    config = json.loads((copy / "config.json").read_text())
-    recorded = config.pop("jax")
+    recorded = json.loads((copy / "config.json").read_text())["jax"]
     assert set(OTHER) < set(recorded)
-    (copy / "config.json").write_text(json.dumps(config))
+    change_config(copy, jax=None)
     with configured(jax_random_seed_offset=7):
         one_line(run("resume", copy), "jax_random_seed_offset 0")
-    (copy / "config.json").write_text(json.dumps(config | {"jax": recorded | {"jax_random_seed_offset": 7}}))
+    change_config(copy, jax=recorded | {"jax_random_seed_offset": 7})
     one_line(run("resume", copy), "set JAX_RANDOM_SEED_OFFSET=7")
-    (copy / "config.json").write_text(json.dumps(config | {"jax": [7]}))
+    change_config(copy, jax=[7])
     one_line(run("resume", copy), "jax must be a dict")
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from earl_jax.protocol import Continuing
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import by_method, labels, read
-from tests.report.run_files import DOOR, TABLETOP, rising, write_run
+from tests.report.run_files import DOOR, TABLETOP, change_config, rising, write_run
 
 
 def test_an_incomplete_evaluation_is_not_read(tmp_path):
@@ -42,7 +42,7 @@ def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unkno
         "fbrl (budget=None, learner=sac, setting=deployment, wide=True)",
     ]
     for path in paths[:2]:
-        (path / "config.json").write_text((path / "config.json").read_text().replace('"fbrl"', '"theirs"'))
+        change_config(path, algo="theirs")
     assert labels(read_all(paths[:2])) == [
         "theirs (budget=None, learner=td3, policy_delay=3, setting=deployment)",
         "theirs (budget=20, learner=default, policy_delay=default, setting=continuing)",

@@ -1,6 +1,5 @@
 """What a run folder gives: its result, and policies and maps of visits of policies.npz or of a newer checkpoint."""
 
-import json
 import shutil
 import sys
 import types
@@ -15,6 +14,7 @@ from earl_jax.runs import policies
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import evaluate, load_lanes, load_policies, load_visits, loading, select_seed
 from tests.conftest import tiny_train
+from tests.report.run_files import change_config
 
 
 @pytest.fixture(scope="module")
@@ -79,10 +79,6 @@ def test_what_a_folder_lacks_is_named(trained, folder):
             load(folder)
 
 
-def change_config(folder, **values):
-    folder.config_file.write_text(json.dumps({**json.loads(folder.config_file.read_text()), **values}))
-
-
 @pytest.fixture
 def bare(folder, monkeypatch):
     """The folder without its checkpoints, and the state of training without a trace."""
@@ -110,14 +106,14 @@ def test_a_folder_without_checkpoints_gives_the_result_of_its_training(trained, 
 
 
 def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare):
-    change_config(bare, env="meadow", algo="patient")
+    change_config(bare.path, env="meadow", algo="patient")
     loaded = earl_jax.load(bare.path)
     np.testing.assert_equal(loaded.metrics, trained[1].metrics)
     np.testing.assert_array_equal(loaded.policy(1)(jnp.full(12, 0.3)), trained[1].policy(1)(jnp.full(12, 0.3)))
     assert "task: meadow" in repr(loaded)
     with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = loaded.env
-    change_config(bare, setting={"name": "deployment", "budget": 5.0})
+    change_config(bare.path, setting={"name": "deployment", "budget": 5.0})
     with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = earl_jax.load(bare.path).policies
 
@@ -155,7 +151,7 @@ def test_the_frame_has_the_rows_of_the_table(bare, monkeypatch):
 
 def test_a_result_is_shown_in_a_few_lines_and_text_of_others_as_text(trained, bare):
     assert repr(earl_jax.load(bare.path)) == repr(trained[1]).replace(str(trained[0]), str(bare.path))
-    change_config(bare, options={"<b>": "\x1b[31m"})
+    change_config(bare.path, options={"<b>": "\x1b[31m"})
     loaded = earl_jax.load(bare.path)
     assert len(repr(loaded).splitlines()) < 15
     assert "fbrl (<b>=\\x1b[31m)" in repr(loaded)
