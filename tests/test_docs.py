@@ -1,6 +1,7 @@
 """The README and the pages of docs/: links, tables of numbers, and code."""
 
 import dataclasses
+import operator
 import re
 import tomllib
 from pathlib import Path
@@ -40,32 +41,18 @@ def table_rows(text, first):
 @pytest.mark.parametrize("cls", [algos.Learner, algos.SAC, algos.TD3, *map(algos.algo_class, own_algos())])
 def test_the_page_of_methods_has_every_hyper_parameter(cls):
     page = (DOCS / "methods.md").read_text()
-    shared = {"learner"} | (
-        set() if cls is algos.Learner else {field.name for field in dataclasses.fields(algos.Learner)}
-    )
+    fields = {field.name: repr(field.default) for field in dataclasses.fields(cls)}
+    elsewhere = {"learner"} | (set() if cls is algos.Learner else set(algos.Learner.__dataclass_fields__))
     defaults = {row[0].strip("`"): row[1].replace('"', "'") for row in table_rows(page, f"field of `{cls.__name__}`")}
-    assert defaults == {
-        field.name: repr(field.default) for field in dataclasses.fields(cls) if field.name not in shared
-    }
+    assert defaults == {name: default for name, default in fields.items() if name not in elsewhere}
 
 
 def test_the_page_of_tasks_has_the_numbers_of_every_task():
-    page = (DOCS / "tasks.md").read_text()
-    tasks = {name: envs.make(name) for name in envs.list_envs()}
-    rows = {row[0].strip("`"): row[1:6] for row in table_rows(page, "task")}
-    assert rows == {
-        name: [
-            f"{number:,}"
-            for number in (
-                env.observation_size,
-                env.action_size,
-                env.train_horizon,
-                env.eval_horizon,
-                env.continuing.goal_change,
-            )
-        ]
-        for name, env in tasks.items()
-    }
+    numbers = operator.attrgetter(
+        "observation_size", "action_size", "train_horizon", "eval_horizon", "continuing.goal_change"
+    )
+    rows = {row[0].strip("`"): row[1:6] for row in table_rows((DOCS / "tasks.md").read_text(), "task")}
+    assert rows == {name: [f"{number:,}" for number in numbers(envs.make(name))] for name in envs.list_envs()}
 
 
 RUN_ELSEWHERE = {"adapters", "custom_loops", "extending"}
