@@ -25,12 +25,13 @@ def test_demonstrations_are_loaded_back_as_episodes_with_the_rewards_of_the_task
     loaded = minari.load_dataset("arm/back-v3")
     stops = np.flatnonzero(recorded.ends) + 1
     assert (loaded.total_episodes, loaded.total_steps) == (len(stops), len(recorded.ends))
+    rewards = np.asarray(env.reward(jnp.concatenate([episode.observations[1:] for episode in loaded])))
     for episode, start, stop in zip(loaded, [0, *stops[:-1]], stops, strict=True):
         states = np.concatenate([recorded.states[start:stop], recorded.next_states[stop - 1 : stop]])
         np.testing.assert_array_equal(episode.observations[:, : env.state_size], states)
         np.testing.assert_array_equal(episode.observations[:, env.state_size :], recorded.goals[[start] * len(states)])
         np.testing.assert_array_equal(episode.actions, recorded.actions[start:stop])
-        np.testing.assert_array_equal(episode.rewards, env.reward(jnp.asarray(episode.observations[1:])))
+        np.testing.assert_array_equal(episode.rewards, rewards[start:stop])
         assert [np.flatnonzero(part).tolist() for part in (episode.terminations, episode.truncations)] == (
             [[stop - start - 1], []] if env.sparse else [[], [stop - start - 1]]
         )
