@@ -120,16 +120,6 @@ def test_a_run_whose_minutes_run_out_continues_bit_identically(whole, tmp_path, 
     assert_same_files(folder, whole)
 
 
-def test_every_command_trains_a_chunk_even_if_its_start_takes_all_of_its_minutes(whole, tmp_path):
-    folder, steps = tmp_path / "run", []
-    result = tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
-    while not result.finished:
-        steps.append(result.step)
-        result = resume(folder, minutes=1e-9)
-    assert steps == [20, 40, 60, 80, 100]
-    assert_same_files(folder, whole)
-
-
 def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monkeypatch):
     evaluate = runner._evaluate
 
@@ -167,7 +157,7 @@ def test_the_first_host_decides_about_the_time(monkeypatch):
     assert (answers, stop.requested) == ([False], True)
 
 
-def test_commands_print_how_to_continue(tmp_path, capsys):
+def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path, capsys):
     folder = tmp_path / "a run"
     tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
     expected = {"out": str(folder), "stopped": True, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
@@ -181,6 +171,7 @@ def test_commands_print_how_to_continue(tmp_path, capsys):
     cli.main(["resume", str(folder), "--json"])
     printed = json.loads(capsys.readouterr().out)
     assert (printed["steps"], printed["stopped"]) == (120, False)
+    assert_same_files(folder, whole)
 
 
 @pytest.mark.parametrize("command", ["train", "resume", "sweep", "reproduce"])
