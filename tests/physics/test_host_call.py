@@ -13,7 +13,8 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.physics.host_call import service
-from tests.conftest import CACHE, TESTS, assert_equal_trees, tiny_train
+from tests.cli.process import ENVIRONMENT
+from tests.conftest import TESTS, assert_equal_trees, tiny_train
 from tests.envs.programs import first_state, program
 
 HOST_ERRORS = (ValueError, RuntimeError)
@@ -68,9 +69,7 @@ def test_an_error_on_the_host_is_raised_by_the_program():
 
 
 STEP_FROM_CACHE = """
-import sys, jax
-jax.config.update("jax_compilation_cache_dir", sys.argv[1])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+import jax
 hits = []
 from earl_jax.envs import make
 env = make("sawyer_door")
@@ -84,8 +83,8 @@ print(float(state.obs.sum()), "/jax/compilation_cache/cache_hits" in hits)
 def test_a_program_with_physics_on_the_host_is_cached_for_the_next_process():
     env = make("sawyer_door")
     state = program(env, "step")(first_state(env), jnp.ones(4))
-    command = [sys.executable, "-c", STEP_FROM_CACHE, str(CACHE)]
-    total, hit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    command = [sys.executable, "-c", STEP_FROM_CACHE]
+    total, hit = subprocess.check_output(command, env=ENVIRONMENT, text=True).split()
     assert hit == "True"
     assert float(total) == float(state.obs.sum())
 
