@@ -12,14 +12,14 @@ from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE, learnt
 from tests.conftest import CHUNK, advance, assert_equal_trees, make_train_state, tiny_method, tiny_train
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
-init = jax.jit(SMALL.init, static_argnums=(1, 2))
+init = jax.jit(TD3.init, static_argnums=(2, 3))
 update = jax.jit(TD3.update)
 
 
 @pytest.fixture(scope="module")
 def agent():
     """An agent whose targets differ from its networks."""
-    agent, other = (init(jax.random.key(seed), 4, SIZE) for seed in (1, 2))
+    agent, other = (init(SMALL, jax.random.key(seed), 4, SIZE) for seed in (1, 2))
     return agent.replace(target_actor=other.actor, target_critics=other.critics)
 
 
@@ -93,7 +93,7 @@ def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, ba
 
 def test_td3_solves_a_chain_of_known_value(chain):
     learner = TD3(hidden_sizes=(32, 32), reward_scale=1.0, learning_rate=3e-3, target_rate=0.02, discount=0.9)
-    agent = learnt(learner, learner.init(jax.random.key(0), 2, 1), chain)
+    agent = learnt(learner, init(learner, jax.random.key(0), 2, 1), chain)
     best = learner.greedy(agent.actor, CHAIN_STATES)
     assert (best > 0.1).all()
     np.testing.assert_allclose(learner.q_values(agent.critics, CHAIN_STATES, best).mean(axis=0), [0.9, 1.0], atol=0.1)
