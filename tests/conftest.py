@@ -8,6 +8,7 @@ import platform
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from unittest.mock import Mock
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # Compilation takes most of the tests' time. At level 0 several programs compute NaN with the instructions of AVX2, so AVX is
@@ -35,7 +36,7 @@ from earl_jax.options import imports
 from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment, Protocol, Rules
 from earl_jax.runs.config import RunConfig
-from earl_jax.training import runner, select_seed, train
+from earl_jax.training import api, runner, select_seed, train
 from earl_jax.training.init import replay_capacity
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
@@ -126,6 +127,12 @@ def own_registries():
 def registries():
     with own_registries():
         yield
+
+
+@pytest.fixture
+def no_training(monkeypatch):
+    """Let a command that starts to train fail instead."""
+    monkeypatch.setattr(api, "run_program", Mock(side_effect=AssertionError("training started")))
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ import contextlib
 import os
 import shutil
 import tracemalloc
-from unittest.mock import Mock
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,10 +18,11 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.table import COLUMNS, Table
 from earl_jax.sweeps.worker import open_folder
-from earl_jax.training import api
 from tests.cli.process import one_line, run, snapshot, unchanged
 from tests.conftest import make_config, make_train_state, tiny_method
 from tests.runs import damage
+
+pytestmark = pytest.mark.usefixtures("no_training")
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +52,6 @@ def folder(request, originals, tmp_path):
 @pytest.fixture
 def finished(originals, tmp_path):
     return shutil.copytree(originals["finished"], tmp_path / "run")
-
-
-@pytest.fixture(autouse=True)
-def _no_training(monkeypatch):
-    monkeypatch.setattr(api, "run_program", Mock(side_effect=AssertionError("training started")))
 
 
 def message_of(action):
