@@ -15,7 +15,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import TASK, run, start, succeed, training
+from tests.cli.process import TASK, one_line, run, start, succeed, training
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -96,8 +96,7 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
     for part, states in ((slice(-1), steps.states), (slice(1, None), steps.next_states)):
         obs = np.concatenate([episode.observations[part] for episode in loaded])
         np.testing.assert_array_equal(obs, np.concatenate([states, steps.goals], axis=1))
-    code, _, err = run("export", finished[0], "--seed", "5")
-    assert (code, "has no seed 5; choose from 0, 1" in err) == (2, True)
+    one_line(run("export", finished[0], "--seed", "5"), "has no seed 5; choose from 0, 1")
 
 
 def show_warning(message, category, *location):

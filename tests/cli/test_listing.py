@@ -8,7 +8,7 @@ import pytest
 
 import earl_jax
 from earl_jax.cli import catalog, descriptions, listing
-from tests.cli.process import run, succeed
+from tests.cli.process import one_line, run, succeed
 from tests.conftest import write_files
 
 LIST_OWN = """
@@ -101,9 +101,7 @@ def test_json_describes_one_name_or_all():
     learner = {**everything["shared"], **everything["learners"]["sac"]["options"]}
     assert fbrl == {**everything["methods"]["fbrl"], "learner": learner}
     assert json.loads(succeed("list", "quick", "--json")) == everything["presets"]["quick"]
-    code, _, err = run("list", "ppo")
-    assert code == 2
-    assert "no task, method, learner or preset 'ppo'; choose from cheetah_run" in err
+    one_line(run("list", "ppo"), "no task, method, learner or preset 'ppo'; choose from cheetah_run")
 
 
 def test_trained_policies_that_ship_are_listed(everything):

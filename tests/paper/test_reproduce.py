@@ -6,13 +6,12 @@ from pathlib import Path
 import pytest
 
 from earl_jax import assets
-from earl_jax.cli.main import main
 from earl_jax.paper import artefact, figure2, reproduce, tradeoff
 from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid, launcher, processes, worker
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.worker import plan
-from tests.cli.process import ADDED
+from tests.cli.process import ADDED, succeed
 from tests.report.run_files import read_csv
 
 NAMES = ("table1", "table2", "figure5", "figure3", "figure4", "tradeoff", "figure2")
@@ -72,11 +71,10 @@ def planned_runs(name, scale, tmp_path, *tasks, **options):
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in ("figure2", "tradeoff") else ()) for name in NAMES]
 )
-def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, request):
+def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, request):
     request.getfixturevalue("planner_in_process" if name == "figure2" else "in_process")
     trains = name in ("figure2", "tradeoff") or not any(folder.glob("runs/*/*/*"))
-    main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
-    output = capsys.readouterr().out
+    output = succeed("reproduce", name, "--scale", "smoke", "--out", folder)
     assert ("0 done now, 0 failed" in output) != trains, output
     further = [f"{name}_{FURTHER[name]}.csv"] if name in FURTHER else []
     files = {f"{name}.csv", f"{name}.md", f"{name}.png", *further}
@@ -89,13 +87,12 @@ def test_one_command_ends_in_a_picture_a_table_and_text(folder, name, capsys, re
 
 @pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("name", ["figure3", "figure4"])
-def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name, capsys):
+def test_a_figure_of_finished_runs_needs_no_checkpoint(folder, name):
     """After the test above, which trains the runs."""
     for checkpoints in folder.glob("runs/*/*/*/checkpoints"):
         shutil.rmtree(checkpoints)
     before = (folder / name / f"{name}.csv").read_text()
-    main(["reproduce", name, "--scale", "smoke", "--out", str(folder)])
-    assert "0 done now, 0 failed" in capsys.readouterr().out
+    assert "0 done now, 0 failed" in succeed("reproduce", name, "--scale", "smoke", "--out", folder)
     assert (folder / name / f"{name}.csv").read_text() == before
 
 
@@ -155,7 +152,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
 
     monkeypatch.setattr(reproduce, "sweep", stop)
     monkeypatch.setattr("earl_jax.cli.sweep.print_line", lines.append)
-    main(["reproduce", "table1", "--out", str(tmp_path / "out"), "--per-device", "auto", "--minutes", "5"])
+    succeed("reproduce", "table1", "--out", tmp_path / "out", "--per-device", "auto", "--minutes", "5")
     assert (given["minutes"].minutes, given["per_device"]) == (5, "auto")
     assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]
     assert not (tmp_path / "out/table1").exists()

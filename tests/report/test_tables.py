@@ -8,7 +8,7 @@ from earl_jax.metrics.phase_stats import BACK, STILL
 from earl_jax.metrics.scores import Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
-from tests.cli.process import run, succeed
+from tests.cli.process import one_line, run, succeed
 from tests.report.run_files import TABLETOP, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
@@ -103,8 +103,8 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out
     assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()
     assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
-    code, _, err = run("table", tmp_path / "runs", "--labels", "one")
-    assert (code, "give one for each of: naive (reward_scale=10); naive (reward_scale=1)" in err) == (2, True)
+    refusal = "give one for each of: naive (reward_scale=10); naive (reward_scale=1)"
+    one_line(run("table", tmp_path / "runs", "--labels", "one"), refusal)
 
 
 TABLE = tables.Table(

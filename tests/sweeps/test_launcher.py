@@ -11,9 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from earl_jax import cli
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import ENVIRONMENT, run_process, start, succeed
+from tests.cli.process import ENVIRONMENT, run, run_process, start, succeed
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -65,13 +64,11 @@ emit("done")
 """
 
 
-def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, workers, capsys):
+def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, workers):
     workers(FAILING, ["ab", "c", "d", "e"])
-    with pytest.raises(SystemExit) as exit_info:
-        cli.main(["sweep", str(grid), "--out", str(tmp_path)])
-    assert exit_info.value.code == 1
-    printed = capsys.readouterr()
-    assert printed.out.splitlines() == [
+    code, out, err = run("sweep", grid, "--out", tmp_path)
+    assert code == 1
+    assert out.splitlines() == [
         "done       z  (before)",
         "done       a",
         "failed     b  the worker ended with code 0",
@@ -81,10 +78,10 @@ def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, work
         "done       e",
         "6 runs: 1 done before, 2 done now, 3 failed",
     ]
-    assert printed.err.count("a stray line") == 4
+    assert err.count("a stray line") == 4
 
 
-def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch, capsys):
+def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch):
     workers('emit("started", str(task["progress"]))\nemit("stopped", str(task["limit"][1]))\n', "ab")
     clock = itertools.chain([1000.0, 1000.0], itertools.repeat(1200.0))
     lines = []
@@ -96,8 +93,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
         "stopped    a  1120.0",
         "3 runs: 1 done before, 0 done now, 0 failed, 2 unfinished after 2 minutes; repeat the command to continue",
     ]
-    cli.main(["sweep", str(grid), "--out", str(tmp_path), "--minutes", "1e-9", "--json"])
-    printed = json.loads(capsys.readouterr().out)
+    printed = json.loads(succeed("sweep", grid, "--out", tmp_path, "--minutes", "1e-9", "--json"))
     assert (printed["failed"], printed["stopped"], printed["unfinished"]) == (0, True, ["a", "b"])
 
 

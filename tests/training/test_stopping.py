@@ -7,11 +7,12 @@ import time
 
 import pytest
 
-from earl_jax import cli, resume
+from earl_jax import resume
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.progress import Progress
 from earl_jax.training import runner
 from earl_jax.training.stopping import Stopped, StopRequest
+from tests.cli.process import one_line, run, succeed
 from tests.conftest import tiny_train
 
 HANDLERS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
@@ -98,15 +99,13 @@ def test_handlers_of_others_stay_and_an_ignored_signal_is_ignored():
 
 
 @pytest.mark.parametrize(("interrupt", "code"), [(Stopped(signal.SIGTERM, 20, []), 143), (KeyboardInterrupt(), 130)])
-def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal(monkeypatch, capsys, interrupt, code):
+def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal(monkeypatch, interrupt, code):
     def stop(*_, **__):
         raise interrupt
 
     monkeypatch.setattr("earl_jax.training.api.train", stop)
-    with pytest.raises(SystemExit) as exit_info:
-        cli.main(["train", "tabletop_organization"])
-    assert exit_info.value.code == code
-    assert capsys.readouterr().err.count("\n") == 1
+    actual, _, err = run("train", "tabletop_organization")
+    assert (actual, err.count("\n")) == (code, 1)
 
 
 def test_a_run_whose_minutes_run_out_continues_bit_identically(whole, tmp_path, monkeypatch):
@@ -157,29 +156,23 @@ def test_the_first_host_decides_about_the_time(monkeypatch):
     assert (answers, stop.requested) == ([False], True)
 
 
-def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path, capsys):
+def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path):
     folder = tmp_path / "a run"
     tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
     expected = {"out": str(folder), "stopped": True, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
-    cli.main(["resume", str(folder), "--minutes", "1e-9", "--json"])
-    printed = json.loads(capsys.readouterr().out)
+    printed = json.loads(succeed("resume", folder, "--minutes", "1e-9", "--json"))
     assert {name: printed[name] for name in expected} == expected
     assert len(printed["deployed/success"]["scores"]) == 2
-    cli.main(["resume", str(folder), "--minutes", "1e-9"])
     line = f"stopped at step 60 of 120, the minutes have run out; continue with: earl-jax resume '{folder}'"
-    assert capsys.readouterr().out.splitlines()[1] == line
-    cli.main(["resume", str(folder), "--json"])
-    printed = json.loads(capsys.readouterr().out)
+    assert succeed("resume", folder, "--minutes", "1e-9").splitlines()[1] == line
+    printed = json.loads(succeed("resume", folder, "--json"))
     assert (printed["steps"], printed["stopped"]) == (120, False)
     assert_same_files(folder, whole)
 
 
 @pytest.mark.parametrize("command", ["train", "resume", "sweep", "reproduce"])
-def test_invalid_minutes_are_one_line_before_anything_starts(command, tmp_path, capsys):
+def test_invalid_minutes_are_one_line_before_anything_starts(command, tmp_path):
     name = {"train": "tabletop_organization", "reproduce": "table1"}.get(command, "nowhere")
-    out = [] if command == "resume" else ["--out", str(tmp_path / "out")]
-    with pytest.raises(SystemExit) as exit_info:
-        cli.main([command, name, *out, "--minutes", "soon"])
-    assert exit_info.value.code == 2
-    assert capsys.readouterr().err == "earl-jax: minutes must lie in (0, inf), not 'soon'\n"
+    out = [] if command == "resume" else ["--out", tmp_path / "out"]
+    one_line(run(command, name, *out, "--minutes", "soon"), "minutes must lie in (0, inf), not 'soon'")
     assert not (tmp_path / "out").exists()

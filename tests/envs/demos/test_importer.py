@@ -15,10 +15,10 @@ import pytest
 import earl_jax
 from earl_jax import assets
 from earl_jax.assets import MAX_BYTES
-from earl_jax.cli.main import main
 from earl_jax.envs import make
 from earl_jax.envs.demos import importer, unpickle
 from earl_jax.errors import InputError
+from tests.cli.process import one_line, run, succeed, unchanged
 
 TYPES = ["?", "i1", "u1", "<i2", ">u4", "<i8", "<f2", ">f4", "<f8"]
 FLAG = "flag_of_an_attack"
@@ -213,7 +213,7 @@ def test_arrays_that_do_not_fit_are_refused_with_the_cause(tmp_path, change, cau
         importer.read(tmp_path / "odd.npz")
 
 
-def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path, capsys):
+def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path):
     shipped = {name: assets.demos("sawyer_door", name) for name in assets.DIRECTIONS}
     files = {}
     for name, part in shipped.items():
@@ -223,19 +223,17 @@ def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path, capsys):
         content = dict(zip(importer.Recording._fields, fields, strict=True))
         files[name] = pickled(tmp_path / f"{name}.pkl", content)
     out = tmp_path / "mine.npz"
-    main(["import-demos", str(files["forward"]), "--backward", str(files["backward"]), "--out", str(out)])
-    assert "5 forward, 5 backward" in capsys.readouterr().out
+    told = succeed("import-demos", files["forward"], "--backward", files["backward"], "--out", out)
+    assert "5 forward, 5 backward" in told
     env = make("sawyer_door", demo_file=str(out))
     assert env.demonstrations.directions == assets.DIRECTIONS
     for name, part in shipped.items():
         np.testing.assert_array_equal(env.demonstrations.load(name).states, part.states)
-    with pytest.raises(SystemExit):
-        main(["import-demos", str(files["forward"]), "--out", str(out)])
-    assert "exists" in capsys.readouterr().err
-    before = out.read_bytes()
-    main(["import-demos", str(files["forward"]), "--out", str(out.with_suffix(""))])
-    assert (out.with_suffix("").is_file(), out.read_bytes()) == (True, before), "a file has the name that was given"
-    main(["import-demos", str(files["forward"])])
+    with unchanged(out.parent, but="mine"):
+        one_line(run("import-demos", files["forward"], "--out", out), "exists")
+        succeed("import-demos", files["forward"], "--out", out.with_suffix(""))
+    assert out.with_suffix("").is_file(), "a file has the name that was given"
+    succeed("import-demos", files["forward"])
     alone = make("sawyer_door", demo_file=str(tmp_path / "forward_imported.npz"))
     with pytest.raises(ValueError, match="no backward demonstrations"):
         alone.demonstrations.load("backward")
