@@ -38,7 +38,7 @@ def chain():
 
 
 def learnt(learner, agent, transitions):
-    """Return `agent` after 3000 updates, each on 64 random ones of the `transitions`, in one program."""
+    """Return `agent` after 1500 updates, each on 64 random ones of the `transitions`, in one program."""
 
     def step(agent, number):
         key = jax.random.fold_in(jax.random.key(9), number)
@@ -46,4 +46,4 @@ def learnt(learner, agent, transitions):
         batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], transitions)._replace(step=number)
         return learner.update(key, agent, batch)[0], None
 
-    return jax.jit(lambda agent: jax.lax.scan(step, agent, jnp.arange(3000))[0])(agent)
+    return jax.jit(lambda agent: jax.lax.scan(step, agent, jnp.arange(1500))[0])(agent)
