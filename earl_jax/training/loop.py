@@ -121,8 +121,7 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     most = None if learner.keep_demos else learner.replay_capacity
     own = most is not None and state.step >= most
     batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
-    replay, batch = read_before_write(state.replay, batch)
-    return state.replace(replay=replay), batch
+    return read_before_write(state, batch)
 
 
 @jax.named_scope("update")

@@ -116,5 +116,4 @@ def _sample_for_refresh(method: Method, state: TrainState) -> tuple[TrainState, 
     keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
     controller = controller_count(method) - 1
     batch = sample_own(state.replay, keys, controller, method.refresh_batch_size)
-    replay, batch = read_before_write(state.replay, batch)
-    return state.replace(replay=replay), batch
+    return read_before_write(state, batch)
