@@ -56,9 +56,9 @@ class Comparison(NamedTuple):
         return verdict(self.difference, self.p)
 
 
-def verdict(difference: float, p: float, level: float = LEVEL) -> str:
-    """Return `above` or `below`, by the sign of `difference`, if `p` is under `level`, else `CANNOT_TELL`."""
-    if not p < level:
+def verdict(difference: float, p: float) -> str:
+    """Return `above` or `below`, by the sign of `difference`, if `p` is under `LEVEL`, else `CANNOT_TELL`."""
+    if not p < LEVEL:
         return CANNOT_TELL
     return "above" if difference > 0 else "below"
 
