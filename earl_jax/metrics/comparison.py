@@ -164,11 +164,9 @@ def detectable_difference(sample: Sample, other: Sample) -> float:
 def holm(values: Sequence[float]) -> np.ndarray:
     """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan."""
     p = np.asarray(values, float)
-    adjusted, order = np.full(len(p), math.nan), [index for index in np.argsort(p) if not math.isnan(p[index])]
-    largest = 0.0
-    for rank, index in enumerate(order):
-        largest = max(largest, (len(order) - rank) * p[index])
-        adjusted[index] = min(1.0, largest)
+    order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # nan sorts last
+    adjusted = np.full(len(p), math.nan)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)))
     return adjusted
 
 
