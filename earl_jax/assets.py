@@ -153,7 +153,11 @@ def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.nda
 
 
 def pretrained_info(task: str, method: str) -> dict[str, Any]:
-    """Return the description of the trained policies of `method` on `task`.
+    """Return what is known of the trained policies of `method` on `task`, as plain values.
+
+    `config` is that of the run, with the versions and the commit that it was made with; `step`, the training steps;
+    `seeds`, those that ship; `deployed/success` and `deployed/return`, their scores over `episodes` greedy episodes of
+    the float16 actors; `run`, the mean of the last `evaluations` evaluations of every seed of the run.
 
     Raises:
         ValueError: none ship; the message lists the choices.

@@ -1,10 +1,11 @@
 """Training: the loop, its state, the programs that run it, and their results."""
 
+from earl_jax.assets import list_pretrained, pretrained_info
 from earl_jax.training.api import resume, split_options, train
 from earl_jax.training.evaluation import evaluate
 from earl_jax.training.lifetime import lifetime
 from earl_jax.training.loading import load_lanes, load_policies, load_visits
-from earl_jax.training.policy import Policy, list_pretrained, pretrained, pretrained_env, pretrained_info
+from earl_jax.training.policy import Policy, pretrained, pretrained_env
 from earl_jax.training.result import Result, load, select_seed
 from earl_jax.training.state import Problem
 from earl_jax.training.transitions import load_transitions

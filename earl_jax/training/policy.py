@@ -4,7 +4,6 @@ Those are actors in float16, with the config and the scores of the runs they com
 assets/pretrained/TASK/METHOD.npz and .json. `python -m benchmarks.pretrained RUN` writes them.
 """
 
-import copy
 import dataclasses
 from typing import Any
 
@@ -104,7 +103,7 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     Raises:
         ValueError: no such policy ships; the message lists the choices.
     """
-    info, arrays = pretrained_info(task, method), assets.pretrained(task, method)[1]
+    info, arrays = assets.pretrained(task, method)
     seeds = info["seeds"]
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
@@ -115,23 +114,7 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
 
 def pretrained_env(task: str, method: str) -> Env:
     """Return the task with the options of the run that trained the policy. Errors as `pretrained`."""
-    return _config(pretrained_info(task, method)).build_env()
-
-
-def pretrained_info(task: str, method: str) -> dict[str, Any]:
-    """Return what is known of a trained policy that ships, as plain values.
-
-    `config` is that of the run, with the versions and the commit that it was made with; `step`, the training steps;
-    `seeds`, those that ship; `deployed/success` and `deployed/return`, their scores over `episodes` greedy episodes of
-    the float16 actors; `run`, the mean of the last `evaluations` evaluations of every seed of the run. Errors as
-    `pretrained`.
-    """
-    return copy.deepcopy(assets.pretrained(task, method)[0])
-
-
-def list_pretrained() -> dict[str, list[str]]:
-    """Return the methods of which trained policies ship, by task, both sorted."""
-    return assets.list_pretrained()
+    return _config(assets.pretrained_info(task, method)).build_env()
 
 
 def arrays_of_actor(actor: Any) -> Arrays:
