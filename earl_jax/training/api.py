@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.algos import Method, method_for
-from earl_jax.envs import Env, env_class, make, with_engine
+from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
@@ -145,7 +145,7 @@ def resume(
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
     setting = config.build_setting()
-    wrapped = None if env is None else setting.wrap(split_setting(env, setting)[0])
+    wrapped = None if env is None else setting.wrap(without_budget(env))
     run = Run.resolve(config, wrapped, algo)
     run.folder, run.listeners = opened, logs
     return _execute(plan_runs([run], devices), run, progress, limit)
