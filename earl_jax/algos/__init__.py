@@ -78,11 +78,14 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     Raises:
         ValueError: the name or an option is unknown; the message has the choices or the nearest.
     """
+    from earl_jax.algos.learner import learner_class
     from earl_jax.options.schedule import FIELDS
     from earl_jax.options.values import check, unknown_option
 
     method = _ALGOS.get(name)
-    base = _learner(method, learner)
+    base = method.learner if learner is None else learner
+    if isinstance(base, str):
+        base = preset_learner(method, learner_class(base))
     shared = {field.name for field in dataclasses.fields(base)}
     own = {field.name for field in dataclasses.fields(method)} - {"learner"}
     unknown = sorted(set(options) - shared - own)
@@ -106,15 +109,6 @@ def learner_of(options: dict[str, Any]) -> Learner:
     name = options.get("learner", DEFAULT)
     known = {field.name for field in dataclasses.fields(learner_class(name))}
     return make_learner(name, **{option: _leaf(option, value) for option, value in options.items() if option in known})
-
-
-def _learner(method: type[Method], learner: str | Learner | None) -> Learner:
-    """Return the learner of `method` by its name, as an object, or by default."""
-    from earl_jax.algos.learner import learner_class
-
-    if learner is None or isinstance(learner, str):
-        return preset_learner(method, type(method.learner) if learner is None else learner_class(learner))
-    return learner
 
 
 def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
