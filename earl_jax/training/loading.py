@@ -25,13 +25,12 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
-    shapes = shapes_of(folder) if newest(folder.checkpoints) else None  # tracing takes long for a report of many runs
-    state = restore(folder.checkpoints, shapes[2], with_replay=False) if shapes else None
-    if not shapes or state is None:
-        raise InputError(
-            f"{folder.path} has no policies.npz and no checkpoint: they were deleted, or are not written yet"
-        )
-    return *shapes[:2], state.lanes
+    if newest(folder.checkpoints):  # or else nothing is traced, which takes long for a report of many runs
+        env, method, shapes = shapes_of(folder)
+        state = restore(folder.checkpoints, shapes, with_replay=False)
+        if state is not None:
+            return env, method, state.lanes
+    raise InputError(f"{folder.path} has no policies.npz and no checkpoint: they were deleted, or are not written yet")
 
 
 def policies_at(folder: RunFolder) -> int:
