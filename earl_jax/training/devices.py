@@ -16,19 +16,23 @@ from earl_jax.algos.learner.replay import Replay
 from earl_jax.errors import InputError
 from earl_jax.training.state import TrainState
 
-LANES, REPLICATED = PartitionSpec("lanes"), PartitionSpec()
-TIME_FIRST = PartitionSpec(None, "lanes")
+LANES: Any = PartitionSpec("lanes")
+REPLICATED: Any = PartitionSpec()
+TIME_FIRST: Any = PartitionSpec(None, "lanes")
 """The layout of the replay's arrays, whose first axis is time."""
-_REPLAY: dict[str, Any] = {
-    **dict.fromkeys(("state", "action", "flags", "reward", "index"), TIME_FIRST),
-    "counts": LANES,
-    "demos": REPLICATED,
-    "row": REPLICATED,
-    "first_row": REPLICATED,
-    "oldest": LANES,
-}
-_TRAIN_STATE: dict[str, Any] = {"lanes": LANES, "replay": Replay(**_REPLAY), "step": REPLICATED}
-TRAIN_STATE = TrainState(**_TRAIN_STATE)
+_REPLAY = Replay(
+    state=TIME_FIRST,
+    action=TIME_FIRST,
+    flags=TIME_FIRST,
+    reward=TIME_FIRST,
+    index=TIME_FIRST,
+    counts=LANES,
+    demos=REPLICATED,
+    row=REPLICATED,
+    first_row=REPLICATED,
+    oldest=LANES,
+)
+TRAIN_STATE = TrainState(lanes=LANES, replay=_REPLAY, step=REPLICATED)
 """The layout of a train state on a mesh."""
 
 
@@ -67,7 +71,8 @@ def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any)
         return function
 
     def call(*arguments):
-        local = _with_specs(in_specs, arguments, lambda spec, leaf: _local_shape(leaf, mesh, spec))
+        specs = jax.tree.broadcast(in_specs, arguments)
+        local = jax.tree.map(lambda leaf, spec: _local_shape(leaf, mesh, spec), arguments, specs)
 
         def run_locally(*parts):
             return _without_empty(function(*_with_empty(parts, local)))
@@ -85,17 +90,8 @@ def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
     """
     if mesh is None:
         return jax.device_put(tree)
-    return _with_specs(specs, tree, lambda spec, leaf: _put(leaf, NamedSharding(mesh, spec)))
-
-
-def _with_specs(specs: Any, tree: Any, function: Callable) -> Any:
-    """Return the tree of `function(spec, leaf)`; a spec in `specs` can apply to a whole branch of `tree`."""
-    return jax.tree.map(
-        lambda spec, branch: jax.tree.map(lambda leaf: function(spec, leaf), branch),
-        specs,
-        tree,
-        is_leaf=lambda node: isinstance(node, PartitionSpec),
-    )
+    specs = jax.tree.broadcast(specs, tree)
+    return jax.tree.map(lambda leaf, spec: _put(leaf, NamedSharding(mesh, spec)), tree, specs)
 
 
 def _local_shape(leaf: Any, mesh: Mesh, spec: PartitionSpec) -> jax.ShapeDtypeStruct:
