@@ -66,8 +66,7 @@ class StepKeys(NamedTuple):
 
 def step_keys(key: jax.Array, step: jax.Array) -> StepKeys:
     """Return the random keys at `step` of the lane with the key `key`."""
-    parts = jax.random.split(jax.random.fold_in(key, step), len(StepKeys._fields))
-    return StepKeys(*[parts[number] for number in range(len(StepKeys._fields))])
+    return StepKeys(*jax.random.split(jax.random.fold_in(key, step), len(StepKeys._fields)))
 
 
 def seed_keys(seeds: Sequence[int]) -> jax.Array:
