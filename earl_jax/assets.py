@@ -63,8 +63,8 @@ def _file(kind: str, name: str, suffix: str) -> Path:
     if name.endswith(suffix) and Path(name).is_file():
         return Path(name)
     if not path.is_file():
-        choices = sorted(entry.stem for entry in path.parent.glob(f"*{suffix}"))
-        raise InputError(f"no {kind} for {name!r}; choose from {', '.join(choices)}")
+        known = sorted(entry.stem for entry in path.parent.glob(f"*{suffix}"))
+        raise InputError(f"no {kind} for {name!r}; {choices(name, known)}")
     return path
 
 
