@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import itertools
 import operator
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -191,7 +192,7 @@ def _train_to_end(
             state = _evaluate_runs(plan, method, runs, state, step, bar)
             stop.check_time()
         stopping = stop.requested and step < plan.steps
-        for run, span in zip(runs, _lane_spans(runs), strict=True):
+        for run, span in _with_lanes(runs):
             if run.folder and step and (stopping or run.config.checkpoint_due(step)):
                 save(run.folder.checkpoints, state, span)
         if stopping and stop.number is not None:
@@ -235,7 +236,7 @@ def _evaluate_runs(
         state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
         metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
     save_policies_of(runs, state, step)
-    for run, span in zip(runs, _lane_spans(runs), strict=True):
+    for run, span in _with_lanes(runs):
         run.add(step, {name: values[span] for name, values in metrics.items()})
     bar.report(step, metrics)
     return state
@@ -246,10 +247,10 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
     if not any(run.folder for run in runs):
         return
     method = runs[0].method
-    task, actors = method.phases[TASK].controller, gathered(method.learner.deployed(state.lanes.agent))
-    actors = jax.tree.map(lambda leaf: leaf[:, task], actors)
+    controller, actors = method.phases[TASK].controller, gathered(method.learner.deployed(state.lanes.agent))
+    actors = jax.tree.map(lambda leaf: leaf[:, controller], actors)
     visits = gathered(state.lanes.visits)
-    for run, span in zip(runs, _lane_spans(runs), strict=True):
+    for run, span in _with_lanes(runs):
         if run.folder and first_host():
             task = without_budget(run.env)
             save_policies(
@@ -274,9 +275,10 @@ def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
     )
 
 
-def _lane_spans(runs: Sequence[Run]) -> list[slice]:
-    ends = np.cumsum([len(run.config.seeds) for run in runs]).tolist()
-    return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+def _with_lanes(runs: Sequence[Run]) -> Iterator[tuple[Run, slice]]:
+    """Return each run with the slice of its lanes."""
+    ends = itertools.accumulate(len(run.config.seeds) for run in runs)
+    return zip(runs, itertools.starmap(slice, itertools.pairwise([0, *ends])), strict=True)
 
 
 def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> Callable[[], TrainState]:
