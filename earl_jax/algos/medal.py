@@ -15,6 +15,7 @@ from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import FORWARD, RETURN, TASK, Method, Phase, PhaseDemos
 from earl_jax.envs import Env
+from earl_jax.envs.state import tree_where
 from earl_jax.options.values import COUNT, within
 
 HALF_BATCH = 400
@@ -133,7 +134,7 @@ class MEDAL(Method):
         negative = jnp.concatenate([batch.state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
         updated = self.classify(mix_key, method_state, positive, negative)
         none_yet = batch.demonstrated[0]
-        return jax.tree.map(lambda new, old: jnp.where(none_yet, old, new), updated, method_state)
+        return tree_where(none_yet, method_state, updated)
 
     def classify(
         self, key: jax.Array, method_state: Classifier, positive: jax.Array, negative: jax.Array

@@ -12,6 +12,7 @@ from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import RETURN, Method, Phase
 from earl_jax.envs import Env
+from earl_jax.envs.state import tree_where
 from earl_jax.options.values import within
 
 EMBEDDING = 512
@@ -80,8 +81,7 @@ class R3L(Method):
         """Return the controller after the learner's update, and in perturbation phases RND after one on the same states."""
         agent, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
         updated = self.distil(method_state, batch.obs[:, : env.state_size])
-        state = jax.tree.map(lambda new, old: jnp.where(phase == RETURN, new, old), updated, method_state)
-        return agent, state, diagnostics
+        return agent, tree_where(phase == RETURN, updated, method_state), diagnostics
 
     def distil(self, rnd: RND, states: jax.Array) -> RND:
         """Return `rnd` after an Adam step of its predictor on `states [B, s]`, and a step of its running scale."""
