@@ -11,16 +11,16 @@ CROSSING_WINDOW = 100_000
 """Training steps over which evaluations are averaged before a crossing is read: ten evaluations of the paper's runs."""
 
 
-def trailing_mean(steps: np.ndarray, scores: np.ndarray, window: int = CROSSING_WINDOW) -> np.ndarray:
-    """Return the mean of `scores [..., E]` over the evaluations of the last `window` steps before each of `steps [E]`.
+def trailing_mean(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Return the mean of `scores [..., E]` over the last `CROSSING_WINDOW` steps before each of `steps [E]`.
 
-    It is nan where training has not lasted for `window` steps yet.
+    It is nan where training has not lasted for so many steps yet.
     """
     ends = np.arange(1, len(steps) + 1)
-    starts = np.searchsorted(steps, np.asarray(steps) - window, side="right")
+    starts = np.searchsorted(steps, np.asarray(steps) - CROSSING_WINDOW, side="right")
     sums = np.concatenate([np.zeros((*np.shape(scores)[:-1], 1)), np.cumsum(scores, axis=-1, dtype=float)], axis=-1)
     means = (sums[..., ends] - sums[..., starts]) / (ends - starts)
-    return np.where(np.asarray(steps) >= window, means, np.nan)
+    return np.where(np.asarray(steps) >= CROSSING_WINDOW, means, np.nan)
 
 
 def crossing(steps: np.ndarray, scores: np.ndarray, level: float) -> Estimate:
