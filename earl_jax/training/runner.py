@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
@@ -71,11 +70,6 @@ class Run:
             method=per_lane(method, len(config.seeds)),
             protocol=setting.protocol(env, config.eval_every, config.eval_episodes),
         )
-
-    @property
-    def rules(self) -> Rules:
-        """The rules of this run's lanes, leaves [n]."""
-        return jax.tree.map(lambda rule: jnp.full(len(self.config.seeds), rule), self.protocol.rules)
 
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
@@ -283,9 +277,10 @@ def _with_lanes(runs: Sequence[Run]) -> Iterator[tuple[Run, slice]]:
 
 def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> Callable[[], TrainState]:
     """Return the function that makes the state of all lanes before the first step."""
-    keys = placed(jnp.concatenate([seed_keys(run.config.seeds) for run in runs]), plan.mesh)
-    rules = placed(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[run.rules for run in runs]), plan.mesh)
-    return functools.partial(_init, plan.problem, method, keys, rules, plan.capacity, plan.mesh)
+    keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
+    lanes = [len(run.config.seeds) for run in runs]
+    rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
+    return functools.partial(_init, plan.problem, method, keys, placed(rules, plan.mesh), plan.capacity, plan.mesh)
 
 
 def _restored(plan: Plan, runs: Sequence[Run], init: Callable[[], TrainState]) -> TrainState | None:
