@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos.learner.replay import TransitionBatch, sample_own
+from earl_jax.algos.learner.replay import sample_own
 from earl_jax.algos.method import Method, controller_count
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
@@ -100,8 +100,12 @@ def host_simulates(problem: Problem, state: TrainState) -> bool:
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
-    """Return the lanes with their method's state refreshed from the agent and rows of its own."""
-    state, batch = _sample_for_refresh(method, state) if method.refresh_batch_size else (state, None)
+    """Return the lanes with their method's state refreshed from the agent and transitions of its last controller's own."""
+    batch = None
+    if method.refresh_batch_size:
+        keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
+        batch = sample_own(state.replay, keys, controller_count(method) - 1, method.refresh_batch_size)
+        state, batch = read_before_write(state, batch)
 
     def refresh_lane(m, lane, batch):
         key = jax.random.fold_in(jax.random.fold_in(lane.key, state.step), 1)
@@ -109,11 +113,3 @@ def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
 
     refreshed = jax.vmap(refresh_lane)(method, state.lanes, batch)
     return state.replace(lanes=state.lanes.replace(method_state=refreshed))
-
-
-def _sample_for_refresh(method: Method, state: TrainState) -> tuple[TrainState, TransitionBatch]:
-    """Return the state and `refresh_batch_size` transitions of each lane's last controller, its own, for `refresh`."""
-    keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
-    controller = controller_count(method) - 1
-    batch = sample_own(state.replay, keys, controller, method.refresh_batch_size)
-    return read_before_write(state, batch)
