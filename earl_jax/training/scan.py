@@ -28,9 +28,7 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
     def refreshed_block(carry, _):
         refreshed = refresh(problem, method, carry)
         if not isinstance(warmup, bool):
-            lanes = refreshed.lanes
-            kept = tree_where(warmup, carry.lanes.method_state, lanes.method_state)
-            refreshed = refreshed.replace(lanes=lanes.replace(method_state=kept))
+            refreshed = refreshed.replace(lanes=tree_where(warmup, carry.lanes, refreshed.lanes))
         return _run_block(problem, method, refreshed, block, warmup), None
 
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
