@@ -50,10 +50,10 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
             f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
-    uses = _uses(method)
-    wanted, known = dict.fromkeys(demos.direction for _, demos in uses), env.demonstrations.directions
+    known = env.demonstrations.directions
+    uses = [(controller, demos) for controller, demos in _uses(method) if demos.direction in known]
     parts, all_states, first = [], [], 0
-    for direction in (direction for direction in wanted if direction in known):
+    for direction in dict.fromkeys(demos.direction for _, demos in uses):
         recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)
