@@ -98,7 +98,7 @@ def host_simulates(problem: Problem, state: TrainState) -> bool:
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
-    """Return the lanes with their method's state refreshed from the agent and transitions of its last controller's own."""
+    """Return the lanes with their method's state refreshed from the agent and the last controller's own transitions."""
     batch = None
     if method.refresh_batch_size:
         keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)
