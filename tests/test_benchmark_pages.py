@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import output, redraw
 from benchmarks.output import RESULTS, read_csv, with_tables
-from benchmarks.paper import cells, differences, grid, uniform_starts
+from benchmarks.paper import cells, differences, grid, pairs, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
 from earl_jax.paper.reproduce import ARTEFACTS
@@ -182,16 +182,28 @@ def test_what_the_seeds_cannot_tell_is_said(tmp_path, no_starts, own, others, se
 
 
 def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts, monkeypatch):
-    first, more, norm = (f"{differences.PEG}/oracle{name}" for name in ("", "/seeds_5_to_14", "/layer_norm"))
-    write_run(tmp_path / first, differences.PEG, "oracle", RNG.random((5, 6)))
-    write_run(tmp_path / more, differences.PEG, "oracle", RNG.random((10, 3)), seeds=range(5, 15))
-    write_run(tmp_path / norm, differences.PEG, "oracle", RNG.random((4, 4)), layer_norm=True)
-    pairs = differences.Pair((first,), (norm,)), differences.Pair((first, more), (norm,))
-    monkeypatch.setattr(differences, "DIFFERENCES", (differences.Difference("4", "layer norm", pairs),))
+    first, more, norm = (f"{pairs.PEG}/oracle{name}" for name in ("", "/seeds_5_to_14", "/layer_norm"))
+    write_run(tmp_path / first, pairs.PEG, "oracle", RNG.random((5, 6)))
+    write_run(tmp_path / more, pairs.PEG, "oracle", RNG.random((10, 3)), seeds=range(5, 15))
+    write_run(tmp_path / norm, pairs.PEG, "oracle", RNG.random((4, 4)), layer_norm=True)
+    tested = pairs.Pair((first,), (norm,)), pairs.Pair((first, more), (norm,))
+    monkeypatch.setattr(differences, "DIFFERENCES", (pairs.Difference("4", "layer norm", tested),))
     own, pooled = differences.comparisons(tmp_path, no_starts)
     assert (own["seeds"], own["steps"]) == (5, 40)
     assert (pooled["seeds"], pooled["other_seeds"], pooled["steps"]) == (15, 4, 30)
     assert [own["p_holm"], pooled["p_holm"]] == pytest.approx(holm([own["p"], pooled["p"]]))
+
+
+def test_the_test_with_the_released_runs_is_no_part_of_the_family_of_ours(tmp_path, no_starts, monkeypatch):
+    own, other = (f"{DOOR}/naive",), (f"{DOOR}/naive/other",)
+    for [name], options in ((own, {}), (other, {"keep_demos": False})):
+        write_run(tmp_path / name, DOOR, "naive", constant(*RNG.random(5)), steps=[10_000, 20_000], **options)
+    tested = pairs.Pair(own, other), pairs.Pair(other, pairs.PUBLISHED)
+    monkeypatch.setattr(differences, "DIFFERENCES", (pairs.Difference("11", "the replay", tested),))
+    ours, released = differences.comparisons(tmp_path, no_starts)
+    assert (ours["second"], released["first"], released["second"]) == ("naive/other", "naive/other", "published")
+    assert (released["steps"], released["other_seeds"]) == (20_000, 5)
+    assert [ours["p_holm"], released["p_holm"]] == [ours["p"], released["p"]]
 
 
 def test_one_controller_is_tested_from_uniform_starts():
