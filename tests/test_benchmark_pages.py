@@ -196,7 +196,7 @@ def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, no_starts, monkeypa
 
 def test_the_test_with_the_released_runs_is_no_part_of_the_family_of_ours(tmp_path, no_starts, monkeypatch):
     own, other = (f"{DOOR}/naive",), (f"{DOOR}/naive/other",)
-    for [name], options in ((own, {}), (other, {"keep_demos": False})):
+    for [name], options in ((own, {}), (other, {"discount": 0.9})):
         write_run(tmp_path / name, DOOR, "naive", constant(*RNG.random(5)), steps=[10_000, 20_000], **options)
     tested = pairs.Pair(own, other), pairs.Pair(other, pairs.PUBLISHED)
     monkeypatch.setattr(differences, "DIFFERENCES", (pairs.Difference("11", "the replay", tested),))

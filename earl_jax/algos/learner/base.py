@@ -95,6 +95,8 @@ class Learner(struct.PyTreeNode, abc.ABC):
     def __post_init__(self):
         if self.precision not in PRECISIONS:
             raise InputError(f"precision {self.precision!r} is not one of {', '.join(PRECISIONS)}")
+        if not self.keep_demos and self.replay_capacity is None:
+            raise InputError("keep_demos=False needs a replay_capacity, at which the demonstrations leave")
 
     @abc.abstractmethod
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Any:
