@@ -43,10 +43,8 @@ DEPLOYED = "deployed"
 """The metric of a pair that names none: success or return."""
 LEAST = 0.001
 """The least p that is printed as a number."""
-FAMILY = (
-    "In this table a family has the tests of one difference on a task, at all ages: those between our runs, or those with the "
-    "released runs."
-)
+FAMILY = """In this table a family has the tests of one difference on a task, at all ages: those between our
+runs, or those with the released runs."""
 
 
 def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
