@@ -7,13 +7,13 @@ import inspect
 from typing import Any, ClassVar, NamedTuple
 
 import jax
-from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.cloning import DemoSteps, pretrained
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC
+from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 
@@ -62,7 +62,7 @@ class Moment(NamedTuple):
     lane_key: jax.Array
 
 
-class Method(struct.PyTreeNode):
+class Method(OptionsNode):
     """A reset-free learning method: its phases, and functions of one lane. Float fields are vmappable leaves.
 
     Subclasses override what differs from naive RL. A function whose parameters are not those of the base class is an

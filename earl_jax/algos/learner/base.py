@@ -10,6 +10,7 @@ import jax
 from flax import struct
 
 from earl_jax.algos.learner.networks import PRECISIONS
+from earl_jax.algos.pytree import OptionsNode
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
 
@@ -34,7 +35,7 @@ class Batch(NamedTuple):
         return jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), self._replace(step=None))
 
 
-class Learner(struct.PyTreeNode, abc.ABC):
+class Learner(OptionsNode, abc.ABC):
     """An off-policy actor-critic: its options, and pure functions of one agent without a leading axis.
 
     An agent is a pytree with the field `actor`, the parameters that `act` and `greedy` take. Subclasses write `init`,

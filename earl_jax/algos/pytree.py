@@ -1,0 +1,38 @@
+"""The base class of methods and learners: dataclasses of options that are pytrees."""
+
+import dataclasses
+from typing import Any, Self, dataclass_transform
+
+import jax
+from flax import struct
+
+
+@dataclass_transform(field_specifiers=(struct.field,), frozen_default=True)
+@dataclasses.dataclass(frozen=True)
+class OptionsNode:
+    """A frozen dataclass that is a pytree. Fields of `flax.struct.field(pytree_node=False)` belong to its structure.
+
+    It is a `flax.struct.PyTreeNode` whose structure has its class as well. The structures of two classes of flax with equal
+    fields are equal but have different hashes (jaxlib 0.10.2), so that `jax.jit` now and then runs the program of the other
+    class: that of naive RL for a subclass, or that of a class which a notebook has defined again since.
+    """
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__()
+        dataclasses.dataclass(frozen=True, **options)(cls)
+        names: dict[bool, list[str]] = {True: [], False: []}
+        for field in dataclasses.fields(cls):
+            names[field.metadata.get("pytree_node", True)].append(field.name)
+
+        def flatten(node: Any) -> tuple[list, tuple]:
+            leaves = [(jax.tree_util.GetAttrKey(name), getattr(node, name)) for name in names[True]]
+            return leaves, tuple(getattr(node, name) for name in names[False])
+
+        def unflatten(static: tuple, leaves: Any) -> Any:
+            return cls(**dict(zip(names[True] + names[False], (*leaves, *static), strict=True)))
+
+        jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with other values of some fields."""
+        return dataclasses.replace(self, **changes)
