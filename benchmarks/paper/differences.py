@@ -49,11 +49,13 @@ runs, or those with the released runs."""
 
 def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
     """Return the rows of all tests whose runs are there, each with the `number` of its difference, its family for Holm."""
-    rows = [{"number": "1", "metric": DEPLOYED, **row} for row in starts_rows(read_seeds(seeds))]
+    rows = [{"number": "1", "metric": DEPLOYED, "released": False, **row} for row in starts_rows(read_seeds(seeds))]
     for entry in DIFFERENCES:
-        tested = [(pair.metric, row) for pair in entry.pairs if (row := _pair_row(root, pair))]
-        rows += [{"number": entry.number, "metric": metric or DEPLOYED, **row} for metric, row in tested]
-    rows = [{**row, "released": row["second"] == PUBLISHED[0]} for row in rows]
+        tested = [(pair, row) for pair in entry.pairs if (row := _pair_row(root, pair))]
+        rows += [
+            {"number": entry.number, "metric": pair.metric or DEPLOYED, "released": pair.second == PUBLISHED, **row}
+            for pair, row in tested
+        ]
     return with_verdicts(rows, family=("number", "env", "released"))
 
 

@@ -20,16 +20,16 @@ class OptionsNode:
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__()
         dataclasses.dataclass(frozen=True, **options)(cls)
-        names: dict[bool, list[str]] = {True: [], False: []}
-        for field in dataclasses.fields(cls):
-            names[field.metadata.get("pytree_node", True)].append(field.name)
+        fields = dataclasses.fields(cls)
+        leaves = [field.name for field in fields if field.metadata.get("pytree_node", True)]
+        static = [field.name for field in fields if field.name not in leaves]
 
         def flatten(node: Any) -> tuple[list, tuple]:
-            leaves = [(jax.tree_util.GetAttrKey(name), getattr(node, name)) for name in names[True]]
-            return leaves, tuple(getattr(node, name) for name in names[False])
+            keyed = [(jax.tree_util.GetAttrKey(name), getattr(node, name)) for name in leaves]
+            return keyed, tuple(getattr(node, name) for name in static)
 
-        def unflatten(static: tuple, leaves: Any) -> Any:
-            return cls(**dict(zip(names[True] + names[False], (*leaves, *static), strict=True)))
+        def unflatten(values: tuple, children: Any) -> Any:
+            return cls(**dict(zip(leaves + static, (*children, *values), strict=True)))
 
         jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
 
