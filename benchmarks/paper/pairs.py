@@ -41,6 +41,8 @@ BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 CAPACITY = "replay_capacity_1000000"
 RELEASED_REPLAY = f"keep_demos_False-{CAPACITY}"
+FRESH_SEEDS = f"{RELEASED_REPLAY}-seeds_5_to_9"
+"""The released replay with seeds that were not used to choose it."""
 SCRIPT_OPTIONS = f"random_steps_10000-{CAPACITY}-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
@@ -51,11 +53,17 @@ def _released(update: str, horizon: int) -> tuple[str, str]:
     return name, f"{name}-seeds_5_to_9"
 
 
-def _replays(cell: str) -> tuple[Pair, ...]:
-    """Return the tests of a cell's replay: every step, or the last 1,000,000, with the demonstrations or without them."""
-    released = f"{cell}/{RELEASED_REPLAY}"
-    sides = ((cell,), (f"{cell}/{CAPACITY}",)), ((cell,), (released,)), ((released,), PUBLISHED)
+def _replay(cell: str, variant: str = RELEASED_REPLAY) -> tuple[Pair, ...]:
+    """Return the tests of a cell whose replay keeps every step, its `variant` with the released one, and the released runs."""
+    released = f"{cell}/{variant}"
+    sides = ((cell,), (released,)), ((released,), PUBLISHED)
     return tuple(Pair(*pair, metric) for pair in sides for metric in (None, CONTINUING))
+
+
+def _replays(cell: str) -> tuple[Pair, ...]:
+    """Return those tests with fresh seeds, and the tests of a replay of the last 1,000,000 steps and the demonstrations."""
+    kept = tuple(Pair((cell,), (f"{cell}/{CAPACITY}",), metric) for metric in (None, CONTINUING))
+    return *kept, *_replay(cell, FRESH_SEEDS)
 
 
 RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
@@ -67,6 +75,7 @@ AGAIN = {
     for cell, commit in (
         (f"{TABLETOP}/fbrl", "438fb6a"), (f"{TABLETOP}/oracle", "438fb6a"), (f"{DOOR}/r3l", "45e2f6a"),
         (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"),
+        (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
     )
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
@@ -133,11 +142,9 @@ DIFFERENCES = (
         ),
         Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
     )),
-    Difference("16", "the kitchen's oracle, both of its runs: the light's weight; the release's reward scale 0.1", (
-        *(
-            Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/{name}",))
-            for name in ("unweighted_light", "reward_scale_0.1")
-        ),
+    Difference("16", "the kitchen's oracle: the light's weight, with both of its runs; the release's reward scale 0.1", (
+        Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/unweighted_light",)),
+        Pair((f"{KITCHEN}/oracle",), (f"{KITCHEN}/oracle/reward_scale_0.1",)),
         Pair((f"{KITCHEN}/oracle/reward_scale_0.1",), PUBLISHED),
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
@@ -145,5 +152,10 @@ DIFFERENCES = (
     )),
     Difference("18", "VaPRL outperforms the oracle and R3L: with both of their runs", tuple(
         Pair((f"{env}/vaprl",), (cell, AGAIN[cell])) for env, cell in ((TABLETOP, f"{TABLETOP}/oracle"), (DOOR, f"{DOOR}/r3l"))
+    )),
+    Difference("19", "the release's replay on tabletop; half of it on the door, for two controllers together", tuple(
+        pair
+        for cell in (*(f"{TABLETOP}/{algo}" for algo in ("naive", "vaprl", "fbrl")), f"{DOOR}/fbrl", f"{DOOR}/r3l")
+        for pair in _replay(cell)
     )),
 )  # fmt: skip

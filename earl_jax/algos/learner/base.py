@@ -63,8 +63,8 @@ class Learner(OptionsNode, abc.ABC):
     utd: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 1000]"))
     """Updates of the critics in a step, each on a batch of its own, before the one of the actor (paper: 1; RLPD: 20)."""
     replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
-    """Own transitions of a lane that the replay keeps, first in, first out; None: all. The paper gives 20M and 10M, more
-    than any of its runs has; the released code 1M by default."""
+    """Own transitions of a lane that the replay keeps for all its controllers together, first in, first out; None: all.
+    The paper gives 20M and 10M, more than any of its runs has; the released code has 1M for each controller."""
     keep_demos: bool = struct.field(pytree_node=False, default=True)
     """Whether demonstrations stay when `replay_capacity` own transitions are stored. The released replay evicts them
     first, because they are the oldest."""
