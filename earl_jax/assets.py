@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import io
+import itertools
 import json
 import stat
 import zipfile
@@ -42,6 +43,12 @@ class Demos(NamedTuple):
     next_states: np.ndarray
     rewards: np.ndarray
     ends: np.ndarray
+
+
+def spans(ends: np.ndarray) -> list[slice]:
+    """Return the rows of each demonstration, from its first to its last transition, which `ends [T]` of `Demos` marks."""
+    stops = (ends[:-1].nonzero()[0] + 1).tolist()
+    return [slice(*span) for span in itertools.pairwise([0, *stops, len(ends)])]
 
 
 def root() -> Path:

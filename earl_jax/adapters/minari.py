@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from earl_jax.adapters.gymnasium import env_id, register_envs
-from earl_jax.assets import Demos
+from earl_jax.assets import Demos, spans
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, optional
 
@@ -54,12 +54,10 @@ def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algo
         np.concatenate([states, transitions.goals], axis=1) for states in (transitions.states, transitions.next_states)
     )
     truncated, buffers = transitions.ends & ~terminal, []
-    stops = np.flatnonzero(transitions.ends) + 1
-    for start, stop in zip([0, *stops[:-1]], stops, strict=True):
-        steps = slice(start, stop)
+    for steps in spans(transitions.ends):
         buffers.append(
             minari.data_collector.EpisodeBuffer(
-                observations=np.concatenate([obs[steps], next_obs[stop - 1 : stop]]),
+                observations=np.concatenate([obs[steps], next_obs[steps][-1:]]),
                 actions=transitions.actions[steps],
                 rewards=transitions.rewards[steps],
                 terminations=terminal[steps],

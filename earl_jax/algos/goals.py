@@ -79,7 +79,7 @@ def goal_table(env: Env) -> Goals:
 
 def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:
     """Return all states [T + D, s] of D demonstrations, and for each the index of its demonstration's last state."""
-    spans = np.split(np.arange(len(demos.ends)), np.flatnonzero(demos.ends)[:-1] + 1)
-    states = [np.vstack([demos.states[span], demos.next_states[span[-1:]]]) for span in spans]
+    spans = assets.spans(demos.ends)
+    states = [np.vstack([demos.states[span], demos.next_states[span][-1:]]) for span in spans]
     lengths = np.array([len(part) for part in states])
     return np.concatenate(states), np.repeat(np.cumsum(lengths) - 1, lengths)

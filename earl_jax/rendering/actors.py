@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import assets
 from earl_jax.envs import Env, State, chosen_engine, list_envs, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.options.values import SEED, require
@@ -125,16 +126,14 @@ def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
     if state_at is None:
         raise InputError(f"{env.name} cannot replay demonstrations: it can only start from reset")
     demos = env.demonstrations.load("forward")
-    stops = np.flatnonzero(demos.ends) + 1
-    firsts = np.append(0, stops[:-1])
-    longest = max(stops - firsts)
+    spans = assets.spans(demos.ends)
+    longest = max(span.stop - span.start for span in spans)
 
     def start(number: int) -> EpisodeStart:
-        index = (seed + number) % len(stops)
-        first, stop = firsts[index], stops[index]
+        span = spans[(seed + number) % len(spans)]
         planned = np.zeros((longest, env.action_size), np.float32)
-        planned[: stop - first] = demos.actions[first:stop]
-        return state_at(jnp.asarray(demos.states[first]), jnp.asarray(demos.goals[first])), planned
+        planned[: span.stop - span.start] = demos.actions[span]
+        return state_at(jnp.asarray(demos.states[span.start]), jnp.asarray(demos.goals[span.start])), planned
 
     return start
 

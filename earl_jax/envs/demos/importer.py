@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from earl_jax.assets import MAX_BYTES, Demos, load_npz, read_bytes, shortened
+from earl_jax.assets import MAX_BYTES, Demos, load_npz, read_bytes, shortened, spans
 from earl_jax.errors import InputError
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
@@ -31,9 +31,7 @@ class Recording(NamedTuple):
 
     def episodes(self) -> list["Recording"]:
         """Return one recording for each episode."""
-        stops = np.flatnonzero(self.terminals)[:-1] + 1
-        parts = [np.split(field, stops) for field in self]
-        return [Recording(*fields) for fields in zip(*parts, strict=True)]
+        return [Recording(*(field[span] for field in self)) for span in spans(self.terminals)]
 
     def demos(self) -> Demos:
         """Return the same transitions as `Demos`; state and goal are the two halves of an observation."""
