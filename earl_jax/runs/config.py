@@ -111,6 +111,21 @@ class RunConfig:
             imports=records(),
         )
 
+    @classmethod
+    def from_stored(cls, values: Mapping[str, Any]) -> "RunConfig":
+        """Return the config in the `values` of a config.json, which has other entries too.
+
+        Raises:
+            KeyError: a field without a default is missing.
+            InputError: a value is invalid.
+        """
+        known = {}
+        for field in dataclasses.fields(cls):
+            is_required = field.default is field.default_factory  # both are MISSING
+            if is_required or field.name in values:
+                known[field.name] = values[field.name]
+        return cls(**known)
+
     @property
     def schedule(self) -> Schedule:
         """The steps of the run, its evaluations and its checkpoints."""

@@ -257,9 +257,7 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")
-        known = [field.name for field in dataclasses.fields(RunConfig) if field.name in values]
-        config = RunConfig(**{**{name: values[name] for name in known}, "seeds": tuple(values["seeds"])})
-        return config, tuple(map(str, values.get("logs", ())))
+        return RunConfig.from_stored(values), tuple(map(str, values.get("logs", ())))
     except KeyError as error:
         raise InputError(f"{file} is damaged: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, RecursionError) as error:

@@ -108,13 +108,13 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
     lane = 0 if seed is None else seeds.index(seed)
-    config, actor = _config(info), actor_of_arrays({name: array[lane] for name, array in arrays.items()})
-    return Policy.of_actor(config.build_env(), learner_of(config.options), actor)
+    actor = actor_of_arrays({name: array[lane] for name, array in arrays.items()})
+    return Policy.of_actor(pretrained_env(task, method), learner_of(info["config"]["options"]), actor)
 
 
 def pretrained_env(task: str, method: str) -> Env:
     """Return the task with the options of the run that trained the policy. Errors as `pretrained`."""
-    return _config(assets.pretrained_info(task, method)).build_env()
+    return RunConfig.from_stored(assets.pretrained_info(task, method)["config"]).build_env()
 
 
 def arrays_of_actor(actor: Any) -> Arrays:
@@ -136,8 +136,3 @@ def actor_of_arrays(arrays: Arrays) -> Any:
     """Return the actor with float32 parameters whose `arrays_of_actor` are `arrays`."""
     leaves = {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
     return {"params": unflatten_dict(leaves, sep=".")}
-
-
-def _config(info: dict[str, Any]) -> RunConfig:
-    fields = {field.name for field in dataclasses.fields(RunConfig)}
-    return RunConfig(**{name: value for name, value in info["config"].items() if name in fields})
