@@ -64,15 +64,15 @@ def iqm(scores: Any, axis: int | None = None) -> Any:
     return xp.mean(ordered[(*[slice(None)] * position, slice(low, high))], axis=position)
 
 
-def bootstrap(scores: Any, statistic=iqm, level: float = 0.95, seed: int = 0) -> tuple[Any, Any]:
-    """Return the percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
+def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:
+    """Return the 95 % percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
 
-    The scores of a single task can have the shape [seeds]. The same `seed` returns the same interval.
+    The scores of a single task can have the shape [seeds]. The same scores have the same interval.
     """
     xp = namespace_of(scores)
     table = xp.asarray(scores, float).reshape(len(scores), -1)
-    tables = resampled(table, np.random.default_rng(seed)).reshape(RESAMPLES, -1)
-    return percentile_interval(statistic(tables, axis=1), ((1 - level) / 2, (1 + level) / 2))
+    tables = resampled(table, np.random.default_rng(0)).reshape(RESAMPLES, -1)
+    return percentile_interval(statistic(tables, axis=1))
 
 
 def resampled(scores: Any, rng: np.random.Generator) -> Any:
@@ -119,7 +119,7 @@ def _drop(xp: Any, before: Any, after: Any) -> Any:
     return 1 - after.mean(axis=-1) / xp.where(mean > 0, mean, np.nan)
 
 
-def percentile_interval(values: Any, ends: tuple[float, float] = (0.025, 0.975)) -> tuple[Any, Any]:
-    """Return the quantiles `ends` of resampled `values [R]`, by default the percentile interval of 95 %."""
-    low, high = namespace_of(values).quantile(values, np.array(ends))
+def percentile_interval(values: Any) -> tuple[Any, Any]:
+    """Return the ends of the 95 % interval of resampled `values [R]`."""
+    low, high = namespace_of(values).quantile(values, np.array([0.025, 0.975]))
     return as_float(low), as_float(high)
