@@ -127,8 +127,9 @@ def read_all(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
 
 
 def pooling_key(config: RunConfig) -> str:
-    """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method and options."""
+    """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method, options and classes."""
     values = [config.env, config.env_options, config.setting, config.algo, config.options]
+    values += [config.env_class, config.algo_class]
     return json.dumps(values, sort_keys=True, default=repr)
 
 

@@ -55,12 +55,14 @@ class Curves(NamedTuple):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options of task, setting and method that differ from the defaults."""
+        """Options of task, setting and method that differ from the defaults, and the classes that their names do not build."""
         config = self.config
+        classes = {"env_class": config.env_class, "algo_class": config.algo_class}
         setting = {key: value for key, value in config.setting.items() if key != "name"}
         if config.setting["name"] != Deployment.name:
             setting = {"setting": config.setting["name"], **setting}
-        return {**config.env_options, **setting, **config.options}
+        unregistered = {name: value for name, value in classes.items() if value}
+        return {**config.env_options, **setting, **config.options, **unregistered}
 
     @property
     def comparable(self) -> bool:

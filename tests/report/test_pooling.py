@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from earl_jax.report.pooling import find_runs, gather, read_all
+from earl_jax.report.runs import labels
 from earl_jax.runs.files import RunWarning
-from tests.report.run_files import TABLETOP, rising, write_page_run, write_run
+from tests.report.run_files import TABLETOP, change_config, rising, write_page_run, write_run
 
 
 def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
@@ -19,6 +20,12 @@ def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
     pooled, other = read_all(paths)
     assert pooled.metrics["deployed/success"].shape == (5, 3)
     assert other.metrics["deployed/success"].shape == (2, 3)
+
+
+def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labelled_with_it(tmp_path):
+    paths = [write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3) / number) for number, name in enumerate("ab", 1)]
+    change_config(paths[1], algo_class="lab.methods:Naive")
+    assert labels(read_all(paths)) == ["naive", "naive (algo_class=lab.methods:Naive)"]
 
 
 def test_pooled_runs_have_the_later_metrics_that_all_of_them_have(tmp_path):
