@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate, relative_drop
 from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
+from earl_jax.report.pooling import pooling_key
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
@@ -31,11 +33,17 @@ def report(folders: Sequence[Path]) -> Report:
     """Return figure 4 from run folders, whose final policies are evaluated.
 
     Raises:
-        ValueError: a folder holds no run with policies, or matplotlib is not installed.
+        ValueError: a folder holds no run with policies, runs of one method differ in their task or options, or matplotlib is
+            not installed.
     """
     rows = []
-    for folder in folders:
-        config = RunFolder.open(folder).config
+    configs = {folder: RunFolder.open(folder).config for folder in folders}
+    keys: dict[str, str] = {}
+    for config in configs.values():
+        key = pooling_key(config)
+        if keys.setdefault(config.algo, key) != key:
+            raise InputError(f"runs of {config.algo} differ in their task or their options; name those of one")
+    for folder, config in configs.items():
         successes = [evaluate(folder, EPISODES, starts=starts)["deployed/success"] for starts in ("initial", "uniform")]
         for seed, *success in zip(config.seeds, *(values.tolist() for values in successes), strict=True):
             rows.append(dict(zip(COLUMNS, (config.algo, seed, *success), strict=True)))

@@ -166,6 +166,7 @@ DIFFERENT = [{"reward_scale": 1.0}, {"reward_scale": 2.0}]
 REFUSED = {
     "oracle": ("figure2", FISH, "oracle", [{}], "runs of naive, not of oracle"),
     "figure2": ("figure2", FISH, "naive", DIFFERENT, r"H_T 100,000, with the biased update, differ in other options"),
+    "figure4": ("figure4", TABLETOP, "fbrl", DIFFERENT, "runs of fbrl differ in their task or their options"),
     "tradeoff": (
         "tradeoff",
         TABLETOP,
