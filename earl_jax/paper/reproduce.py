@@ -80,7 +80,7 @@ def reproduce(
         out: the folder of runs and results; the same call goes on with the runs that are there.
         tasks: only these of the artefact's tasks.
         seeds: number of seeds instead of the scale's.
-        steps: length of the runs instead of the scale's.
+        steps: length of the runs instead of the scale's, of which the part after the last whole `eval_every` is left out.
         options: of tasks or methods, for every run; a list holds alternatives.
         max_lanes: lanes of the largest program.
         devices: number of devices that share the lanes of a program.
@@ -142,8 +142,9 @@ def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
 
 def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
     """Return the lines of a grid for the runs of `block` at `scale`."""
-    eval_every = scale.eval_every * block.eval_every_factor
-    steps = max(1, (scale.steps or round(scale.share * block.steps)) // eval_every) * eval_every
+    length = scale.steps or round(scale.share * block.steps)
+    eval_every = min(scale.eval_every * block.eval_every_factor, length)
+    steps = length // eval_every * eval_every
     run = {
         "envs": [block.env],
         "algos": list(block.algos),

@@ -119,6 +119,12 @@ def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
         artefact.training_steps("cheetah_run")
 
 
+def test_runs_that_are_shorter_than_the_time_between_evaluations_keep_their_length(tmp_path):
+    path = tmp_path / "grid.toml"
+    path.write_text(reproduce.grid_text("figure2", "full", steps=5_000))
+    assert {(run.schedule.steps, run.schedule.eval_every) for run in grid.read(path)} == {(5_000, 5_000)}
+
+
 def test_figure_2_has_a_program_for_all_horizons_of_a_task_and_the_fish_keeps_its_target_between_resets(tmp_path):
     options = {"fixed_temperature": True, "reward_scale": 0.1}
     path, runs = planned_runs("figure2", "full", tmp_path, **options)
