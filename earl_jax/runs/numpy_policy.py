@@ -64,8 +64,8 @@ class NumpyPolicy:
             ValueError: the file is not such a policy.
         """
         with np.load(path, allow_pickle=False) as stored:
-            if "action_size" not in stored:
-                raise ValueError(f"{path} is no policy of NumpyPolicy.save: it has no action_size")
+            if "kernel_0" not in stored:  # policies.npz of a run folder has an action_size too
+                raise ValueError(f"{path} is no policy of NumpyPolicy.save: it has no kernel_0")
             count = sum(name.startswith("kernel") for name in stored)
             layers = tuple((stored[f"kernel_{number}"], stored[f"bias_{number}"]) for number in range(count))
             budget_at = int(stored["budget_at"]) if "budget_at" in stored else None

@@ -13,6 +13,7 @@ import earl_jax
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.envs import HelpBudget
+from earl_jax.runs.policies import save_policies
 from earl_jax.training.policy import Policy
 
 SHIPPED = [(task, method) for task, methods in earl_jax.list_pretrained().items() for method in methods]
@@ -59,9 +60,9 @@ def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_
     files = [str(tmp_path / name) for name in ("policy", "obs.npy")]
     subprocess.run([sys.executable, "-c", WITHOUT_JAX, *files], check=True, cwd=Path(earl_jax.__file__).parents[1])
     np.testing.assert_array_equal(np.load(tmp_path / "obs.npy"), numpy(OBS))
-    np.savez(tmp_path / "other.npz", weights=OBS)
-    with pytest.raises(ValueError, match=r"other\.npz is no policy .* it has no action_size"):
-        earl_jax.NumpyPolicy.load(tmp_path / "other.npz")
+    save_policies(tmp_path / "policies.npz", {"weights": OBS}, step=1, seeds=[0], obs_size=12, action_size=3)
+    with pytest.raises(ValueError, match=r"policies\.npz is no policy .* it has no kernel_0"):
+        earl_jax.NumpyPolicy.load(tmp_path / "policies.npz")
 
 
 class Linear(SAC):
