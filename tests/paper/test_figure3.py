@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import Map, make
-from earl_jax.paper.figure3 import VisitMap, report_of, seed_rows, verdicts, word
-from earl_jax.paper.figure3_picture import difference
+from earl_jax.paper.figure3 import VisitMap, difference, report_of, seed_rows, verdicts, word
 from earl_jax.report.style import COLOURS
 from tests.report.run_files import count_pixels, read_csv
 
