@@ -11,7 +11,6 @@ from earl_jax.envs import Env, State
 
 FORWARD, BACK = "continuing/forward_success", "continuing/back_success"
 ALIVE, STILL = "continuing/alive", "continuing/still_steps"
-PHASE_METRICS = (FORWARD, BACK, ALIVE, STILL)
 MOVED = 0.01
 """Distance of the object from where it lay that counts as a movement: metres, radians or table units."""
 

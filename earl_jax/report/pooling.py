@@ -12,10 +12,11 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.report.runs import OPTIONAL_METRICS, Columns, Curves, MethodRuns, by_method, read
+from earl_jax.report.runs import Columns, Curves, MethodRuns, by_method, read
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
+from earl_jax.runs.table import COLUMNS
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
@@ -146,7 +147,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     metrics = {
         name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
         for name in parts[0].metrics
-        if name not in OPTIONAL_METRICS or all(name in part.metrics for part in parts)
+        if name in COLUMNS or all(name in part.metrics for part in parts)
     }
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 

@@ -9,9 +9,7 @@ import numpy as np
 
 from earl_jax.envs import env_class, list_envs, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.continuing import DIVERGED, count_diverged
-from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.phase_stats import PHASE_METRICS
+from earl_jax.metrics.continuing import count_diverged
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
@@ -20,8 +18,6 @@ from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
-OPTIONAL_METRICS = frozenset({DIVERGED, WIDE, *PHASE_METRICS})
-"""Metrics that some runs do not have."""
 SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
 

@@ -42,6 +42,14 @@ def test_pooled_runs_have_the_later_metrics_that_all_of_them_have(tmp_path):
     assert "deployed/success_wide" not in read_all(paths)[0].metrics
 
 
+@pytest.mark.parametrize("order", ["ab", "ba"])
+def test_a_pool_has_only_the_diagnostics_that_all_of_its_runs_have_in_any_order(tmp_path, order):
+    for seed, (name, metrics) in enumerate({"a": {"critic_loss": 0.1}, "b": {}}.items()):
+        write_run(tmp_path / name, TABLETOP, "naive", rising(1, 3), seeds=(seed,), metrics=metrics)
+    [pooled] = read_all([tmp_path / name for name in order])
+    assert "critic_loss" not in pooled.metrics
+
+
 def test_runs_are_pooled_over_their_common_steps(tmp_path):
     paths = [
         write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),
