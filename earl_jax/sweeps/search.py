@@ -22,7 +22,7 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
-from earl_jax.runs.files import locked
+from earl_jax.runs.files import check_kind, locked
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.worker import planned_run, work
@@ -265,8 +265,7 @@ def _score(path: Path, steps: int) -> float | None:
 def _open_study(path: Path, identity: str) -> Any:
     """Return the study in the journal at `path`, which is created if necessary; `identity` is what it must have begun with."""
     module = optuna()
-    if path.is_symlink():
-        raise InputError(f"{path} is a link, and a search writes through none; remove it")
+    check_kind(path)
     path.with_name(f"{TRIALS}.lock").unlink(missing_ok=True)  # a kill leaves it; the folder has its own lock
     try:
         storage = module.storages.JournalStorage(module.storages.journal.JournalFileBackend(str(path)))
