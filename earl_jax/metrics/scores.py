@@ -14,6 +14,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.metrics.statistics import namespace_of
+from earl_jax.options.values import counted
 
 SHARE, FEWEST = 0.1, 5
 """The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
@@ -111,7 +112,7 @@ class Score(NamedTuple):
     def __str__(self) -> str:
         """Return the score in one line, with what it is a mean of."""
         interval = "" if np.isnan(self.low) else f" [{self.low:.3f}, {self.high:.3f}]"
-        seeds = "1 seed" if len(self.scores) == 1 else f"{len(self.scores)} seeds"
+        seeds = counted(len(self.scores), "seed")
         which = f"the evaluation at step {self.last:,}"
         if self.evaluations > 1:
             which = f"{self.evaluations} evaluations, steps {self.first:,} to {self.last:,}"

@@ -156,6 +156,11 @@ def value_text(value: Any) -> str:
     return f"{digits}e{int(exponent)}" if exponent else digits
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things in words, such as `1 seed` or `1,000 seeds`."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
 def _is_whole(value: Any) -> bool:
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 

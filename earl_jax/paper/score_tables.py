@@ -10,6 +10,7 @@ from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.options.values import counted
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import compared_texts
@@ -17,7 +18,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
-from earl_jax.report.tables import markdown_table, millions, seeds_text
+from earl_jax.report.tables import markdown_table, millions
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
@@ -96,7 +97,7 @@ def _run_note(row: Row) -> str:
     low, high = row["published_steps_low"], row["published_steps_high"]
     published = "-" if low is None else f"{low:,}" if low == high else f"{low:,} to {high:,}"
     shorter = ", shorter than published" if low and row["steps"] < low else ""
-    seeds = f"{seeds_text(row['seeds'])}{diverged_text(row['diverged'], row['seeds'])}"
+    seeds = f"{counted(row['seeds'], 'seed')}{diverged_text(row['diverged'], row['seeds'])}"
     steps = f"{row['steps']:,} steps (published {published})"
     return f"- {row['env']}, {row['label']}: {steps}, {seeds}, {row['options']}{shorter}"
 

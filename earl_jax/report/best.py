@@ -10,6 +10,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.options.values import counted
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
@@ -130,8 +131,7 @@ def _verdict_text(rows: Sequence[Row]) -> str:
     unclear = [row for row in tested if row["verdict"] in (CANNOT_TELL, TIED)]
     if not tested:
         return "There is no other run of the same length to compare with."
-    others = f"{len(tested)} other{'s' * (len(tested) > 1)}"
-    text = f"Of {others} of the same length, {len(unclear)} cannot be told from the best"
+    text = f"Of {counted(len(tested), 'other')} of the same length, {len(unclear)} cannot be told from the best"
     text += f": rank {', '.join(str(row['rank']) for row in unclear)}." if unclear else "."
     least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)
     if math.isnan(least):

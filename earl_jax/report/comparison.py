@@ -14,6 +14,7 @@ from earl_jax.metrics.comparison import CANNOT_TELL, Sample, detectable_differen
 from earl_jax.metrics.comparison import verdict as verdict_of
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.options.values import counted
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import (
     FAMILY_RULE,
@@ -35,7 +36,6 @@ from earl_jax.report.tables import (
     interval_text,
     millions,
     number_text,
-    seeds_text,
     write,
 )
 from earl_jax.runs.files import RunWarning
@@ -51,8 +51,8 @@ RULE = (
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
-    ("first", lambda row: f"{row['first']}, {seeds_text(row['seeds'])}"),
-    ("second", lambda row: f"{row['second']}, {seeds_text(row['other_seeds'])}"),
+    ("first", lambda row: f"{row['first']}, {counted(row['seeds'], 'seed')}"),
+    ("second", lambda row: f"{row['second']}, {counted(row['other_seeds'], 'seed')}"),
     ("steps", lambda row: millions(row["steps"])),
     ("first, mean [95 %]", lambda row: interval_text(row["mean"], row["mean_low"], row["mean_high"], ".3g")),
     ("second, mean", lambda row: number_text(row["other_mean"])),

@@ -9,6 +9,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.options.values import counted
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
@@ -27,7 +28,6 @@ from earl_jax.report.style import (
     task_order,
     task_title,
 )
-from earl_jax.report.tables import seeds_text
 
 PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
 RELEASED = {"color": "0.55"}
@@ -191,6 +191,6 @@ def _legend_entries(lines: Sequence[Line]) -> dict[str, Line]:
     entries: dict[str, Line] = {}
     for line in lines:
         counts = {other.curves.seeds for other in lines if other.number == line.number}
-        name = f"{line.name}, {seeds_text(line.curves.seeds)}" if len(counts) == 1 else line.name
+        name = f"{line.name}, {counted(line.curves.seeds, 'seed')}" if len(counts) == 1 else line.name
         entries.setdefault(name, line)
     return entries

@@ -240,11 +240,6 @@ def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
     return f"<{least:g}" if value < least else format(value, style or (".3g" if abs(value) < 1000 else ",.0f"))
 
 
-def seeds_text(count: int) -> str:
-    """Return a number of seeds in words, such as `1 seed` or `5 seeds`."""
-    return f"{count} seed{'s' * (count != 1)}"
-
-
 def millions(step: float | None) -> str:
     """Return a number of steps in millions, such as `2.50M`, below 0.1M as `steps_text`, and `-` for None and nan."""
     if step is None or math.isnan(step):

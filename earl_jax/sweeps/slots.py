@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from earl_jax.options.environment import FRACTION, PER_DEVICE, own_cores
+from earl_jax.options.values import counted
 from earl_jax.sweeps.mps import MpsError, mps
 
 PerDevice = int | Literal["auto"] | None
@@ -111,12 +112,8 @@ def open_slots(per_device: PerDevice, tasks: Sequence[str], emit: Callable[[str]
                 count, how = 1, f"; MPS cannot be used: {error}"
         slots = make_slots(count, gpus, cores, variables)
         where = f" on each of {len(gpus)} GPUs" if len(gpus) > 1 else " on the GPU" if gpus else ""
-        emit(f"{_counted(count, 'program')} at a time{where}, {_counted(len(slots[0].cores), 'core')} each{how}")
+        emit(f"{counted(count, 'program')} at a time{where}, {counted(len(slots[0].cores), 'core')} each{how}")
         yield slots
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def measured_programs(tasks: Sequence[str], cores: float) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 
 from earl_jax.errors import InputError, optional
 from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.options.values import counted
 from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
@@ -95,7 +96,7 @@ def _libraries(out: Path) -> tuple[Any, str]:
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["plural"] = lambda count, word: f"{count:,} {word}{'s' * (count != 1)}"
+    environment.filters["plural"] = counted
     return environment, plotly.get_plotlyjs()
 
 
