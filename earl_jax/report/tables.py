@@ -30,6 +30,8 @@ INTERVALS = (
     "Intervals of 95 % over seeds: Student's, or Wilson's with the effective number of trials for rates; fewer than three seeds "
     "have none."
 )
+UNITS = ((1e9, "B"), (1e6, "M"), (1e3, "k"))
+"""The units of numbers of steps in short."""
 GAP = "  "
 EMPTY = {"", "-"}
 
@@ -224,10 +226,9 @@ def terminal_width() -> int | None:
 
 
 def interval_text(value: float, low: float, high: float, style: str = ".3f") -> str:
-    """Return `value [low, high]` in a format, without the interval if it is nan; `-` without a value."""
-    if math.isnan(low):
-        return "-" if math.isnan(value) else format(value, style)
-    return f"{value:{style}} [{low:{style}}, {high:{style}}]"
+    """Return `value [low, high]`, each as `number_text` in a format, without the interval if it is nan."""
+    text, *ends = (number_text(number, style) for number in (value, low, high))
+    return text if math.isnan(low) else f"{text} [{', '.join(ends)}]"
 
 
 def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
@@ -237,7 +238,7 @@ def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
     """
     if math.isnan(value):
         return "-"
-    return f"<{least:g}" if value < least else format(value, style or (".3g" if abs(value) < 1000 else ",.0f"))
+    return f"<{least:g}" if value < least else format(value, style or (".3g" if abs(value) < 999.5 else ",.0f"))
 
 
 def millions(step: float | None) -> str:
@@ -248,8 +249,10 @@ def millions(step: float | None) -> str:
 
 
 def steps_text(steps: float) -> str:
-    """Return a number of steps in short, such as 500, 20k or 2.5M."""
-    return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k" if steps >= 1e3 else f"{steps:g}"
+    """Return a number of steps in short with three digits, such as 500, 20k, 2.5M or 1.2B."""
+    rounded = float(f"{steps:.3g}")
+    unit, letter = next(((unit, letter) for unit, letter in UNITS if rounded >= unit), (1, ""))
+    return f"{rounded / unit:g}{letter}"
 
 
 def step_interval(estimate: Estimate) -> str:

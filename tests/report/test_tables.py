@@ -125,3 +125,16 @@ def test_a_table_that_is_too_wide_has_a_block_for_each_row_and_wrapped_notes(wid
     assert TABLETOP in blocks[1].replace("\n", "").replace(" ", "").replace("task", "")
     assert note.split() == ["one", "two"]
     assert ("\n" in note) == (width < 7)
+
+
+@pytest.mark.parametrize(
+    ("steps", "text"),
+    [(500, "500"), (20_000, "20k"), (999_999, "1M"), (2_500_000, "2.5M"), (1_234_000_000, "1.23B")],
+)
+def test_steps_are_written_in_short_without_an_exponent(steps, text):
+    assert tables.steps_text(steps) == text
+
+
+def test_numbers_are_written_in_three_digits_or_without_a_fraction():
+    numbers = [0.012345, 999.4, 999.7, -2345.6, np.nan]
+    assert list(map(tables.number_text, numbers)) == ["0.0123", "999", "1,000", "-2,346", "-"]
