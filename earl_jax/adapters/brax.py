@@ -16,6 +16,7 @@ from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session
 from earl_jax.envs import Env, resolved_engine
+from earl_jax.protocol import ProtocolState
 
 NO_TIME_LIMIT = 2**30
 """More steps than any lifetime has, and exact in float32, in which brax counts steps."""
@@ -60,31 +61,27 @@ class ResetFreeEnv(BraxEnv):
         """Return a state with s0 ~ rho and a task goal drawn uniformly, from a raw or a typed key `rng`."""
         typed = jnp.issubdtype(rng.dtype, jax.dtypes.prng_key)
         state, outputs = self.session.start_from_key(rng if typed else jax.random.wrap_key_data(rng))
-        pipeline_state: Any = state
-        return BraxState(
-            pipeline_state=pipeline_state,
-            obs=outputs.obs,
-            reward=outputs.reward,
-            done=self._done(outputs),
-            metrics=_metrics(outputs, outputs.interventions),
-        )
+        return BraxState(**self._fields(state, outputs, outputs.interventions))
 
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
         """Return the state after one control step with `action [a]`; its metrics are of this step, for brax to sum."""
         previous: Any = state.pipeline_state
         session_state, outputs = self.session.step(previous, action)
-        return dataclasses.replace(
-            state,
-            pipeline_state=session_state,
-            obs=outputs.obs,
-            reward=outputs.reward,
-            done=self._done(outputs),
-            metrics={**state.metrics, **_metrics(outputs, previous.counters.interventions)},
-        )
+        fields = self._fields(session_state, outputs, previous.counters.interventions)
+        fields["metrics"] = {**state.metrics, **fields["metrics"]}
+        return dataclasses.replace(state, **fields)
 
-    def _done(self, outputs: Outputs) -> jax.Array:
+    def _fields(self, state: ProtocolState, outputs: Outputs, interventions_before: jax.Array) -> dict[str, Any]:
+        """Return the fields of brax's state for a session in `state`; the metrics are those of the last step alone."""
         done = outputs.terminated if self.session.is_training else outputs.terminated | outputs.fault
-        return done.astype(jnp.float32)
+        metrics = {"success": outputs.success, "interventions": outputs.interventions - interventions_before}
+        return {
+            "pipeline_state": state,
+            "obs": outputs.obs,
+            "reward": outputs.reward,
+            "done": done.astype(jnp.float32),
+            "metrics": {name: value.astype(jnp.float32) for name, value in metrics.items()},
+        }
 
     @property
     def observation_size(self) -> int:
@@ -100,8 +97,3 @@ class ResetFreeEnv(BraxEnv):
     def backend(self) -> str:
         """The physics engine's name, or `kinematic`."""
         return resolved_engine(self.session.env)
-
-
-def _metrics(outputs: Outputs, interventions_before: jax.Array) -> dict[str, jax.Array]:
-    interventions = outputs.interventions - interventions_before
-    return {"success": outputs.success.astype(jnp.float32), "interventions": interventions.astype(jnp.float32)}
