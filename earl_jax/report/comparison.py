@@ -54,9 +54,9 @@ COLUMNS: tuple[Column, ...] = (
     ("first", lambda row: f"{row['first']}, {counted(row['seeds'], 'seed')}"),
     ("second", lambda row: f"{row['second']}, {counted(row['other_seeds'], 'seed')}"),
     ("steps", lambda row: millions(row["steps"])),
-    ("first, mean [95 %]", lambda row: interval_text(row["mean"], row["mean_low"], row["mean_high"], ".3g")),
+    ("first, mean [95 %]", lambda row: interval_text(row["mean"], row["mean_low"], row["mean_high"], "")),
     ("second, mean", lambda row: number_text(row["other_mean"])),
-    ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], ".3g")),
+    ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], "")),
     ("p", lambda row: number_text(row["p"])),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
@@ -222,7 +222,7 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
     return f"{text}; {number(row['detectable'])} would be found"
 
 
-def compared_texts(row: Row, style: str = ".3g", prefix: str = "", **words: str) -> list[str]:
+def compared_texts(row: Row, style: str = "", prefix: str = "", **words: str) -> list[str]:
     """Return the difference of a row with its interval, p, adjusted p and `verdict_text`; `prefix` as in `comparison_columns`."""
     difference = interval_text(row["difference"], row[f"{prefix}low"], row[f"{prefix}high"], style)
     return [difference, number_text(row["p"]), number_text(row["p_holm"]), verdict_text(row, words=words)]

@@ -130,6 +130,13 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
         write_comparison(single, tmp_path / "b.png")
 
 
+def test_returns_of_thousands_are_written_without_an_exponent(tmp_path):
+    scores = {"naive": (1203.0, 1400.0, 1333.0), "fbrl": (2203.0, 1900.0, 2333.0)}
+    paths = [write_run(tmp_path / algo, KITCHEN, algo, constant(*own)) for algo, own in scores.items()]
+    line = table_text(compare(paths)).splitlines()[2]
+    assert "| 1,312 [1,063, 1,561] | 2,145 | -833 [" in line
+
+
 def test_another_metric_is_compared_by_its_name(tmp_path):
     wide = {"naive": GOOD, "fbrl": BAD, "r3l": [np.nan] * 5}
     paths = [
