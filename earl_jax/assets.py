@@ -70,7 +70,7 @@ def _file(kind: str, name: str, suffix: str) -> Path:
     if name.endswith(suffix) and Path(name).is_file():
         return Path(name)
     if not path.is_file():
-        known = sorted(entry.stem for entry in path.parent.glob(f"*{suffix}"))
+        known = sorted(entry.stem for entry in (root() / kind).glob(f"*{suffix}"))
         raise InputError(f"no {kind} for {name!r}; {choices(name, known)}")
     return path
 
@@ -105,11 +105,12 @@ def demos(name: str, direction: str) -> Demos:
 
 
 def demo_directions(name: str) -> tuple[str, ...]:
-    """Return the directions of the demonstrations of task `name`, or of the npz file at that path; () without demonstrations."""
-    path = Path(name) if name.endswith(".npz") else root() / "demos" / f"{name}.npz"
-    if not path.is_file():
-        return ()
-    stored = _arrays(path, [f"{direction}_states" for direction in DIRECTIONS])
+    """Return the directions of the demonstrations of task `name`, or of the npz file at that path.
+
+    Raises:
+        ValueError: there are no such demonstrations; the message lists the choices.
+    """
+    stored = _arrays(_file("demos", name, ".npz"), [f"{direction}_states" for direction in DIRECTIONS])
     return tuple(direction for direction in DIRECTIONS if f"{direction}_states" in stored)
 
 

@@ -68,13 +68,33 @@ def goal_table(env: Env) -> Goals:
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.demonstrations.recorded and env.state_size == env.goal_size:
         for direction in env.demonstrations.directions:
-            states, last = trajectories(env.demonstrations.load(direction))
+            states, last = trajectories(demonstrated(env, direction))
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
     if len(table) > 1 << GOAL_BITS:
         raise InputError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
     return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
+
+
+def demonstrated(env: Env, direction: str) -> assets.Demos:
+    """Return the recorded demonstrations of `direction`.
+
+    Raises:
+        ValueError: there are none, or their arrays have other sizes than the transitions of `env`.
+    """
+    recorded = env.demonstrations
+    problem = f"{recorded.file or recorded.task} has no demonstrations of {env.name}"
+    try:
+        demos = recorded.load(direction)
+    except IndexError as error:  # of the task's layout
+        raise InputError(f"{problem}: {error}") from error
+    count, state = demos.ends.size, env.state_size
+    shapes = ((count, state), (count, env.goal_size), (count, env.action_size), (count, state), (count,), (count,))
+    for name, array, shape in zip(demos._fields, demos, shapes, strict=True):
+        if not count or array.shape != shape:
+            raise InputError(f"{problem}: {direction}_{name} has the shape {array.shape}, not {shape}")
+    return demos
 
 
 def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:

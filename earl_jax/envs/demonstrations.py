@@ -59,8 +59,8 @@ class TaskDemos:
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """The directions with recorded demonstrations."""
-        return assets.demo_directions(self.file or self.task)
+        """The directions with recorded demonstrations; a ValueError if `file` is missing."""
+        return assets.demo_directions(self.file or self.task) if self.recorded else ()
 
     def load(self, direction: str) -> assets.Demos:
         """Return the recorded demonstrations of `direction` (forward or backward) in the task's layout.

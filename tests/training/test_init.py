@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import earl_jax
 from earl_jax import assets
 from earl_jax.algos.learner import replay
 from earl_jax.envs import make
+from earl_jax.errors import InputError
 from earl_jax.training.init import demo_rows, replay_capacity
 from earl_jax.training.runner import _init
 from earl_jax.training.state import Problem, seed_keys
@@ -60,11 +62,33 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
 
 
+DEMO_TASK = "tabletop_organization"
 DIRECTIONS = {
     "naive": ("f",), "oracle": ("f",), "r3l": ("f", ""), "vaprl": ("fb",), "bc": ("fb",), "fbrl": ("f", "b"),
     "medal": ("f", "fb"),
 }  # fmt: skip
 """The demonstrations of each controller: forward, backward or both."""
+
+
+@pytest.mark.parametrize(
+    ("task", "file", "message"),
+    [
+        ("tabletop_organization", "missing.npz", r"no demos for '.*missing.npz'; .*hoose from sawyer_door"),
+        ("tabletop_organization", "/dev/null", r"no demos for '/dev/null'; choose from sawyer_door"),
+        ("sawyer_door", "tabletop_organization", "tabletop_organization has no demonstrations of sawyer_door: index 6"),
+        ("franka_kitchen", "tabletop_organization", r"forward_states has the shape \(\d+, 6\), not \(\d+, 23\)"),
+        ("tabletop_organization", "empty.npz", r"forward_states has the shape \(0, 6\)"),
+    ],
+)
+@pytest.mark.parametrize("algo", ["fbrl", "medal"])
+def test_a_demo_file_that_is_missing_or_of_another_task_is_refused_before_training(task, file, message, algo, tmp_path):
+    """A misspelt file used to train without demonstrations, silently."""
+    none = {f"forward_{name}": array[:0] for name, array in assets.demos(DEMO_TASK, "forward")._asdict().items()}
+    np.savez(tmp_path / "empty.npz", **none)
+    env = make(task, demo_file=str(tmp_path / file) if file in ("missing.npz", "empty.npz") else file)
+    with pytest.raises(InputError, match=message):
+        earl_jax.train(env, earl_jax.make_algo(algo), seeds=2, steps=40, eval_every=40, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("all_demos", [False, True])
