@@ -100,8 +100,7 @@ class AsIf(Method):
         return batch._replace(reward=jnp.where(chosen, env.reward(obs), batch.reward), flags=flags)
 
 
-if AsIf.name not in earl_jax.list_algos():  # a cell may run twice
-    earl_jax.register_algo(AsIf.name, AsIf)
+earl_jax.register_algo(AsIf.name, AsIf)
 
 # %% [markdown]
 """

@@ -40,10 +40,12 @@ class Registry(Generic[T]):
     def register(self, name: str, cls: type[T]) -> None:
         """Register the dataclass `cls` as `name` in this process; its own `name` must be the same.
 
+        A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one.
+
         Raises:
             ValueError: the name is taken, `cls` is not a dataclass, or its `name` differs.
         """
-        if name in self.names():
+        if name in self.names() and not _defined_again(self._table.get(name), cls):
             raise InputError(f"{self._noun} {name!r} exists already; choose another name")
         self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
@@ -114,6 +116,12 @@ class Registry(Generic[T]):
         cls = self.get(name)
         check(f"{self._noun} {name!r}", cls, options)
         return cls(**options)
+
+
+def _defined_again(known: Any, cls: Any) -> bool:
+    """Return whether `known` is a class with the module and the name of `cls`."""
+    places = [(target.__module__, target.__qualname__) for target in (known, cls) if isinstance(target, type)]
+    return len(places) == 2 and places[0] == places[1]
 
 
 def _owner(point: metadata.EntryPoint) -> str:

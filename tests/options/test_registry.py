@@ -95,3 +95,17 @@ def test_a_class_is_registered_under_its_own_name_only():
     with pytest.raises(ValueError, match="the registered class has the name 'tabletop_organization'"):
         registry.register("table", type(envs.make("tabletop_organization")))
     assert registry.names() == []
+
+
+def test_a_class_that_a_cell_defines_again_takes_the_place_of_the_earlier_one():
+    """A name that stayed with the earlier class trained the code that the cell no longer had."""
+    registry = Registry("env", {})
+    meadows = []
+    for wide in (True, False):
+        cell = {"__name__": "__main__"}
+        exec(MEADOW + f"    wide: bool = {wide}\n", cell)
+        registry.register("meadow", cell["Meadow"])
+        meadows.append(cell["Meadow"])
+    assert registry.get("meadow") is meadows[1]
+    with pytest.raises(ValueError, match="'meadow' exists already"):
+        registry.register("meadow", type("Meadow", (meadows[1],), {"__module__": "theirs"}))
