@@ -163,6 +163,16 @@ class RunConfig:
         self._require_imported("learner", self.options.get("learner", DEFAULT), list_learners)
         return make_algo(self.algo, **self.options)
 
+    def require_objects(self, task: Env | None, method: Method | None) -> None:
+        """Raise an InputError if `task` or `method`, where one is given, has another name or other options than this run's."""
+        given = (("env", "env_options", task, _changed_options), ("algo", "options", method, method_options))
+        for kind, field, target, options_of in given:
+            own = [self.values[kind], self.values[field]]
+            other = own if target is None else json.loads(json.dumps([target.name, options_of(target)], default=repr))
+            if own != other:
+                then, now = (f"{name!r} with the options {brief(options)}" for name, options in (own, other))
+                raise InputError(f"this run was trained with {NOUNS[kind]} {then}, not {now} as the object passed")
+
     @functools.cached_property
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""

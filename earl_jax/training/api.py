@@ -125,7 +125,8 @@ def resume(
 
     Args:
         folder: a run folder.
-        env: the task, for a run that was trained on an object of a class that is not registered.
+        env: the task, with the options of the run, for a run that was trained on an object of a class that is not
+            registered.
         algo: the method, likewise.
         steps: a new number of training steps.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
@@ -135,7 +136,7 @@ def resume(
 
     Raises:
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
-            objects must be registered or passed, or its checkpoints were removed.
+            objects must be registered or passed, or have other options, or its checkpoints were removed.
     """
     require_jax()
     limit = TimeLimit.of(minutes)
@@ -144,9 +145,9 @@ def resume(
     require_checkpoint(opened, step)
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
-    setting = config.build_setting()
-    wrapped = None if env is None else setting.wrap(without_budget(env))
-    run = Run.resolve(config, wrapped, algo)
+    task = None if env is None else without_budget(env)
+    config.require_objects(task, algo)
+    run = Run.resolve(config, task and config.build_setting().wrap(task), algo)
     run.folder, run.listeners = opened, logs
     return _execute(plan_runs([run], devices), run, progress, limit)
 

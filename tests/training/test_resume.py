@@ -10,6 +10,7 @@ import earl_jax
 from earl_jax import HelpBudget
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
+from earl_jax.errors import InputError
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api, runner
@@ -118,6 +119,20 @@ def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(fol
 
 def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
     assert_equal_results(earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120), whole)
+
+
+@pytest.mark.parametrize(
+    ("env", "method", "message"),
+    [
+        (Meadow(reward_type="dense"), make_patient(), "task 'meadow' with the options {}, not 'meadow' with .*dense"),
+        (TabletopOrganization(), make_patient(), "task 'meadow' with the options {}, not 'tabletop_organization'"),
+        (Meadow(), make_patient(discount=0.5), "method 'patient' .*, not 'patient' with the options .*discount"),
+    ],
+)
+def test_resuming_with_objects_of_other_options_is_an_error_that_leaves_the_run(folder, env, method, message):
+    """They used to train it on, under a config.json that did not have them."""
+    with unchanged(folder), pytest.raises(InputError, match=message):
+        earl_jax.resume(folder, env=env, algo=method, steps=160)
 
 
 def test_resuming_after_registration_ends_bit_identical(folder, whole, registries):
