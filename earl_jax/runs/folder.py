@@ -261,7 +261,7 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     except KeyError as error:
         raise InputError(f"{file} is damaged: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        cause = str(error) if isinstance(error, InputError) else repr(error)
+        cause = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         raise InputError(f"{file} is damaged: {cause}") from error
 
 

@@ -271,7 +271,8 @@ def _open_study(path: Path, identity: str) -> Any:
         storage = module.storages.JournalStorage(module.storages.journal.JournalFileBackend(str(path)))
         study = module.create_study(storage=storage, study_name="search", direction="maximize", load_if_exists=True)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path} is damaged: {error!r}; restore it, or delete it to start again") from error
+        cause = f"{type(error).__name__}: {error}"  # the repr of an error of UTF-8 holds the whole file
+        raise InputError(f"{path} is damaged: {cause}; restore it, or delete it to start again") from error
     if study.user_attrs.setdefault("search", identity) != identity:
         raise InputError(f"{path} is of a search with other values; choose another --out, or the values that it had")
     study.set_user_attr("search", identity)
