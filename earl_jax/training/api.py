@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
@@ -83,6 +83,7 @@ def train(
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     require_jax()
+    _require_kinds(env, algo)
     limit = TimeLimit.of(minutes)
     task, rules, options = split_options(env, {**options, "setting": setting})
     task = with_engine(task, engine)
@@ -93,6 +94,14 @@ def train(
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
+
+
+def _require_kinds(env: Any, algo: Any) -> None:
+    """Raise an InputError if the task or the method is neither a name nor an object, such as a class."""
+    for noun, given, kind in (("task", env, Env), ("method", algo, Method)):
+        if not isinstance(given, str | kind):
+            call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
+            raise InputError(f"the {noun} must be a name or an object, not {brief(given)}{call}")
 
 
 def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax import Continuing
+from earl_jax import SAC, Continuing
+from earl_jax.algos.naive import Naive
+from earl_jax.envs.tabletop import TabletopOrganization
+from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
 from earl_jax.training import select_seed, split_options, train
@@ -106,3 +109,21 @@ def test_options_are_split_into_task_setting_and_method():
 def test_an_unknown_misplaced_or_invalid_option_is_refused_with_the_fix(env, options, message):
     with pytest.raises(ValueError, match=message):
         train(env or "tabletop_organization", "fbrl", **options)
+
+
+@pytest.mark.parametrize(
+    ("task", "method", "message"),
+    [
+        (
+            TabletopOrganization,
+            "naive",
+            r"the task must be a name or an object, .*; did you mean TabletopOrganization\(\)",
+        ),
+        (None, "naive", "the task must be a name or an object, not None"),
+        ("tabletop_organization", Naive, r"the method must be a name or an object, .*; did you mean Naive\(\)"),
+        ("tabletop_organization", SAC(), r"the method must be a name or an object, not SAC\("),
+    ],
+)
+def test_a_class_in_the_place_of_an_object_is_refused(task, method, message, no_training):
+    with pytest.raises(InputError, match=message):
+        train(task, method, steps=40, eval_every=40)
