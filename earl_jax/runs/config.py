@@ -15,6 +15,7 @@ from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_a
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
+from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
 from earl_jax.options.registry import NOUNS
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
@@ -165,13 +166,21 @@ class RunConfig:
 
     def require_objects(self, task: Env | None, method: Method | None) -> None:
         """Raise an InputError if `task` or `method`, where one is given, has another name or other options than this run's."""
-        given = (("env", "env_options", task, _changed_options), ("algo", "options", method, method_options))
-        for kind, field, target, options_of in given:
-            own = [self.values[kind], self.values[field]]
-            other = own if target is None else json.loads(json.dumps([target.name, options_of(target)], default=repr))
-            if own != other:
-                then, now = (f"{name!r} with the options {brief(options)}" for name, options in (own, other))
-                raise InputError(f"this run was trained with {NOUNS[kind]} {then}, not {now} as the object passed")
+        given = []
+        if task is not None:
+            given.append(("env", self.env_options, task.name, _changed_options(task)))
+        if method is not None:
+            given.append(("algo", self.options, method.name, method_options(method)))
+        for kind, options, name, others in given:
+            then, now = (json.loads(json.dumps(values, default=repr)) for values in (options, others))
+            pairs = {"name": (self.values[kind], name)}
+            pairs |= {
+                field: (then.get(field, "the default"), now.get(field, "the default")) for field in {**then, **now}
+            }
+            for field, (own, other) in pairs.items():
+                if own != other:
+                    known = f"{NOUNS[kind]} of this run has the {field} {brief(own)}"
+                    raise InputError(f"the {known}, and the object passed has {brief(other)}")
 
     @functools.cached_property
     def deployed_metric(self) -> str:
@@ -242,11 +251,18 @@ def method_options(method: Method) -> dict[str, Any]:
     options = {} if learner is type(default.learner) else {"learner": learner.name}
     for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
-            value = getattr(part, field.name)
-            plain = np.asarray(value).tolist() if hasattr(value, "shape") else value
+            plain = _plain(getattr(part, field.name))
             if field.name != "learner" and plain != getattr(other, field.name):
                 options[field.name] = plain
     return options
+
+
+def _plain(value: Any) -> Any:
+    """Return an array as plain numbers, or as one if those of all lanes are equal; other values as they are."""
+    if not hasattr(value, "shape"):
+        return value
+    values = as_decimals(np.asarray(value)).tolist()
+    return values[0] if isinstance(values, list) and len({*map(repr, values)}) == 1 else values
 
 
 def _changed_options(options: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
+from earl_jax.runs.config import method_options
 from earl_jax.training import select_seed, split_options, train
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
 
@@ -127,3 +128,14 @@ def test_an_unknown_misplaced_or_invalid_option_is_refused_with_the_fix(env, opt
 def test_a_class_in_the_place_of_an_object_is_refused(task, method, message, no_training):
     with pytest.raises(InputError, match=message):
         train(task, method, steps=40, eval_every=40)
+
+
+def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
+    """Its numbers, one for each lane, used to be recorded as lists of every option, in digits of float32."""
+    first = tiny_train("naive", learning_rate=1e-3, out=tmp_path / "run")
+    again = train(first.env, first.method, seeds=2, steps=120, eval_every=40, eval_episodes=2)
+    assert again.config.options == first.config.options
+    np.testing.assert_array_equal(again.metrics["critic_loss"], first.metrics["critic_loss"])
+    resumed = earl_jax.resume(tmp_path / "run", env=first.env, algo=first.method)
+    assert resumed.config.options["learning_rate"] == 1e-3
+    assert method_options(tiny_method("naive", learning_rate=np.array([1e-3, 1e-2])))["learning_rate"] == [1e-3, 1e-2]

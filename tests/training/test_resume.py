@@ -124,9 +124,13 @@ def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
 @pytest.mark.parametrize(
     ("env", "method", "message"),
     [
-        (Meadow(reward_type="dense"), make_patient(), "task 'meadow' with the options {}, not 'meadow' with .*dense"),
-        (TabletopOrganization(), make_patient(), "task 'meadow' with the options {}, not 'tabletop_organization'"),
-        (Meadow(), make_patient(discount=0.5), "method 'patient' .*, not 'patient' with the options .*discount"),
+        (
+            Meadow(reward_type="dense"),
+            make_patient(),
+            "task of this run has the reward_type 'the default', .* passed has 'dense'",
+        ),
+        (TabletopOrganization(), make_patient(), "task of this run has the name 'meadow', .* passed has 'tabletop_org"),
+        (Meadow(), make_patient(discount=0.5), "method of this run has the discount 'the default', .* passed has 0.5"),
     ],
 )
 def test_resuming_with_objects_of_other_options_is_an_error_that_leaves_the_run(folder, env, method, message):
