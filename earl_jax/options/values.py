@@ -18,6 +18,8 @@ LARGEST_INT = 2**31 - 1
 """The largest count that a program can hold: int32."""
 LONGEST_EXPONENT = 18
 """The largest exponent of a number such as 1e6."""
+DEEPEST = 8
+"""Levels of lists and dictionaries in an option."""
 
 
 class Interval(NamedTuple):
@@ -73,6 +75,17 @@ def check_intervals(owner: str, options: Any) -> None:
         value = getattr(options, field.name)
         if "interval" in field.metadata and value is not None:
             require(f"{owner}: {field.name}", value, field.metadata["interval"])
+
+
+def check_storable(owner: str, values: Any, depth: int = 0) -> None:
+    """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
+    if depth > DEEPEST:
+        raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
+    if isinstance(values, int) and abs(values) >= 2**63:
+        raise InputError(f"{owner} is or holds a number that is too large: {brief(values)}")
+    inner = list(values.values()) if isinstance(values, dict) else values
+    for value in inner if isinstance(inner, list | tuple) else ():
+        check_storable(owner, value, depth + 1)
 
 
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}

@@ -20,7 +20,7 @@ from earl_jax.options.imports import Record, check_records, latest, records, sho
 from earl_jax.options.registry import NOUNS
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
-from earl_jax.options.values import check_intervals
+from earl_jax.options.values import check_intervals, check_storable
 from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
 from earl_jax.runs.files import RunWarning
 
@@ -30,8 +30,6 @@ RECORDS = frozenset({"reward_type", "imports"})
 """Fields that do not tell runs apart; folders of earlier versions lack them."""
 DEPLOYED = {"sparse": "deployed/success", "dense": "deployed/return"}
 """The deployed metric of a task by its reward type."""
-DEEPEST = 8
-"""Levels of lists and dictionaries in an option."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +66,7 @@ class RunConfig:
             if not isinstance(value, kind):
                 raise InputError(f"{field} must be a {kind.__name__}, not {brief(value)}")
             for name, option in value.items() if isinstance(value, dict) else ():
-                _check_values(f"{name!r} in {field}", option)
+                check_storable(f"{name!r} in {field}", option)
         if "name" not in self.setting:
             raise InputError(f"setting has no name: {brief(self.setting)}")
         for field in ("env_class", "algo_class"):
@@ -166,21 +164,10 @@ class RunConfig:
 
     def require_objects(self, task: Env | None, method: Method | None) -> None:
         """Raise an InputError if `task` or `method`, where one is given, has another name or other options than this run's."""
-        given = []
         if task is not None:
-            given.append(("env", self.env_options, task.name, _changed_options(task)))
+            _require_equal("env", {"name": self.env, **self.env_options}, {"name": task.name, **_changed_options(task)})
         if method is not None:
-            given.append(("algo", self.options, method.name, method_options(method)))
-        for kind, options, name, others in given:
-            then, now = (json.loads(json.dumps(values, default=repr)) for values in (options, others))
-            pairs = {"name": (self.values[kind], name)}
-            pairs |= {
-                field: (then.get(field, "the default"), now.get(field, "the default")) for field in {**then, **now}
-            }
-            for field, (own, other) in pairs.items():
-                if own != other:
-                    known = f"{NOUNS[kind]} of this run has the {field} {brief(own)}"
-                    raise InputError(f"the {known}, and the object passed has {brief(other)}")
+            _require_equal("algo", {"name": self.algo, **self.options}, {"name": method.name, **method_options(method)})
 
     @functools.cached_property
     def deployed_metric(self) -> str:
@@ -257,6 +244,16 @@ def method_options(method: Method) -> dict[str, Any]:
     return options
 
 
+def _require_equal(kind: str, own: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Raise an InputError if the values of a run's task or method differ from those of the object that was passed."""
+    own, given = (json.loads(json.dumps(values, default=repr)) for values in (own, given))
+    for name in {**own, **given}:
+        then, now = (values.get(name, "the default") for values in (own, given))
+        if then != now:
+            known = f"{NOUNS[kind]} of this run has the {name} {brief(then)}"
+            raise InputError(f"the {known}, and the object passed has {brief(now)}")
+
+
 def _plain(value: Any) -> Any:
     """Return an array as plain numbers, or as one if those of all lanes are equal; other values as they are."""
     if not hasattr(value, "shape"):
@@ -269,17 +266,6 @@ def _changed_options(options: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that differ from its defaults."""
     fields = {field.name: field.default for field in dataclasses.fields(options)}
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
-
-
-def _check_values(owner: str, values: Any, depth: int = 0) -> None:
-    """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
-    if depth > DEEPEST:
-        raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
-    if isinstance(values, int) and abs(values) >= 2**63:
-        raise InputError(f"{owner} is or holds a number that is too large: {brief(values)}")
-    inner = list(values.values()) if isinstance(values, dict) else values
-    for value in inner if isinstance(inner, list | tuple) else ():
-        _check_values(owner, value, depth + 1)
 
 
 def _class_name(cls: type) -> str:
