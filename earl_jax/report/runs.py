@@ -50,15 +50,23 @@ class Curves(NamedTuple):
         return len(self.metrics[self.deployed_metric])
 
     @property
-    def options(self) -> dict[str, Any]:
-        """Options of task, setting and method that differ from the defaults, and the classes that their names do not build."""
+    def task_options(self) -> dict[str, Any]:
+        """Options of task and setting that differ from the defaults, and the task's class if its name does not build it."""
         config = self.config
-        classes = {"env_class": config.env_class, "algo_class": config.algo_class}
         setting = {key: value for key, value in config.setting.items() if key != "name"}
         if config.setting["name"] != Deployment.name:
             setting = {"setting": config.setting["name"], **setting}
-        unregistered = {name: value for name, value in classes.items() if value}
-        return {**config.env_options, **setting, **config.options, **unregistered}
+        return {**config.env_options, **setting, **({"env_class": config.env_class} if config.env_class else {})}
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those options, those of the method, and its class if its name does not build it."""
+        config = self.config
+        return {
+            **self.task_options,
+            **config.options,
+            **({"algo_class": config.algo_class} if config.algo_class else {}),
+        }
 
     @property
     def comparable(self) -> bool:
@@ -114,25 +122,36 @@ def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:
-    """Return a label for each of `runs`: its method, with the options in which its runs on the same task differ.
+    """Return a label for each of `runs`: its method, with the options in which runs on the same task differ.
 
-    A run with the default of such an option is labelled with it, or with `default` where its class is not known here.
+    The runs of one method are told apart by all options, those of other methods by options of task and setting alone,
+    without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
+    is not known here.
     """
+    tasks: dict[str, list[Curves]] = {}
     peers: dict[tuple[str, str], list[Curves]] = {}
     for curves in runs:
+        tasks.setdefault(curves.config.env, []).append(curves)
         peers.setdefault((curves.config.env, curves.config.algo), []).append(curves)
+    on_task = {env: _differing(members, [curves.task_options for curves in members]) for env, members in tasks.items()}
     found: dict[int, str] = {}
-    for (_, algo), members in peers.items():
-        names = {name for curves in members for name in curves.options}
-        values = [_values(curves, names) for curves in members]
-        differing = [name for name in names if len({value_text(value.get(name)) for value in values}) > 1]
-        for curves, value in zip(members, values, strict=True):
-            found[id(curves)] = label(algo, {name: value[name] for name in differing if name in value})
+    for (env, algo), members in peers.items():
+        differing = (on_task[env] - SAME_TASK) | _differing(members, [curves.options for curves in members])
+        found |= {id(curves): label(algo, _values(curves, differing)) for curves in members}
     return [found[id(curves)] for curves in runs]
+
+
+def _differing(runs: Sequence[Curves], options: Sequence[dict[str, Any]]) -> set[str]:
+    """Return the names in the `options` of `runs` that do not have the same value in all of them."""
+    names = {name for changed in options for name in changed}
+    values = [_values(curves, names) for curves in runs]
+    return {name for name in names if len({value_text(value.get(name)) for value in values}) > 1}
 
 
 def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
     """Return the values of the options `names` of a run, without those that its task, setting and method do not have."""
+    if not names:
+        return {}
     config, defaults, unknown = curves.config, {"setting": Deployment.name}, {}
     learner = {name: value for name, value in config.options.items() if name == "learner"}
     parts: list[Any] = [SETTINGS[config.setting["name"]]]

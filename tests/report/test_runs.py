@@ -28,6 +28,15 @@ def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
     ]  # fmt: skip
 
 
+def test_labels_of_different_methods_have_the_options_of_task_and_setting_that_differ(tmp_path):
+    runs = {"naive": {"env_options": {"wide": True}}, "fbrl": {"setting": Continuing(), "reward_scale": 1.0}}
+    paths = [write_run(tmp_path / algo, TABLETOP, algo, rising(1, 1), **options) for algo, options in runs.items()]
+    other_task = write_run(tmp_path / "oracle", DOOR, "oracle", rising(1, 1))
+    assert labels(read_all([*paths, other_task])) == [
+        "naive (setting=deployment, wide=True)", "fbrl (setting=continuing, wide=False)", "oracle",
+    ]  # fmt: skip
+
+
 def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unknown_methods(tmp_path):
     small = {"hidden_sizes": (32, 32), "learning_rate": 3e-4}
     runs = {
