@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Hashable, Sequence
 from typing import TypeVar
 
@@ -13,6 +14,7 @@ from earl_jax.algos import Method
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import require_whole_windows
+from earl_jax.runs.files import RunWarning
 from earl_jax.training import memory
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.init import replay_capacity
@@ -56,12 +58,18 @@ class Plan:
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
+    A `RunWarning` says so if the method learns in none of the `steps`.
+
     Raises:
         ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
             needs, the lanes don't divide over the devices, or the program does not fit into their memory.
     """
     every = problem.protocol.eval_every
     require_whole_windows(steps, every)
+    random = method.learner.random_steps
+    if random >= steps:
+        message = f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
+        warnings.warn(message, RunWarning, stacklevel=2)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(
@@ -69,8 +77,8 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
         lanes=lanes,
         steps=steps,
         capacity=replay_capacity(problem, method, steps),
-        chunk_steps=_chunk_steps(math.gcd(method.learner.random_steps, every)),
-        random_steps=method.learner.random_steps,
+        chunk_steps=_chunk_steps(math.gcd(random, every)),
+        random_steps=random,
         mesh=mesh,
         memory=need,
     )

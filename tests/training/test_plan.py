@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 from earl_jax.algos import make_algo
+from earl_jax.runs.files import RunWarning
 from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
 from tests.conftest import tiny_method
 
@@ -27,6 +28,13 @@ def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_
     problem = dataclasses.replace(problem, protocol=dataclasses.replace(problem.protocol, eval_every=every))
     plan = prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every)
     assert plan.chunk_steps == chunk_steps
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_that_ends_within_its_random_steps_is_warned_of(problem):
+    with pytest.warns(RunWarning, match="nothing is learnt: random_steps is 1,000, and the run has 120 steps"):
+        prepare(problem, tiny_method("naive", random_steps=1_000), lanes=2, steps=120)
+    prepare(problem, tiny_method("naive", random_steps=119), lanes=2, steps=120)
 
 
 def test_steps_must_be_a_multiple_of_eval_every(problem):
