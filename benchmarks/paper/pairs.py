@@ -53,17 +53,17 @@ def _released(update: str, horizon: int) -> tuple[str, str]:
     return name, f"{name}-seeds_5_to_9"
 
 
-def _replay(cell: str, variant: str = RELEASED_REPLAY) -> tuple[Pair, ...]:
-    """Return the tests of a cell whose replay keeps every step, its `variant` with the released one, and the released runs."""
+def _released_replay(cell: str, variant: str = RELEASED_REPLAY) -> tuple[Pair, ...]:
+    """Return the tests of a cell's `variant` with the released replay, against the cell and against the released runs."""
     released = f"{cell}/{variant}"
     sides = ((cell,), (released,)), ((released,), PUBLISHED)
     return tuple(Pair(*pair, metric) for pair in sides for metric in (None, CONTINUING))
 
 
-def _replays(cell: str) -> tuple[Pair, ...]:
-    """Return those tests with fresh seeds, and the tests of a replay of the last 1,000,000 steps and the demonstrations."""
+def _fresh_replays(cell: str) -> tuple[Pair, ...]:
+    """Return the tests of a replay that keeps the demonstrations, and those of the released one with fresh seeds."""
     kept = tuple(Pair((cell,), (f"{cell}/{CAPACITY}",), metric) for metric in (None, CONTINUING))
-    return *kept, *_replay(cell, FRESH_SEEDS)
+    return *kept, *_released_replay(cell, FRESH_SEEDS)
 
 
 RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
@@ -112,7 +112,7 @@ DIFFERENCES = (
     )),
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps; its replay", (
         Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
-        *_replays(f"{DOOR}/naive"),
+        *_fresh_replays(f"{DOOR}/naive"),
     )),
     Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
         Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
@@ -129,7 +129,7 @@ DIFFERENCES = (
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
         ),
     )),
-    Difference("14", "VaPRL's life on the door: the release's replay", _replays(f"{DOOR}/vaprl")),
+    Difference("14", "VaPRL's life on the door: the release's replay", _fresh_replays(f"{DOOR}/vaprl")),
     Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
@@ -156,6 +156,6 @@ DIFFERENCES = (
     Difference("19", "the release's replay on tabletop; half of it on the door, for two controllers together", tuple(
         pair
         for cell in (*(f"{TABLETOP}/{algo}" for algo in ("naive", "vaprl", "fbrl")), f"{DOOR}/fbrl", f"{DOOR}/r3l")
-        for pair in _replay(cell)
+        for pair in _released_replay(cell)
     )),
 )  # fmt: skip

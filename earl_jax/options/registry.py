@@ -120,8 +120,12 @@ class Registry(Generic[T]):
 
 def _defined_again(known: Any, cls: Any) -> bool:
     """Return whether `known` is a class with the module and the name of `cls`."""
-    places = [(target.__module__, target.__qualname__) for target in (known, cls) if isinstance(target, type)]
-    return len(places) == 2 and places[0] == places[1]
+    return isinstance(known, type) and isinstance(cls, type) and class_name(known) == class_name(cls)
+
+
+def class_name(cls: type) -> str:
+    """Return the module and the name of a class, as config.json has them."""
+    return f"{cls.__module__}:{cls.__qualname__}"
 
 
 def _owner(point: metadata.EntryPoint) -> str:

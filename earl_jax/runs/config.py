@@ -17,7 +17,7 @@ from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
-from earl_jax.options.registry import NOUNS
+from earl_jax.options.registry import NOUNS, class_name
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals, check_storable
@@ -268,31 +268,27 @@ def _changed_options(options: Any) -> dict[str, Any]:
     return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
 
 
-def _class_name(cls: type) -> str:
-    return f"{cls.__module__}:{cls.__qualname__}"
-
-
 def _registered_class(name: str, class_of: Callable[[str], type]) -> str | None:
     """Return the name of the class that `name` is registered for, or None."""
     try:
-        return _class_name(class_of(name))
+        return class_name(class_of(name))
     except ValueError:
         return None
 
 
 def _unregistered_class(target: Any, class_of: Callable[[str], type]) -> str | None:
     """Return the class name of `target` if its name is not registered, or registered for another class; else None."""
-    own = _class_name(type(target))
+    own = class_name(type(target))
     return None if own == _registered_class(target.name, class_of) else own
 
 
-def _require_registered(kind: str, name: str, class_name: str | None, class_of: Callable[[str], type]) -> None:
-    """Raise a ValueError unless `name` is registered for the class `class_name`, or that is None."""
-    if class_name is None or class_name == _registered_class(name, class_of):
+def _require_registered(kind: str, name: str, trained: str | None, class_of: Callable[[str], type]) -> None:
+    """Raise a ValueError unless `name` is registered for the class named `trained`, or that is None."""
+    if trained is None or trained == _registered_class(name, class_of):
         return
-    cls = class_name.rpartition(":")[2].rpartition(".")[2]
+    cls = trained.rpartition(":")[2].rpartition(".")[2]
     raise InputError(
-        f"this run was trained with {NOUNS[kind]} {name!r} as an object of {class_name}, which is not registered here; "
+        f"this run was trained with {NOUNS[kind]} {name!r} as an object of {trained}, which is not registered here; "
         f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
         f"earl_jax.resume(folder, {kind}=...)"
     )

@@ -108,8 +108,9 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
     lane = 0 if seed is None else seeds.index(seed)
+    config = RunConfig.from_stored(info["config"])
     actor = actor_of_arrays({name: array[lane] for name, array in arrays.items()})
-    return Policy.of_actor(pretrained_env(task, method), learner_of(info["config"]["options"]), actor)
+    return Policy.of_actor(config.build_env(), learner_of(config.options), actor)
 
 
 def pretrained_env(task: str, method: str) -> Env:
