@@ -184,6 +184,12 @@ def controller_count(method: Method) -> int:
     return 1 + max(phase.controller for phase in method.phases)
 
 
+def kept_transitions(method: Method) -> int | None:
+    """Return the number of own transitions that the replay of a lane keeps for all controllers together; None: all."""
+    each = method.learner.replay_capacity
+    return None if each is None else each * controller_count(method)
+
+
 def of_phase(values: list[Any], phase: jax.Array) -> Any:
     """Return the static value of `values` that belongs to `phase []`, by as few operations as they need."""
     if all(value == values[0] for value in values):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
-from earl_jax.algos.method import TASK, Method, controller_count
+from earl_jax.algos.method import TASK, Method, controller_count, kept_transitions
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
@@ -72,7 +72,7 @@ def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
 
     If it evicts transitions, one row more holds the state after the newest one.
     """
-    demos, most = demo_rows(problem, method), method.learner.replay_capacity
+    demos, most = demo_rows(problem, method), kept_transitions(method)
     if most is not None:
         return min(steps, most) + 1 + len(demos.states)
     return steps + max(len(demos.states), int(demos.copies.sum()))

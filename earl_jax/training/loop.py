@@ -15,7 +15,7 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
-from earl_jax.algos.method import TASK, Method, Moment, controller_count, of_phase
+from earl_jax.algos.method import TASK, Method, Moment, controller_count, kept_transitions, of_phase
 from earl_jax.envs import Map, State
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
@@ -118,7 +118,7 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     learner, controller = method.learner, controller_of(method, state.lanes.phase)
     demo_share, size = jnp.asarray(learner.demo_share), learner.batch_size * learner.utd
-    most = None if learner.keep_demos else learner.replay_capacity
+    most = None if learner.keep_demos else kept_transitions(method)
     own = most is not None and state.step >= most
     batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
     return read_before_write(state, batch)

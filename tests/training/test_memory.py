@@ -28,7 +28,7 @@ def occupied(tree):
 
 
 @pytest.mark.parametrize("replay_capacity", [None, 50])
-@pytest.mark.parametrize("algo", ["naive", "vaprl"])
+@pytest.mark.parametrize("algo", ["naive", "vaprl", "fbrl"])
 def test_replay_and_agent_occupy_the_computed_bytes(problem, algo, replay_capacity):
     method, steps = tiny_method(algo, lanes=3, replay_capacity=replay_capacity), 300
     need = memory.estimate(problem, method, 3, steps)

@@ -63,11 +63,12 @@ class Learner(OptionsNode, abc.ABC):
     utd: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 1000]"))
     """Updates of the critics in a step, each on a batch of its own, before the one of the actor (paper: 1; RLPD: 20)."""
     replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
-    """Own transitions of a lane that the replay keeps for all its controllers together, first in, first out; None: all.
-    The paper gives 20M and 10M, more than any of its runs has; the released code has 1M for each controller."""
+    """Own transitions of a lane that the replay keeps for each controller, first in, first out; None: all. Two
+    controllers share twice the capacity. In the released code, each has a replay of its own with 1M. The paper gives
+    20M and 10M, more than any of its runs has."""
     keep_demos: bool = struct.field(pytree_node=False, default=True)
-    """Whether demonstrations stay when `replay_capacity` own transitions are stored. The released replay evicts them
-    first, because they are the oldest."""
+    """Whether demonstrations stay when the replay is full of own transitions. The released replay evicts them first,
+    because they are the oldest."""
     random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
     """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     pretrain_steps: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
