@@ -69,8 +69,8 @@ for device in jax.devices():
 """
 ## Memory of a run
 
-No transition is ever evicted, so the memory is known before a run starts: one row of the replay per step,
-the agent, and the activations of a gradient step. A run that cannot fit is refused, and the message gives
+The memory is known before a run starts: the replay, which keeps 1,000,000 steps for each controller of a
+lane, the agent, and the activations of a gradient step. A run that cannot fit is refused, and the message gives
 the number of lanes that would fit. The table is for the paper's networks and lengths.
 """
 

@@ -5,6 +5,7 @@ import fcntl
 import gc
 import os
 import platform
+import shutil
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -27,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import algos, envs
+from earl_jax import algos, assets, envs
 from earl_jax.algos import learner, list_algos, locate_algo, make_algo
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
@@ -36,9 +37,10 @@ from earl_jax.options import imports
 from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment, Protocol, Rules
 from earl_jax.runs.config import RunConfig
+from earl_jax.runs.policies import save_policies
 from earl_jax.training import api, runner, select_seed, train
-from earl_jax.training.init import replay_capacity
 from earl_jax.training.plan import per_lane
+from earl_jax.training.policy import actor_of_arrays
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
 
@@ -185,6 +187,18 @@ def tiny_train(algo="fbrl", env="tabletop_organization", **options):
     return train(env, algo, **{**TINY_RUN, **tiny_options(algo), **options})
 
 
+@pytest.fixture
+def whole_run(tmp_path):
+    """Return the folder of R3L's run on tabletop of the published length, with the policies that ship for its five seeds."""
+    kept = TESTS.parent / "benchmarks" / "results" / "paper" / "tabletop_organization" / "r3l" / "replay_capacity_None"
+    folder = shutil.copytree(kept, tmp_path / "r3l")
+    arrays = {
+        name: array[[0, 1, 0, 1, 0]] for name, array in assets.pretrained("tabletop_organization", "r3l")[1].items()
+    }
+    save_policies(folder / "policies.npz", actor_of_arrays(arrays), 2_500_000, range(5), obs_size=12, action_size=3)
+    return folder
+
+
 def make_config(env, method, seeds=(0, 1), setting=None, **lengths):
     """Return the config of a run of objects with the lengths of a tiny run and checkpoints as often, or other `lengths`."""
     schedule = Schedule(**{"steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2, "checkpoint_every": 40, **lengths})
@@ -195,8 +209,7 @@ def make_train_state(problem, method, seeds, steps=RUN_STEPS, rules=None):
     """Return the lanes of `seeds` at step 0, with a replay that holds `steps` steps."""
     if rules is None:
         rules = jax.tree.map(lambda rule: jnp.full(len(seeds), rule), problem.protocol.rules)
-    capacity = replay_capacity(problem, method, steps)
-    return runner._init(problem, method, seed_keys(seeds), rules, capacity, None)
+    return runner._init(problem, method, seed_keys(seeds), rules, steps, None)
 
 
 def lane_rules(horizon, chance, goal_change):

@@ -16,6 +16,7 @@ from earl_jax.paper.reproduce import ARTEFACTS
 from tests.report.run_files import DOOR, change_config, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
+ALL_KEPT = f"{DOOR}/vaprl/replay_capacity_None"
 VARIANT = f"{DOOR}/vaprl/{cells.FORMER_VAPRL}"
 RNG = np.random.default_rng(0)
 TWO = {"initial": np.full(5, 0.9), "within_2.5": np.linspace(0.1, 0.3, 5)}
@@ -144,7 +145,7 @@ def test_without_runs_every_difference_is_not_run(tmp_path, no_starts):
 
 def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
     scores, others = np.linspace(0.0, 0.2, 6), np.linspace(0.6, 1.0, 6)
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*others))
+    write_run(tmp_path / ALL_KEPT, DOOR, "vaprl", constant(*others))
     write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*scores), **FORMER)
     [row] = differences.comparisons(tmp_path, no_starts)
     expected = permutation(scores, others)
@@ -156,10 +157,15 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
 
 
 def test_a_family_has_the_tests_of_a_difference_on_a_task(tmp_path, no_starts):
-    for env, algos in ((DOOR, ("", "/no_unmet_goals")), (differences.TABLETOP, ("",))):
-        for name in (*algos, f"/{cells.FORMER_VAPRL}"):
-            options = FORMER if name.endswith(cells.FORMER_VAPRL) else {"unmet_goals": False} if name else {}
-            write_run(tmp_path / f"{env}/vaprl{name}", env, "vaprl", constant(*RNG.random(5)), **options)
+    for env, *algos in (
+        (DOOR, "replay_capacity_None", "no_unmet_goals"),
+        (differences.TABLETOP, "replay_capacity_None"),
+    ):
+        for name in (*algos, cells.FORMER_VAPRL):
+            options = (
+                FORMER if name == cells.FORMER_VAPRL else {"unmet_goals": False} if name == "no_unmet_goals" else {}
+            )
+            write_run(tmp_path / f"{env}/vaprl/{name}", env, "vaprl", constant(*RNG.random(5)), **options)
     *door, tabletop = differences.comparisons(tmp_path, no_starts)
     assert [row["p_holm"] for row in door] == pytest.approx(holm([row["p"] for row in door]))
     assert len(door) == 2
@@ -174,7 +180,7 @@ def test_a_family_has_the_tests_of_a_difference_on_a_task(tmp_path, no_starts):
     ],
 )
 def test_what_the_seeds_cannot_tell_is_said(tmp_path, no_starts, own, others, settled):
-    write_run(tmp_path / DOOR / "vaprl", DOOR, "vaprl", constant(*others))
+    write_run(tmp_path / ALL_KEPT, DOOR, "vaprl", constant(*others))
     write_run(tmp_path / VARIANT, DOOR, "vaprl", constant(*own), **FORMER)
     [line] = [line for line in lines(differences.comparisons(tmp_path, no_starts)) if line[-1] != "not run"]
     assert line[-1] == f"cannot tell: {settled}"
@@ -207,28 +213,27 @@ def test_the_test_with_the_released_runs_is_no_part_of_the_family_of_ours(tmp_pa
 
 
 def test_one_controller_is_tested_from_uniform_starts():
-    success, loss = differences.starts_rows({"fbrl": TWO, "fbrl/controllers_1": ONE})
+    success, loss = differences.starts_rows({differences.TWO: TWO, differences.ONE: ONE})
     assert success["difference"] == pytest.approx(-0.6)
     assert loss["difference"] == pytest.approx(0.6)
     assert success["p"] == loss["p"] == pytest.approx(2 / 252)
-    assert differences.starts_rows({"fbrl": TWO}) == []
+    assert differences.starts_rows({differences.TWO: TWO}) == []
 
 
-def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(tmp_path, monkeypatch):
+def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(whole_run, monkeypatch):
     """R3L's five policies succeed from nearly all starts, those of a run that was cut are left out, known rows stay."""
     monkeypatch.setattr(uniform_starts, "KINDS", {"initial": None, "within_2.5": 2.5})
-    for copy, length in (("r3l", None), ("cut", 101)):
-        shutil.copytree(differences.RUNS / differences.TABLETOP / "r3l", tmp_path / copy)
-        table = tmp_path / copy / "metrics.csv"
-        table.write_text("".join(table.read_text().splitlines(keepends=True)[:length]))
+    root = whole_run.parent
+    cut = shutil.copytree(whole_run, root / "cut") / "metrics.csv"
+    cut.write_text("".join(cut.read_text().splitlines(keepends=True)[:101]))
     known = [{"run": "oracle", "seed": "0", "commit": "0", "initial": "0.5", "within_2.5": "0.5"}]
-    rows = uniform_starts.evaluate(tmp_path, episodes=4, known=known)
+    rows = uniform_starts.evaluate(root, episodes=4, known=known)
     assert rows[0] == known[0]
     assert [(row["run"], row["seed"]) for row in rows[1:]] == [("r3l", seed) for seed in range(5)]
     for kind in uniform_starts.KINDS:
         assert np.mean([row[kind] for row in rows[1:]]) > 0.7
     again = [{**row, "initial": "0.5"} for row in rows]
-    assert uniform_starts.evaluate(tmp_path, known=again) == again
+    assert uniform_starts.evaluate(root, known=again) == again
 
 
 def test_uniform_starts_fill_their_square(env):

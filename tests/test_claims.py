@@ -114,21 +114,21 @@ def test_every_marked_table_has_a_module_that_writes_it():
     assert {name for name in marks if f'"{name}"' not in modules} == set()
 
 
-SOURCE = "benchmarks/results/paper/cells.csv"  # naive RL on tabletop: a mean of 0.7128 after 2,500,000 steps, p 0.0183
+SOURCE = "benchmarks/results/fifty/fifty.json"  # success 0.758, standard error 0.035, 500,000 steps
 NONE = "no source is named"
 
 
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
-        (f"A mean of 0.713 after 2.50M steps.\n<!-- from {SOURCE} -->", []),
-        (f"It is 71.28 %, or 71.3 %.\n\n<!-- from\n{SOURCE} -->", []),
-        (f"[Cells]({ROOT / SOURCE}): 0.713.\n\n- After 2,500,000 steps: 0.713, p <0.05.\n\n```\n0.999\n```", []),
-        (f"## A\n\n0.713\n<!-- from {SOURCE} -->\n\n### B\n\n| x |\n| --- |\n| 0.713 |", []),
+        (f"A mean of 0.758 after 0.50M steps.\n<!-- from {SOURCE} -->", []),
+        (f"It is 75.8 %, or 0.76.\n\n<!-- from\n{SOURCE} -->", []),
+        (f"[Fifty]({ROOT / SOURCE}): 0.758.\n\n- After 500,000 steps: 0.758, p <0.05.\n\n```\n0.999\n```", []),
+        (f"## A\n\n0.758\n<!-- from {SOURCE} -->\n\n### B\n\n| x |\n| --- |\n| 0.758 |", []),
         ("On 2026-11-22 with jax 0.11.2, `0.999` and 95 % intervals (Section 4.1), 3M steps.", []),
-        (f"It is 0.714.\n<!-- from {SOURCE} -->", ["line 1: 0.714 (cells.csv)"]),
-        (f"It is 0.713.\n<!-- from {SOURCE} -->\n\n## B\n\nIt is 0.713.", [f"line 6: 0.713 ({NONE})"]),
-        ("There are 2,500,001.\n<!-- from no.csv -->", ["line 1: there is no no.csv", f"line 1: 2,500,001 ({NONE})"]),
+        (f"It is 0.757.\n<!-- from {SOURCE} -->", ["line 1: 0.757 (fifty.json)"]),
+        (f"It is 0.758.\n<!-- from {SOURCE} -->\n\n## B\n\nIt is 0.758.", [f"line 6: 0.758 ({NONE})"]),
+        ("There are 500,001.\n<!-- from no.csv -->", ["line 1: there is no no.csv", f"line 1: 500,001 ({NONE})"]),
     ],
 )
 def test_a_claim_without_a_source_is_found(tmp_path, text, wrong):

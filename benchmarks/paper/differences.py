@@ -39,6 +39,8 @@ from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table,
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
           "difference [95 %]", "p", "adjusted p", "settled")  # fmt: skip
 
+TWO, ONE = "fbrl/commit_438fb6a", "fbrl/controllers_1"
+"""FBRL's runs with two controllers and with one whose replay keeps all transitions, of figure 4."""
 DEPLOYED = "deployed"
 """The metric of a pair that names none: success or return."""
 LEAST = 0.001
@@ -61,9 +63,9 @@ def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
 
 def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
     """Return the tests of FBRL with two controllers and with one: success from uniform starts, and the loss to it."""
-    if not {"fbrl", "fbrl/controllers_1"} <= runs.keys():
+    if not {TWO, ONE} <= runs.keys():
         return []
-    two, one = runs["fbrl"], runs["fbrl/controllers_1"]
+    two, one = runs[TWO], runs[ONE]
     losses = [success["initial"] - success[RELEASED] for success in (two, one)]
     return [
         _scores_row("success from starts within 2.5", two[RELEASED], one[RELEASED]),
@@ -74,7 +76,7 @@ def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
 def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
     own, test = mean_interval(scores, rate=bool((scores >= 0).all())), comparison_columns(scores, others)
     return {
-        "env": TABLETOP, "first": f"fbrl, {measure}", "second": "fbrl/controllers_1", "steps": training_steps(TABLETOP),
+        "env": TABLETOP, "first": f"{TWO}, {measure}", "second": ONE, "steps": training_steps(TABLETOP),
         "seeds": len(scores), "other_seeds": len(others), "mean": own.value, "mean_low": own.low, "mean_high": own.high,
         **test, "mean_over": "episodes from such starts",
     }  # fmt: skip

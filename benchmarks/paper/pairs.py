@@ -41,8 +41,8 @@ BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 CAPACITY = "replay_capacity_1000000"
 RELEASED_REPLAY = f"keep_demos_False-{CAPACITY}"
-FRESH_SEEDS = f"{RELEASED_REPLAY}-seeds_5_to_9"
-"""The released replay with seeds that were not used to choose it."""
+RUN_AGAIN = TABLETOP, DOOR
+"""Tasks whose cells have the released replay, which is the default since 2026-11-27."""
 SCRIPT_OPTIONS = f"random_steps_10000-{CAPACITY}-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
@@ -53,17 +53,23 @@ def _released(update: str, horizon: int) -> tuple[str, str]:
     return name, f"{name}-seeds_5_to_9"
 
 
-def _released_replay(cell: str, variant: str = RELEASED_REPLAY) -> tuple[Pair, ...]:
-    """Return the tests of a cell's `variant` with the released replay, against the cell and against the released runs."""
-    released = f"{cell}/{variant}"
-    sides = ((cell,), (released,)), ((released,), PUBLISHED)
+def _all_kept(cell: str) -> str:
+    """Return the run of a cell whose replay keeps all transitions, as that of its variants does."""
+    return f"{cell}/replay_capacity_None" if cell.startswith(RUN_AGAIN) else cell
+
+
+def _released_replay(cell: str) -> tuple[Pair, ...]:
+    """Return the tests of a cell with the released replay, against all transitions kept and against the released runs."""
+    released = cell if cell.startswith(RUN_AGAIN) else f"{cell}/{RELEASED_REPLAY}"
+    seeds = released, f"{released}/seeds_10_to_19"
+    sides = ((_all_kept(cell),), seeds), (seeds, PUBLISHED)
     return tuple(Pair(*pair, metric) for pair in sides for metric in (None, CONTINUING))
 
 
-def _fresh_replays(cell: str) -> tuple[Pair, ...]:
-    """Return the tests of a replay that keeps the demonstrations, and those of the released one with fresh seeds."""
-    kept = tuple(Pair((cell,), (f"{cell}/{CAPACITY}",), metric) for metric in (None, CONTINUING))
-    return *kept, *_released_replay(cell, FRESH_SEEDS)
+def _replays(cell: str) -> tuple[Pair, ...]:
+    """Return the tests of a replay of the released size that keeps the demonstrations, and those of the released one."""
+    kept = tuple(Pair((_all_kept(cell),), (f"{cell}/keep_demos_True",), metric) for metric in (None, CONTINUING))
+    return *kept, *_released_replay(cell)
 
 
 RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
@@ -80,8 +86,8 @@ AGAIN = {
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
 VAPRL = {
-    DOOR: ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals", "vaprl"),
-    TABLETOP: ("vaprl/no_unmet_goals", "vaprl"),
+    DOOR: ("no_nearest_fallback", "no_unmet_goals", "replay_capacity_None"),
+    TABLETOP: ("no_unmet_goals", "replay_capacity_None"),
 }
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
@@ -98,24 +104,27 @@ DIFFERENCES = (
         Pair(ORACLE[:1], (f"{PEG}/oracle/reward_scale_1",)), Pair(ORACLE[1:], (f"{PEG}/oracle/layer_norm",)),
     )),
     Difference("5, 6", "VaPRL as it was: new goals that are met already, and the highest value where none reaches epsilon", tuple(
-        Pair((f"{env}/vaprl/{FORMER_VAPRL}",), (f"{env}/{name}",)) for env, names in VAPRL.items() for name in names
+        Pair((f"{env}/vaprl/{FORMER_VAPRL}",), (f"{env}/vaprl/{name}",)) for env, names in VAPRL.items() for name in names
     )),
     Difference("7", "VaPRL on the door with the final model", cell=(DOOR, "vaprl")),
     Difference("8", "naive RL's goal for 1,000 steps; the release: 400, after 10,000 random steps", tuple(
-        Pair((f"{TABLETOP}/naive",), (f"{TABLETOP}/naive/{name}",)) for name in ("episode_200", "episode_400", "random_10000")
+        Pair((_all_kept(f"{TABLETOP}/naive"),), (f"{TABLETOP}/naive/{name}",))
+        for name in ("episode_200", "episode_400", "random_10000")
     )),
-    Difference("9", "FBRL in bf16, or in tf32", (Pair((f"{TABLETOP}/fbrl",), (f"{TABLETOP}/fbrl/tf32",)),)),
+    Difference("9", "FBRL in bf16, or in tf32", (Pair((_all_kept(f"{TABLETOP}/fbrl"),), (f"{TABLETOP}/fbrl/tf32",)),)),
     Difference("10", "our demonstrations, or the authors' recordings", tuple(
-        Pair((f"{env}/{algo}{ours}",), (f"{env}/{algo}/demo_file_recorded{recorded}",))
+        Pair((ours,), (f"{env}/{algo}/demo_file_recorded{recorded}",))
         for env in (TABLETOP, DOOR, PEG)
-        for algo, ours, recorded in (("vaprl", f"/{FORMER_VAPRL}", f"-{FORMER_VAPRL}"), ("fbrl", "", ""))
+        for algo, ours, recorded in (
+            ("vaprl", f"{env}/vaprl/{FORMER_VAPRL}", f"-{FORMER_VAPRL}"), ("fbrl", _all_kept(f"{env}/fbrl"), ""),
+        )
     )),
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps; its replay", (
-        Pair((f"{DOOR}/naive",), (f"{DOOR}/naive/episode_400-random_10000",)),
-        *_fresh_replays(f"{DOOR}/naive"),
+        Pair((_all_kept(f"{DOOR}/naive"),), (f"{DOOR}/naive/episode_400-random_10000",)),
+        *_replays(f"{DOOR}/naive"),
     )),
     Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
-        Pair((f"{TABLETOP}/r3l",), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
+        Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
         for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
     )),
     Difference("13", "the kitchen's life: light's weight; reward scale 1, 0.1, 10; 10,000 random steps; float32; entropy", (
@@ -129,7 +138,7 @@ DIFFERENCES = (
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
         ),
     )),
-    Difference("14", "VaPRL's life on the door: the release's replay", _fresh_replays(f"{DOOR}/vaprl")),
+    Difference("14", "VaPRL's life on the door: the release's replay", _replays(f"{DOOR}/vaprl")),
     Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
@@ -148,14 +157,19 @@ DIFFERENCES = (
         Pair((f"{KITCHEN}/oracle/reward_scale_0.1",), PUBLISHED),
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
-        Pair((cell,), (earlier,)) for cell, earlier in AGAIN.items()
+        Pair((_all_kept(cell),), (earlier,)) for cell, earlier in AGAIN.items()
     )),
     Difference("18", "VaPRL outperforms the oracle and R3L: with both of their runs", tuple(
-        Pair((f"{env}/vaprl",), (cell, AGAIN[cell])) for env, cell in ((TABLETOP, f"{TABLETOP}/oracle"), (DOOR, f"{DOOR}/r3l"))
+        Pair((_all_kept(f"{env}/vaprl"),), (_all_kept(cell), AGAIN[cell]))
+        for env, cell in ((TABLETOP, f"{TABLETOP}/oracle"), (DOOR, f"{DOOR}/r3l"))
     )),
-    Difference("19", "the release's replay on tabletop; half of it on the door, for two controllers together", tuple(
+    Difference("19", "the release's replay: the other cells of tabletop, door and peg", tuple(
         pair
-        for cell in (*(f"{TABLETOP}/{algo}" for algo in ("naive", "vaprl", "fbrl")), f"{DOOR}/fbrl", f"{DOOR}/r3l")
-        for pair in _released_replay(cell)
+        for env, algos in (
+            (TABLETOP, ("naive", "vaprl", "fbrl", "r3l", "oracle")), (DOOR, ("fbrl", "r3l", "oracle")),
+            (PEG, ("naive", "vaprl", "fbrl")),
+        )
+        for algo in algos
+        for pair in _released_replay(f"{env}/{algo}")
     )),
 )  # fmt: skip

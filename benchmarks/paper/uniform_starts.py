@@ -58,7 +58,7 @@ def within(env: Env, limit: float) -> Callable[[jax.Array], State]:
 def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequence[Row] = ()) -> list[Row]:
     """Return the `known` rows, and one for each seed of each other run of the published length with policies below `root`.
 
-    The repository keeps the policies of R3L alone, so the rows of the other runs cannot be computed from it again.
+    The repository keeps no policies of these runs, so the rows of known ones cannot be computed from it again.
     """
     length, rows = training_steps(TABLETOP), list(known)
     for folder in sorted(file.parent for file in root.rglob("policies.npz")):
@@ -98,7 +98,7 @@ def read_seeds(file: Path = SEEDS) -> dict[str, dict[str, np.ndarray]]:
 
 def table(runs: dict[str, dict[str, np.ndarray]]) -> str:
     """Return the rows of `read_seeds` as a markdown table, beside the published drops of whole methods."""
-    return markdown_table(HEADER, [_line(run, success) for run, success in runs.items()])
+    return markdown_table(HEADER, [_line(run, success) for run, success in sorted(runs.items())])
 
 
 def _line(run: str, success: dict[str, np.ndarray]) -> Sequence[str]:

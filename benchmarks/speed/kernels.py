@@ -22,7 +22,7 @@ from earl_jax.envs import make
 from earl_jax.physics import mjx_compat
 from earl_jax.physics.engines import c
 from earl_jax.protocol import Protocol
-from earl_jax.training.init import init_train_state, replay_capacity
+from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, seed_keys
@@ -59,10 +59,7 @@ def compile_step(env: str, algo: str, lanes: int, **options: Any) -> str:
     """Return the optimised program, as text, of `STEPS` training steps on an H200."""
     task, method = make(env), per_lane(make_algo(algo, **options), lanes)
     problem = Problem(task, Protocol(task.train_horizon, task.eval_horizon))
-    capacity = replay_capacity(problem, method, 20_000)
-    state = jax.eval_shape(
-        lambda m, keys: init_train_state(problem, m, keys, capacity), method, seed_keys(range(lanes))
-    )
+    state = jax.eval_shape(lambda m, keys: init_train_state(problem, m, keys, 20_000), method, seed_keys(range(lanes)))
     for module in (jax, c, mjx_compat):  # programs differ between backends where they are traced
         module.default_backend = lambda: "gpu"
     device = topologies.get_topology_desc("1x1x1", "cuda", target_config=H200, topology="1x1x1").devices[0]

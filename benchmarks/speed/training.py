@@ -17,7 +17,7 @@ from benchmarks.speed.peers.common import median_s
 from earl_jax.algos import Method, make_algo
 from earl_jax.envs import make, resolved_engine
 from earl_jax.protocol import Protocol
-from earl_jax.training.init import init_train_state, replay_capacity
+from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
@@ -28,8 +28,7 @@ def make_training(name: str, algo: str, lanes: int, steps: int, **options: Any) 
     env = make(name)
     problem = Problem(env, Protocol(env.train_horizon, env.eval_horizon))
     method = per_lane(make_algo(algo, **options), lanes)
-    capacity = replay_capacity(problem, method, steps)
-    init = jax.jit(lambda m, keys: init_train_state(problem, m, keys, capacity))
+    init = jax.jit(lambda m, keys: init_train_state(problem, m, keys, steps))
     return problem, method, init(method, seed_keys(range(lanes)))
 
 

@@ -128,7 +128,8 @@ def _expected(field: dataclasses.Field, value: Any) -> str | None:
     if isinstance(default, tuple):
         return None if _is_sizes(value) else "whole numbers of at least 1"
     kind = type(default) if default is not None else _type_beside_none(field.type)
-    fits = kind not in KINDS or _fits(kind, value) or (value is None and default is None)
+    may_be_none = default is None or type(None) in typing.get_args(field.type)
+    fits = kind not in KINDS or _fits(kind, value) or (value is None and may_be_none)
     return None if fits else KINDS[kind]
 
 

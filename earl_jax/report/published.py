@@ -11,6 +11,7 @@ from typing import NamedTuple
 from scipy import stats
 
 from earl_jax import assets
+from earl_jax.algos.method import kept_transitions
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, rate_interval
@@ -26,7 +27,7 @@ TEST_RULE = (
     "step that both have. Where no runs were released (Minitaur), Welch's test of runs of the published length against the "
     "printed mean and standard error, which divides by n and is converted; one printed as 0.00 counts as half a unit of its last "
     "digit. Defaults that were chosen with a look at runs of the same tasks (the reward scale of 10, the phases of FBRL, the "
-    "subgoals of VaPRL) are favoured by them."
+    "subgoals of VaPRL, the replay of runs that are longer than it) are favoured by them."
 )
 FAMILY_RULE = (
     "p is adjusted by Holm over a family: the tests that answer one question on one task, here {family}. The verdict is above or "
@@ -43,10 +44,11 @@ RECONSTRUCTED = ("dhand_lightbulb",)
 """Tasks of the paper that were never released: ours are other tasks, so no published score stands beside their runs."""
 
 CHOSEN = {
-    "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals"
+    "reward_scale": "reward scale", "fixed_phases": "phases", "nearest_fallback": "subgoals", "unmet_goals": "subgoals",
+    "replay_capacity": "replay",
 }  # fmt: skip
 """Options whose defaults were chosen with a look at runs of the paper's tasks, and their words. Of the reward scale it is that
-of sparse tasks."""
+of sparse tasks, of the replay that of runs in which it evicts transitions."""
 OWN, UNREWARDED = "cfbrl", "bc"
 """The method that was developed on these tasks, of which all options were chosen so, and one that learns from no reward."""
 
@@ -61,8 +63,12 @@ def chosen_words(curves: Curves) -> str:
     except InputError:  # its class is not registered here, or its options are not those of this version
         return "-"
     fields = {field.name for part in (method, method.learner) for field in dataclasses.fields(part)}
-    names = fields & CHOSEN.keys() - config.options.keys()
-    words = [CHOSEN[name] for name in CHOSEN if name in names and (name != "reward_scale" or make(config.env).sparse)]
+    unused = set(config.options)
+    if not make(config.env).sparse:
+        unused |= {"reward_scale"}
+    if config.steps <= (kept_transitions(method) or math.inf):
+        unused |= {"replay_capacity"}
+    words = [CHOSEN[name] for name in CHOSEN if name in fields - unused]
     return ", ".join(dict.fromkeys(words)) or "-"
 
 

@@ -77,7 +77,8 @@ def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
 def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:
     """Return the saved rows `parts`, with their `sizes` lanes joined, in a buffer of the capacity of `like`.
 
-    The capacity can be larger than before. The buffer stays on the host; the caller moves it to devices.
+    The capacity can be larger than before, and the buffer can evict transitions where it did not. It stays on the host;
+    the caller moves it to devices.
 
     Raises:
         ValueError: an array has another shape or type, too many rows, or numbers of rows that are not there.
@@ -87,8 +88,8 @@ def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: R
     for saved, size in zip(parts, sizes, strict=True):
         _check(saved, size, like)
         span = slice(start, start := start + size)
-        for name in ("counts", "oldest"):
-            buffers[name][span] = saved[name]
+        buffers["counts"][span] = saved["counts"]
+        buffers["oldest"][span, : saved["oldest"].shape[1]] = saved["oldest"]
         for name in ROWS:
             buffers[name][: len(saved[name]), span] = saved[name]
         buffers["index"][: len(saved["mine"]), span] = saved["mine"]
@@ -110,6 +111,8 @@ def _check(saved: dict[str, np.ndarray], lanes: int, like: Replay) -> None:
             shape[:2] = len(array), lanes
         elif name in ("counts", "oldest"):
             shape[0] = lanes
+        if name == "oldest" and array.shape == (lanes, 0):  # it evicted none, and the longer run does
+            continue
         if (array.dtype, list(array.shape)) != (leaf.dtype, shape):
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of {leaf.dtype}{shape}")
         if array.dtype.kind == "i" and (array.min(initial=0) < 0 or array.max(initial=-1) > most.get(name, np.inf)):

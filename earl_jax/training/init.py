@@ -18,16 +18,16 @@ from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
 
 def init_train_state(
-    problem: Problem, method: Method, keys: jax.Array, capacity: int, rules: Rules | None = None
+    problem: Problem, method: Method, keys: jax.Array, steps: int, rules: Rules | None = None
 ) -> TrainState:
-    """Return N lanes at step 0 from PRNG keys [N]; leaves of `method` and `rules` have a leading lane axis.
+    """Return N lanes at step 0 of `steps` from PRNG keys [N]; leaves of `method` and `rules` have a leading lane axis.
 
     Without `rules`, every lane has those of the problem's protocol.
     """
     if rules is None:
         rules = jax.tree.map(lambda rule: jnp.full(keys.shape[0], rule), problem.protocol.rules)
     lanes = jax.vmap(lambda *lane: init_lane(problem, *lane))(method, keys, rules)
-    replay = init_replay(problem, method, keys.shape[0], capacity)
+    replay = init_replay(problem, method, keys.shape[0], steps)
     start = lanes.env_state.obs[None, :, : problem.env.state_size]
     state = jax.lax.dynamic_update_slice(replay.state, start, (replay.row, 0, 0))
     return TrainState(lanes, replay.replace(state=state), jnp.zeros((), jnp.int32))
@@ -67,33 +67,25 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
     return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
 
 
-def replay_capacity(problem: Problem, method: Method, steps: int) -> int:
-    """Return the number of replay rows for the demonstrations and `steps` steps, or as many as the replay keeps of them.
+def empty_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Replay:
+    """Return the replay of `lanes` lanes for the demonstrations and `steps` steps, with all of its rows free.
 
-    If it evicts transitions, one row more holds the state after the newest one.
+    If it keeps fewer of them, it evicts transitions. Then one row more holds the state after the newest one, and its
+    lists have a place for each of the other rows for each controller.
     """
-    demos, most = demo_rows(problem, method), kept_transitions(method)
-    if most is not None:
-        return min(steps, most) + 1 + len(demos.states)
-    return steps + max(len(demos.states), int(demos.copies.sum()))
-
-
-def empty_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
-    """Return the replay of `lanes` lanes with `capacity` rows, all of them free.
-
-    If it evicts transitions, its lists have a place for each row of each controller.
-    """
-    env, slots = problem.env, None
-    if method.learner.replay_capacity is not None:
-        demos = demo_rows(problem, method)
-        slots = int(demos.copies.sum()) + controller_count(method) * (capacity - len(demos.states) - 1)
+    env, demos, most = problem.env, demo_rows(problem, method), kept_transitions(method)
+    rows, listed = len(demos.states), int(demos.copies.sum())
+    if most is None or steps <= most:
+        capacity, slots = steps + max(rows, listed), None
+    else:
+        capacity, slots = most + 1 + rows, listed + controller_count(method) * most
     return replay_lib.create(capacity, lanes, env.state_size, env.action_size, env.sparse, slots)
 
 
-def init_replay(problem: Problem, method: Method, lanes: int, capacity: int) -> Replay:
-    """Return the initial replay of `lanes` lanes with `capacity` rows, demonstrations first."""
+def init_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Replay:
+    """Return the initial replay of `lanes` lanes for `steps` steps, demonstrations first."""
     env, demos = problem.env, demo_rows(problem, method)
-    replay = empty_replay(problem, method, lanes, capacity)
+    replay = empty_replay(problem, method, lanes, steps)
     if not len(demos.rows):
         return replay
     replay = unfolded(replay)

@@ -38,7 +38,7 @@ def lifetime(
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)
-    state = init_train_state(problem, method, keys, plan.capacity)
+    state = init_train_state(problem, method, keys, steps)
     state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
     return state, jax.tree.map(jnp.transpose, metrics)
 

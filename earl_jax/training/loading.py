@@ -13,7 +13,7 @@ from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training.init import init_train_state, replay_capacity
+from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
@@ -111,6 +111,5 @@ def shapes_of(folder: RunFolder, steps: int = 1) -> tuple[Env, Method, TrainStat
     config = folder.config
     env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
     problem = Problem(env, config.protocol(env))
-    capacity = replay_capacity(problem, method, steps)
-    init = functools.partial(init_train_state, problem, method, seed_keys(config.seeds), capacity)
+    init = functools.partial(init_train_state, problem, method, seed_keys(config.seeds), steps)
     return env, method, jax.eval_shape(init)

@@ -118,7 +118,7 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     learner, controller = method.learner, controller_of(method, state.lanes.phase)
     demo_share, size = jnp.asarray(learner.demo_share), learner.batch_size * learner.utd
-    most = None if learner.keep_demos else kept_transitions(method)
+    most = kept_transitions(method) if state.replay.evicts and not learner.keep_demos else None
     own = most is not None and state.step >= most
     batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
     return read_before_write(state, batch)

@@ -15,7 +15,7 @@ from earl_jax.algos import Method
 from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
-from earl_jax.training.init import empty_replay, init_train_state, replay_capacity
+from earl_jax.training.init import empty_replay, init_train_state
 from earl_jax.training.state import Problem, TrainState
 
 ACTIVATIONS = 1.5
@@ -55,13 +55,12 @@ class MemoryEstimate:
 
 def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
     """Return the bytes of one lane's replay for `steps` steps."""
-    capacity = replay_capacity(problem, method, steps)
-    return _bytes(jax.eval_shape(functools.partial(empty_replay, problem, method, 1, capacity)))
+    return _bytes(jax.eval_shape(functools.partial(empty_replay, problem, method, 1, steps)))
 
 
 def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:
     """Return the memory that `lanes` lanes of `steps` steps need."""
-    shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), replay_capacity(problem, method, 1))
+    shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), steps=1)
     outputs = _layer_outputs(shape.lanes.agent) // controller_count(method)
     return MemoryEstimate(
         lanes,
@@ -71,10 +70,10 @@ def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> Memory
     )
 
 
-@functools.partial(jax.jit, static_argnames=("problem", "capacity"))
-def _one_lane(problem: Problem, method: Method, key: jax.Array, capacity: int) -> TrainState:
+@functools.partial(jax.jit, static_argnames=("problem", "steps"))
+def _one_lane(problem: Problem, method: Method, key: jax.Array, steps: int) -> TrainState:
     """Return the first train state of a lane; under `jit`, so that Python traces it once for all runs of a problem."""
-    return init_train_state(problem, method, key[None], capacity)
+    return init_train_state(problem, method, key[None], steps)
 
 
 def _single(method: Method) -> Method:

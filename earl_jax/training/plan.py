@@ -17,7 +17,6 @@ from earl_jax.options.schedule import require_whole_windows
 from earl_jax.runs.files import RunWarning
 from earl_jax.training import memory
 from earl_jax.training.devices import lane_mesh
-from earl_jax.training.init import replay_capacity
 from earl_jax.training.state import Problem
 
 Options = TypeVar("Options")
@@ -30,14 +29,13 @@ LONGEST_CHUNK = 1000
 class Plan:
     """A program of `lanes` lanes and `steps` steps, in chunks, which are jitted calls of `chunk_steps` steps.
 
-    `capacity`: rows of the replay; `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices
+    `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices
     that share the lanes, None for one device; `memory`: the memory that the program needs.
     """
 
     problem: Problem
     lanes: int
     steps: int
-    capacity: int
     chunk_steps: int
     random_steps: int
     mesh: Mesh | None
@@ -76,7 +74,6 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
         problem=problem,
         lanes=lanes,
         steps=steps,
-        capacity=replay_capacity(problem, method, steps),
         chunk_steps=_chunk_steps(math.gcd(random, every)),
         random_steps=random,
         mesh=mesh,

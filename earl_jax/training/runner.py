@@ -99,13 +99,9 @@ class Run:
         return {name: np.array(values, float).T for name, values in self.evaluations.items()}
 
 
-@functools.partial(jax.jit, static_argnames=("problem", "capacity", "mesh"))
-def _init(
-    problem: Problem, method: Method, keys: jax.Array, rules: Rules, capacity: int, mesh: Mesh | None
-) -> TrainState:
-    init = mapped(
-        lambda m, k, r: init_train_state(problem, m, k, capacity, r), mesh, (LANES, LANES, LANES), TRAIN_STATE
-    )
+@functools.partial(jax.jit, static_argnames=("problem", "steps", "mesh"))
+def _init(problem: Problem, method: Method, keys: jax.Array, rules: Rules, steps: int, mesh: Mesh | None) -> TrainState:
+    init = mapped(lambda m, k, r: init_train_state(problem, m, k, steps, r), mesh, (LANES, LANES, LANES), TRAIN_STATE)
     return init(method, keys, rules)
 
 
@@ -280,7 +276,7 @@ def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> Callable[
     keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
     lanes = [len(run.config.seeds) for run in runs]
     rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
-    return functools.partial(_init, plan.problem, method, keys, placed(rules, plan.mesh), plan.capacity, plan.mesh)
+    return functools.partial(_init, plan.problem, method, keys, placed(rules, plan.mesh), plan.steps, plan.mesh)
 
 
 def _restored(plan: Plan, runs: Sequence[Run], init: Callable[[], TrainState]) -> TrainState | None:

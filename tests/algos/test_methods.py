@@ -61,12 +61,6 @@ def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
     assert make_algo("naive", hidden_sizes=[8, 8]).learner.hidden_sizes == (8, 8)
 
 
-def test_demonstrations_that_leave_a_replay_without_a_capacity_are_refused():
-    with pytest.raises(ValueError, match="needs a replay_capacity"):
-        make_algo("naive", keep_demos=False)
-    assert not make_algo("naive", keep_demos=False, replay_capacity=10).learner.keep_demos
-
-
 @pytest.mark.parametrize("algo", METHODS)
 def test_a_method_has_its_phases_and_goals(env, algo):
     method, goals = make_algo(algo), goal_table(env)

@@ -1,11 +1,14 @@
 """Published scores, their intervals and samples, against numbers computed by hand."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from earl_jax import assets
-from earl_jax.report.published import PublishedScore, released_curves
+from earl_jax import assets, make, make_algo
+from earl_jax.report.published import PublishedScore, chosen_words, released_curves
+from tests.conftest import make_config
 
 T4 = 2.7764
 """The 97.5 % quantile of Student's distribution with four degrees of freedom."""
@@ -49,3 +52,12 @@ def test_the_released_lives_change_most_after_the_steps_at_which_their_world_is_
     ranks = stats.rankdata(np.abs(np.diff(rates)), axis=1).mean(axis=0)
     phases = steps[1:-1] % horizon
     assert max(np.unique(phases), key=lambda phase: ranks[phases == phase].mean()) == 0
+
+
+@pytest.mark.parametrize(
+    ("algo", "steps", "marked"),
+    [("naive", 1_000_000, False), ("naive", 1_000_040, True), ("fbrl", 2_000_000, False), ("fbrl", 2_000_040, True)],
+)
+def test_the_default_replay_is_marked_in_runs_in_which_it_evicts(algo, steps, marked):
+    config = make_config(make("tabletop_organization"), make_algo(algo), steps=steps)
+    assert ("replay" in chosen_words(Mock(config=config)).split(", ")) == marked

@@ -12,7 +12,7 @@ from earl_jax import assets
 from earl_jax.algos.learner import replay
 from earl_jax.envs import make
 from earl_jax.errors import InputError
-from earl_jax.training.init import demo_rows, replay_capacity
+from earl_jax.training.init import demo_rows, empty_replay
 from earl_jax.training.runner import _init
 from earl_jax.training.state import Problem, seed_keys
 from tests.conftest import RUN_STEPS, make_train_state, take_lane, tiny_method
@@ -59,7 +59,7 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     demos = demo_rows(problem, tiny_method("vaprl"))
     steps_left = problem.goals.ends[demos.rows] - demos.rows
     np.testing.assert_array_equal(demos.copies, np.maximum(1, np.rint(steps_left / 5)))
-    assert replay_capacity(problem, tiny_method("vaprl"), 100) == 100 + demos.copies.sum()
+    assert empty_replay(problem, tiny_method("vaprl"), 1, 100).capacity == 100 + demos.copies.sum()
 
 
 DEMO_TASK = "tabletop_organization"
@@ -105,7 +105,7 @@ def test_a_controller_has_its_demonstrations_or_with_all_demos_those_of_both_dir
 
 def test_the_program_of_the_first_state_does_not_contain_the_replay(problem):
     method, rules = tiny_method("fbrl"), jax.tree.map(lambda rule: jnp.full(2, rule), problem.protocol.rules)
-    capacity = replay_capacity(problem, method, RUN_STEPS)
-    program = _init.lower(problem, method, seed_keys([0, 1]), rules, capacity, None).compile().as_text()
+    capacity = empty_replay(problem, method, 1, RUN_STEPS).capacity
+    program = _init.lower(problem, method, seed_keys([0, 1]), rules, RUN_STEPS, None).compile().as_text()
     assert f"f32[{capacity + 1},2," in program
     assert not re.search(rf"f32\[{capacity + 1},2,\S* constant\(", program)

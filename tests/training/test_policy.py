@@ -122,22 +122,19 @@ def test_a_seed_that_rounding_makes_worse_does_not_ship():
     assert packing.chosen_lanes(original, rounded, episodes=100) == [3, 1, 2]
 
 
-RUN = packing.assets.root().parent / "benchmarks" / "results" / "paper" / NAME / "r3l"
-
-
-def test_packing_takes_the_best_seeds_of_a_run(tmp_path, monkeypatch):
+def test_packing_takes_the_best_seeds_of_a_run(whole_run, tmp_path, monkeypatch):
     def scores(env, policies, seed, episodes):
         """Return scores without episodes: the later a seed, the better."""
         lanes = len(jax.tree.leaves(policies.actor)[0])
         return {name: np.linspace(0.6, 1.0, lanes) for name in packing.METRICS}
 
     monkeypatch.setattr(packing, "scores", scores)
-    made = packing.pack(RUN, tmp_path, episodes=10)
+    made = packing.pack(whole_run, tmp_path / "packed", episodes=10)
     assert made["seeds"] == [4, 3]
     assert made["step"] == 2_500_000
     assert len(made["run"]["deployed/success"]) == 5
-    with np.load(tmp_path / NAME / "r3l.npz") as packed, np.load(RUN / "policies.npz") as run:
+    with np.load(tmp_path / "packed" / NAME / "r3l.npz") as packed, np.load(whole_run / "policies.npz") as run:
         stored = run["actor['params']['hidden_1']['kernel']"]
         np.testing.assert_array_equal(packed["hidden_1.kernel"], stored[[4, 3]].astype(np.float16))
     with pytest.raises(ValueError, match=r"no seed reaches 1\.1 of its goals"):
-        packing.pack(RUN, tmp_path, episodes=10, least=1.1)
+        packing.pack(whole_run, tmp_path / "packed", episodes=10, least=1.1)

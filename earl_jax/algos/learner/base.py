@@ -62,13 +62,13 @@ class Learner(OptionsNode, abc.ABC):
     """Transitions in a gradient step, drawn uniformly with replacement (paper)."""
     utd: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 1000]"))
     """Updates of the critics in a step, each on a batch of its own, before the one of the actor (paper: 1; RLPD: 20)."""
-    replay_capacity: int | None = struct.field(pytree_node=False, default=None, metadata=within(COUNT))
-    """Own transitions of a lane that the replay keeps for each controller, first in, first out; None: all. Two
-    controllers share twice the capacity. In the released code, each has a replay of its own with 1M. The paper gives
-    20M and 10M, more than any of its runs has."""
-    keep_demos: bool = struct.field(pytree_node=False, default=True)
+    replay_capacity: int | None = struct.field(pytree_node=False, default=1_000_000, metadata=within(COUNT))
+    """Own transitions of a lane that the replay keeps for each controller, first in, first out, as in the released code;
+    None: all. Two controllers share twice the capacity, where each has a replay of its own in the released code. The
+    paper gives 20M and 10M, more than any of its runs has; docs/results.md compares both."""
+    keep_demos: bool = struct.field(pytree_node=False, default=False)
     """Whether demonstrations stay when the replay is full of own transitions. The released replay evicts them first,
-    because they are the oldest."""
+    because they are the oldest. A `demo_share` is drawn from them in any case."""
     random_steps: int = struct.field(pytree_node=False, default=1000, metadata=within(f"[0, {LARGEST_INT}]"))
     """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     pretrain_steps: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
@@ -97,8 +97,6 @@ class Learner(OptionsNode, abc.ABC):
     def __post_init__(self):
         if self.precision not in PRECISIONS:
             raise InputError(f"precision {self.precision!r} is not one of {', '.join(PRECISIONS)}")
-        if not self.keep_demos and self.replay_capacity is None:
-            raise InputError("keep_demos=False needs a replay_capacity, at which the demonstrations leave")
 
     @abc.abstractmethod
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Any:

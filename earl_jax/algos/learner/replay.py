@@ -1,11 +1,11 @@
-"""One time-ordered replay buffer for all lanes, written in place; by default, no transition is ever evicted.
+"""One time-ordered replay buffer for all lanes, written in place.
 
 Rows are steps: row t of `state` is s_t, row t of `action` is a_t, and s_{t+1} is row t + 1. Goals are indices into a
 static table, so relabelling needs no copies. A list for each lane holds the rows that its controllers can sample: the
 task controller's rows fill it from the left, the other controller's rows from the right.
 
-With a capacity (`Learner.replay_capacity`), the rows after the demonstrations and both lists are rings, in which the oldest
-transition makes room for a new one. Demonstrations stay.
+In a run that is longer than `Learner.replay_capacity`, the rows after the demonstrations and both lists are rings, in which
+the oldest transition makes room for a new one. Demonstrations keep their rows.
 
 Every function works on the whole batch of lanes. `jax.vmap` would turn a write into a scatter over the buffer and a
 read into a transpose of it.
@@ -192,17 +192,17 @@ def sample(
 ) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
-    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, none is drawn as long as there
-    are other transitions. At the first step of a controller without listed transitions, it samples those of the other
-    one. A lane's draw depends only on its own key and counts, not on the number of lanes. With `later_steps`, the batch
-    has states `later` that many steps later on average.
+    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, the rest is drawn from the
+    other transitions as long as there are any. At the first step of a controller without listed transitions, it samples
+    those of the other one. A lane's draw depends only on its own key and counts, not on the number of lanes. With
+    `later_steps`, the batch has states `later` that many steps later on average.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
-    draw = jax.vmap(_draw, (0, 0, 0, 0, None))
+    draw = jax.vmap(_draw, (0, 0, 0, 0, 0, None))
     counts, demos = replay.counts[lanes[:, 0], controller], replay.demos[controller]
     left_out = jnp.where(own & (counts > demos), demos, 0)
-    listed = left_out[:, None] + draw(keys, counts - left_out, demos - left_out, demo_share, size)
+    listed = draw(keys, counts, demos, left_out, demo_share, size)
     batch = _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
     if not later_steps:
         return batch
@@ -249,11 +249,15 @@ def later_states(replay: Replay, keys: jax.Array, rows: jax.Array, mean_steps: f
     return replay.state[following, jnp.arange(len(rows))[:, None]]
 
 
-def _draw(key: jax.Array, count: jax.Array, demos: jax.Array, demo_share: jax.Array, size: int) -> jax.Array:
+def _draw(
+    key: jax.Array, count: jax.Array, demos: jax.Array, left_out: jax.Array, demo_share: jax.Array, size: int
+) -> jax.Array:
     """Return random indices [size] into one lane's list of `count` rows.
 
-    They are drawn as integers, because float32 cannot represent all of them beyond 2**24.
+    A `demo_share` is from the first `demos` of them, the rest from those after the first `left_out`. They are drawn as
+    integers, because float32 cannot represent all of them beyond 2**24.
     """
     share_key, index_key = jax.random.split(key)
     from_demos = (jax.random.uniform(share_key, (size,)) < demo_share) & (demos > 0)
-    return jax.random.randint(index_key, (size,), 0, jnp.maximum(jnp.where(from_demos, demos, count), 1))
+    first, last = jnp.where(from_demos, 0, left_out), jnp.where(from_demos, demos, count)
+    return first + jax.random.randint(index_key, (size,), 0, jnp.maximum(last - first, 1))

@@ -30,9 +30,9 @@ def make_transition(step):
     return Transition(action=number[:, None], next_state=number[:, None] + 1000, reward=number, flags=flags)
 
 
-def fill_replay(controllers, valid, buffer=None):
+def fill_replay(controllers, valid, buffer=None, first=0):
     buffer = replay.create(len(controllers), 2, 1, 1, False) if buffer is None else buffer
-    for step, (controller, keep) in enumerate(zip(controllers, valid, strict=True)):
+    for step, (controller, keep) in enumerate(zip(controllers, valid, strict=True), first):
         buffer = write(buffer, make_transition(step), np.array(keep), np.array(controller, np.int32))
     return buffer
 
@@ -122,10 +122,12 @@ def test_a_replay_with_a_capacity_keeps_its_demonstrations():
 
 
 @pytest.mark.parametrize("own", [3, 0])
-def test_demonstrations_are_left_out_of_a_sample_of_own_transitions_if_there_are_any(own):
+def test_demonstrations_are_left_out_of_a_sample_of_own_transitions_if_there_are_any_but_not_out_of_their_share(own):
     buffer = fill_replay([(0, 0)] * own, [(True, True)] * own, buffer=with_demonstrations(3))
-    batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.ones(2, np.float32), own=np.True_)
-    assert set(np.asarray(batch.row).ravel().tolist()) == ({3, 4, 5} if own else {0, 1})
+    for share, rest in ((0, set()), (0.5, {0, 1}), (1, {0, 1})):
+        batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.full(2, share, np.float32), own=np.True_)
+        expected = rest | ({3, 4, 5} if share < 1 else set()) if own else {0, 1}
+        assert set(np.asarray(batch.row).ravel().tolist()) == expected
 
 
 def assert_equal_samples(*buffers):
@@ -138,22 +140,24 @@ def ring(own):
     return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
 
 
-def test_a_replay_with_a_capacity_is_saved_and_restored_and_can_grow_before_it_is_full():
+def test_a_replay_that_evicts_is_saved_and_restored():
     full = fill_replay(*LONG, buffer=ring(4))
     assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], ring(4)), full)
-    rows = LONG[0][:6], LONG[1][:6]
-    short = fill_replay(*rows, buffer=ring(6))
-    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], ring(9)))
-    expected = fill_replay(*rows, buffer=ring(9))
-    assert_equal_samples(grown, expected)
-    assert int(grown.row) == int(expected.row)
+
+
+def test_a_replay_of_a_short_run_is_restored_in_one_that_evicts():
+    """As `resume` with more steps does."""
+    rows, more = (LONG[0][:6], LONG[1][:6]), (LONG[0][6:], LONG[1][6:])
+    short = fill_replay(*rows)
+    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], ring(7)))
+    assert_equal_samples(fill_replay(*more, buffer=grown, first=6), fill_replay(*LONG, buffer=ring(7)))
 
 
 def total_bytes(tree):
     return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))
 
 
-@pytest.mark.parametrize("capacity", [None, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("capacity", [None, pytest.param(50_000, marks=pytest.mark.slow)])
 def test_no_step_copies_the_buffer(problem, capacity):
     """The buffer enters as a donated argument, as it does after a resume; a hidden copy would be ten times the bound."""
     method = tiny_method("fbrl", **({} if capacity is None else {"replay_capacity": capacity}))
