@@ -9,7 +9,7 @@ import dataclasses
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
         ValueError: the name or an option is unknown; the message has the choices or the nearest.
     """
     from earl_jax.algos.learner import learner_class
+    from earl_jax.algos.learner.base import Learner
     from earl_jax.options.schedule import FIELDS
     from earl_jax.options.values import check, unknown_option
 
@@ -86,13 +87,17 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     base = method.learner if learner is None else learner
     if isinstance(base, str):
         base = preset_learner(method, learner_class(base))
-    shared = {field.name for field in dataclasses.fields(base)}
-    own = {field.name for field in dataclasses.fields(method)} - {"learner"}
-    unknown = sorted(set(options) - shared - own)
-    if unknown:
-        known = sorted(shared | own | {"learner"})
-        raise unknown_option(f"method {name!r}", unknown[0], options[unknown[0]], [*known, *FIELDS], name)
-    options = {option: _leaf(option, value) for option, value in options.items()}
+    if not isinstance(base, Learner):
+        call = f"; did you mean {base.__name__}()?" if isinstance(base, type) else ""
+        raise InputError(f"the learner must be a name or an object, not {brief(base)}{call}")
+    shared = {field.name: field for field in dataclasses.fields(base)}
+    own = {field.name: field for field in dataclasses.fields(method) if field.name != "learner"}
+    known = own | shared
+    for option, value in options.items():
+        if option not in known:
+            names = [*sorted({*known, "learner"}), *FIELDS]
+            raise unknown_option(f"method {name!r}", option, value, names, name)
+    options = {option: _leaf(known[option], value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)
     rest = {option: value for option, value in options.items() if option in own}
@@ -107,8 +112,9 @@ def learner_of(options: dict[str, Any]) -> Learner:
     from earl_jax.algos.learner import DEFAULT, learner_class, make_learner
 
     name = options.get("learner", DEFAULT)
-    known = {field.name for field in dataclasses.fields(learner_class(name))}
-    return make_learner(name, **{option: _leaf(option, value) for option, value in options.items() if option in known})
+    fields = {field.name: field for field in dataclasses.fields(learner_class(name))}
+    own = {option: _leaf(fields[option], value) for option, value in options.items() if option in fields}
+    return make_learner(name, **own)
 
 
 def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
@@ -130,11 +136,11 @@ def method_for(env: Env, name: str, **options) -> Method:
     return make_algo(name, **{"reward_scale": env.reward_scale, **options})
 
 
-def _leaf(option: str, value: Any) -> Any:
-    """Return `value` in the type of its field; a JSON or CLI list is layer sizes or one value per lane."""
+def _leaf(field: dataclasses.Field, value: Any) -> Any:
+    """Return `value` as `field` holds it: a list has a value for each lane, or it is a static option, such as sizes."""
     if not isinstance(value, list | tuple):
         return value
-    if option == "hidden_sizes":
+    if not field.metadata.get("pytree_node", True):
         return tuple(value)
     import numpy as np
 
@@ -142,7 +148,7 @@ def _leaf(option: str, value: Any) -> Any:
         with np.errstate(over="ignore"):  # too large values become infinite, and the check of intervals refuses them
             return np.asarray(value, np.float32)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{option} must be a number for each lane, not {value!r}") from error
+        raise InputError(f"{field.name} must be a number for each lane, not {brief(value)}") from error
 
 
 def __getattr__(name: str) -> Any:

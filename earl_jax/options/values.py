@@ -151,7 +151,8 @@ def _fits(kind: Any, value: Any) -> bool:
     if kind is int:
         return _is_whole(value) and int(value) >= 0
     if isinstance(value, np.ndarray):
-        return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
+        valid = np.isin(value, (0, 1)) if kind is bool else np.isfinite(value)
+        return value.dtype.kind in "fiub" and bool(valid.all())
     if _is_of_jax(value):
         return True
     return kind is float and _is_number(value)

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from earl_jax import assets
-from earl_jax.algos import Method, list_algos, make_algo, register_algo
+from earl_jax.algos import SAC, Method, learner_of, list_algos, make_algo, register_algo, register_learner
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
@@ -58,7 +59,24 @@ def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
         make_algo("vaprl", gamma=0.9)
     with pytest.raises(ValueError, match="exists already"):
         register_algo("naive", Method)
-    assert make_algo("naive", hidden_sizes=[8, 8]).learner.hidden_sizes == (8, 8)
+    for learner, given in ((SAC, r"<class .*SAC'>; did you mean SAC\(\)\?"), (3, "3")):
+        with pytest.raises(ValueError, match=f"the learner must be a name or an object, not {given}"):
+            make_algo("naive", learner=learner)
+
+
+class Tiled(SAC):
+    name = "tiled"
+    tiles: tuple[int, ...] = struct.field(pytree_node=False, default=(4,))
+
+
+def test_a_list_is_sizes_for_a_static_option_and_has_a_value_for_each_lane_for_another(registries):
+    register_learner("tiled", Tiled)
+    options = {"learner": "tiled", "tiles": [8, 8], "discount": [0.5, 0.9]}
+    for learner in (make_algo("naive", **options).learner, learner_of(options)):
+        assert learner.tiles == (8, 8)
+        assert learner.discount.tolist() == pytest.approx([0.5, 0.9])
+    with pytest.raises(ValueError, match=r"precision must be text, not \('bf16',\)"):
+        make_algo("naive", precision=["bf16"])
 
 
 @pytest.mark.parametrize("algo", METHODS)

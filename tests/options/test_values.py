@@ -41,7 +41,8 @@ def test_values_of_the_right_type_are_accepted(options):
         ({"rate": "fast"}, "rate must be a finite number, not 'fast'"), ({"rate": np.nan}, "rate must be a finite number"),
         ({"rate": True}, "rate must be a finite number"), ({"limit": "much"}, "limit must be a finite number, not 'much'"),
         ({"size": 2.5}, "size must be a whole number of at least 0, not 2.5"), ({"size": -1}, "size must be a whole number"),
-        ({"fast": "no"}, "fast must be true or false, not 'no'"), ({"word": 3}, "word must be text, not 3"),
+        ({"fast": "no"}, "fast must be true or false, not 'no'"), ({"fast": np.array([1, 2])}, "fast must be true or false"),
+        ({"word": 3}, "word must be text, not 3"),
         ({"layers": ()}, "layers must be whole numbers of at least 1"), ({"layers": (8, 0)}, "whole numbers of at least 1"),
     ],
 )  # fmt: skip
