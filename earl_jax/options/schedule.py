@@ -35,6 +35,16 @@ FIELDS = tuple(field.name for field in dataclasses.fields(Schedule))
 
 def require_whole_windows(steps: int, eval_every: int) -> None:
     """Raise an InputError unless training ends with an evaluation: `steps` is a positive multiple of `eval_every`."""
-    if steps < 1 or steps % eval_every:
-        fitting = f"; eval_every {math.gcd(steps, eval_every)} would fit" if steps > 0 else ""
-        raise InputError(f"steps {steps} is not a multiple of eval_every {eval_every}{fitting}")
+    if steps > 0 and steps % eval_every == 0:
+        return
+    problem = f"steps {steps} is not a multiple of eval_every {eval_every}"
+    if steps < 1:
+        raise InputError(problem)
+    divisors = [number for number in range(1, math.isqrt(steps) + 1) if steps % number == 0]
+    divisors += [steps // number for number in divisors]
+    below = max(number for number in divisors if number < eval_every)
+    above = min((number for number in divisors if number > eval_every), default=below)
+    shorter = steps - steps % eval_every
+    lengths = [str(length) for length in (shorter, shorter + eval_every) if length]
+    every = " or ".join(map(str, sorted({below, above})))
+    raise InputError(f"{problem}; take eval_every {every}, or steps {' or '.join(lengths)}")

@@ -45,13 +45,13 @@ def _whole(seed: Any) -> int:
 
 
 def _parsed(text: str) -> int | Iterable[int]:
-    """Return the count or the seeds that `text` names."""
+    """Return the count or the seeds that `text` names; `3,` is seed 3 alone."""
     try:
         parts = [[parse_whole(end) for end in part.split(":")] for part in text.split(",") if part]
     except ValueError as error:
         raise InputError(f"seeds: {error}") from None
     if not parts or any(len(part) > 2 or part[0] >= part[-1] for part in parts if len(part) > 1):
         raise InputError(f"seeds takes a count (5), a range (5:10, without 10) or a list (3,5,8), not {brief(text)}")
-    if len(parts) == len(parts[0]) == 1:
+    if "," not in text and ":" not in text:
         return parts[0][0]
     return itertools.chain(*(range(part[0], part[-1] + (len(part) == 1)) for part in parts))

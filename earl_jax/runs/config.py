@@ -120,7 +120,7 @@ class RunConfig:
         """
         known = {}
         for field in dataclasses.fields(cls):
-            is_required = field.default is field.default_factory  # both are MISSING
+            is_required = field.default is field.default_factory is dataclasses.MISSING
             if is_required or field.name in values:
                 known[field.name] = values[field.name]
         return cls(**known)

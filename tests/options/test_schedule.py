@@ -8,7 +8,7 @@ import pytest
 from earl_jax.cli.train import train as command
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO
-from earl_jax.options.schedule import FIELDS, Schedule
+from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import SEEDS
 from earl_jax.paper.reproduce import SCALES
 from earl_jax.protocol import Continuing, Deployment, Protocol
@@ -50,3 +50,17 @@ def test_changes_that_are_none_keep_a_value():
 def test_other_values_are_refused_by_name(name, value, message):
     with pytest.raises(InputError, match=f"^{name} {message}"):
         dataclasses.replace(Schedule(), **{name: value}).check()
+
+
+@pytest.mark.parametrize(
+    ("steps", "every", "fix"),
+    [
+        (100, 33, "eval_every 25 or 50, or steps 99 or 132"),
+        (100_003, 10_000, "eval_every 1 or 100003, or steps 100000 or 110000"),
+        (50, 200, "eval_every 50, or steps 200"),
+    ],
+)
+def test_training_ends_with_an_evaluation_or_the_nearest_numbers_are_named(steps, every, fix):
+    with pytest.raises(InputError, match=f"^steps {steps} is not a multiple of eval_every {every}; take {fix}$"):
+        require_whole_windows(steps, every)
+    require_whole_windows(400, 200)

@@ -13,7 +13,8 @@ from earl_jax.training import train
 @pytest.mark.parametrize(
     ("seeds", "expected"),
     [
-        ("5", range(5)), ("5:10", range(5, 10)), ("3,5,8", [3, 5, 8]), ("1:3,8", [1, 2, 8]), ("4:5", [4]), (3, range(3)),
+        ("5", range(5)), ("5:10", range(5, 10)), ("3,5,8", [3, 5, 8]), ("1:3,8", [1, 2, 8]), ("4:5", [4]), ("3,", [3]),
+        (3, range(3)),
         ([4, 2], [4, 2]), (np.array([5, 7]), [5, 7]), (range(2, 4), [2, 3]), (np.int64(2), [0, 1]),
         (MOST_SEEDS, range(MOST_SEEDS)), ([2**32 - 1], [2**32 - 1]),
     ],
