@@ -7,6 +7,7 @@ each task by themselves.
 
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, bootstrap, percentile_interval, resampled
 
 
@@ -14,8 +15,13 @@ def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estima
     """Return the probability that a seed of `scores [N, tasks]` is better than one of `others [M, tasks]`, over tasks.
 
     It is the mean over tasks of the share of pairs of seeds in which the first is better; a tie counts a half.
+
+    Raises:
+        ValueError: the two have different numbers of tasks.
     """
-    scores, others = np.asarray(scores, float), np.asarray(others, float)
+    scores, others = _by_task(scores), _by_task(others)
+    if scores.shape[1] != others.shape[1]:
+        raise InputError(f"both sides need scores of the same tasks, but have {scores.shape[1]} and {others.shape[1]}")
 
     def probability(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         pairs = first[:, :, None] - second[:, None, :]
@@ -28,7 +34,7 @@ def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estima
 
 def optimality_gap(scores: np.ndarray, best: float = 1.0) -> Estimate:
     """Return the mean amount by which `scores [N, tasks]` fall short of `best`; scores above it count as `best`."""
-    missing = best - np.minimum(np.asarray(scores, float), best)
+    missing = best - np.minimum(_by_task(scores), best)
     return Estimate(float(missing.mean()), *bootstrap(missing, np.mean))
 
 
@@ -37,6 +43,11 @@ def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarra
 
     `scores [N, tasks]`.
     """
-    above = np.asarray(scores, float)[:, :, None] > np.asarray(thresholds)
+    above = _by_task(scores)[:, :, None] > np.asarray(thresholds)
     shares = resampled(above, np.random.default_rng(0)).mean(axis=(1, 2))
     return np.stack([above.mean(axis=(0, 1)), *np.quantile(shares, [0.025, 0.975], axis=0)])
+
+
+def _by_task(scores: np.ndarray) -> np.ndarray:
+    """Return `scores` as [N, tasks]; those of a single task can be [N]."""
+    return np.reshape(np.asarray(scores, float), (len(scores), -1))

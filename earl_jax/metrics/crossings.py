@@ -9,6 +9,8 @@ from earl_jax.metrics.statistics import Estimate
 
 CROSSING_WINDOW = 100_000
 """Training steps over which evaluations are averaged before a crossing is read: ten evaluations of the paper's runs."""
+ROUNDING = 1e-9
+"""How far below a level a mean still reaches it: sums of equal scores round."""
 
 
 def trailing_mean(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -16,11 +18,11 @@ def trailing_mean(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
 
     It is nan where training has not lasted for so many steps yet.
     """
-    ends = np.arange(1, len(steps) + 1)
-    starts = np.searchsorted(steps, np.asarray(steps) - CROSSING_WINDOW, side="right")
-    sums = np.concatenate([np.zeros((*np.shape(scores)[:-1], 1)), np.cumsum(scores, axis=-1, dtype=float)], axis=-1)
-    means = (sums[..., ends] - sums[..., starts]) / (ends - starts)
-    return np.where(np.asarray(steps) >= CROSSING_WINDOW, means, np.nan)
+    means = np.full(np.shape(scores), np.nan)
+    for last in np.flatnonzero(np.asarray(steps) >= CROSSING_WINDOW):
+        first = np.searchsorted(steps, steps[last] - CROSSING_WINDOW, side="right")
+        means[..., last] = np.mean(scores[..., first : last + 1], axis=-1)
+    return means
 
 
 def crossing(steps: np.ndarray, scores: np.ndarray, level: float) -> Estimate:
@@ -34,5 +36,5 @@ def crossing(steps: np.ndarray, scores: np.ndarray, level: float) -> Estimate:
 
 
 def _first(steps: np.ndarray, curve: np.ndarray, level: float) -> float:
-    reached = np.flatnonzero(curve >= level)
+    reached = np.flatnonzero(curve >= level - ROUNDING)
     return float(steps[reached[0]]) if len(reached) else math.nan

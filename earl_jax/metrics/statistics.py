@@ -100,9 +100,14 @@ def relative_drop(before: Any, after: Any) -> Estimate:
 
     Seeds are resampled in pairs. Resamples whose mean of `before` is 0 are left out. The result is nan if `before` is 0.
     Source: Sharma et al. 2022, figure 4, the loss of success from starts that differ from those of training.
+
+    Raises:
+        ValueError: the two have different numbers of seeds.
     """
     xp = namespace_of(before, after)
     before, after = xp.asarray(before, float), xp.asarray(after, float)
+    if before.shape != after.shape:
+        raise InputError(f"a drop compares the same seeds, but there are {len(before)} before and {len(after)} after")
     value = _drop(xp, before, after)
     if len(before) < 2:
         value = as_float(value)

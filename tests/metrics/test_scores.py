@@ -84,6 +84,13 @@ def test_the_window_of_a_trailing_mean_is_measured_in_steps():
     np.testing.assert_allclose(trailing_mean(MILLION[1::2], ramp[1::2])[-1], ramp[-9::2].mean())
 
 
+def test_a_mean_without_a_score_or_that_rounds_changes_no_other_crossing():
+    level = np.where(MILLION > 100_000, 0.3, 0.0)
+    assert crossing(MILLION, np.tile(level, (5, 1)), 0.3).value == 200_000
+    level[2] = np.nan
+    assert np.isnan(trailing_mean(MILLION, level)[:13]).tolist() == [True] * 12 + [False]
+
+
 def test_a_crossing_is_that_of_the_mean_curve_and_nan_where_none_is():
     scores = np.stack([MILLION >= 300_000, MILLION >= 500_000]).astype(float)
     assert crossing(MILLION, scores, 0.5).value == 390_000

@@ -58,6 +58,8 @@ def test_drops_by_hand():
     assert relative_drop(np.array([1.0, 0.5]), np.array([0.5, 0.25])) == pytest.approx((0.5, 0.5, 0.5))
     assert relative_drop(np.array([1.0, 0.0]), np.array([0.4, 0.0])) == pytest.approx((0.6, 0.6, 0.6))
     assert math.isnan(relative_drop(np.zeros(2), np.array([0.4, 0.0])).value)
+    with pytest.raises(ValueError, match="3 before and 5 after"):
+        relative_drop(np.ones(3), np.ones(5))
 
 
 def test_the_probability_of_improvement_is_the_mann_whitney_statistic_of_each_task():
@@ -69,6 +71,9 @@ def test_the_probability_of_improvement_is_the_mann_whitney_statistic_of_each_ta
     assert result.low < result.value < result.high
     assert probability_of_improvement(scores, scores).value == pytest.approx(0.5)
     assert probability_of_improvement(scores + 9, others).low == 1.0
+    assert probability_of_improvement(scores[:, 0], others[:, 0]).value == pytest.approx(shares[0])
+    with pytest.raises(ValueError, match="scores of the same tasks, but have 3 and 1"):
+        probability_of_improvement(scores, others[:, :1])
 
 
 def test_the_optimality_gap_does_not_reward_scores_above_the_best():
