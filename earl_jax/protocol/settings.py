@@ -144,7 +144,14 @@ def with_explicit_horizon(setting: Setting, task: Env, options: Mapping[str, Any
 
 
 def split_setting(env: Env, setting: Setting) -> tuple[Env, Setting]:
-    """Return the plain task of `env`, and `setting` with the options of its `HelpBudget`, if it has one."""
+    """Return the plain task of `env`, and `setting` with the options of its `HelpBudget`, if it has one.
+
+    Raises:
+        ValueError: the setting has a budget with other options.
+    """
     if not isinstance(env, HelpBudget):
         return env, setting
-    return env.task, dataclasses.replace(setting, **{name: getattr(env, name) for name in HELP_FIELDS})
+    merged = dataclasses.replace(setting, **{name: getattr(env, name) for name in HELP_FIELDS})
+    if setting.budget is not None and setting != merged:
+        raise InputError("the task is a HelpBudget, and the setting has another budget: leave out one of the two")
+    return env.task, merged

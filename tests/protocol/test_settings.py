@@ -54,3 +54,6 @@ def test_a_budget_wraps_the_task_and_is_split_off_again(env):
     assert split_setting(wrapped, Continuing()) == (env, Continuing(budget=5.0, help_cost=2.0, help_above=0.5))
     assert Continuing().protocol(wrapped) == Protocol(50_000, 200, goal_change=400)
     assert Deployment().wrap(env) is env
+    assert split_setting(wrapped, Deployment(budget=5.0, help_cost=2.0, help_above=0.5))[0] is env
+    with pytest.raises(ValueError, match="the setting has another budget: leave out one of the two"):
+        split_setting(wrapped, Deployment(budget=3.0))
