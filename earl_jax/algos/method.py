@@ -76,7 +76,8 @@ class Method(OptionsNode):
     entropy_free_pairs: ClassVar[int] = 0
     """Pairs of critics without an entropy term, for methods that read `Learner.value`."""
     refresh_every: ClassVar[int] = 0
-    """Steps between calls of `refresh`; 0 for never."""
+    """Steps between calls of `refresh`; 0 for never. If they do not divide a chunk of training, it is their greatest common
+    divisor with its steps, and a warning says so."""
     refresh_batch_size: ClassVar[int] = 0
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
     later_steps: ClassVar[int] = 0

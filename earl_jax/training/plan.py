@@ -56,7 +56,7 @@ class Plan:
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
-    A `RunWarning` says so if the method learns in none of the `steps`.
+    A `RunWarning` says so if the method learns in none of the `steps`, or if the chunks make its refreshes more frequent.
 
     Raises:
         ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
@@ -65,20 +65,34 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     every = problem.protocol.eval_every
     require_whole_windows(steps, every)
     random = method.learner.random_steps
-    if random >= steps:
-        message = f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
-        warnings.warn(message, RunWarning, stacklevel=2)
+    chunk = _chunk_steps(math.gcd(random, every))
+    surprise = _surprise(method, steps, every, chunk)
+    if surprise:
+        warnings.warn(surprise, RunWarning, stacklevel=2)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(
         problem=problem,
         lanes=lanes,
         steps=steps,
-        chunk_steps=_chunk_steps(math.gcd(random, every)),
+        chunk_steps=chunk,
         random_steps=random,
         mesh=mesh,
         memory=need,
     )
+
+
+def _surprise(method: Method, steps: int, every: int, chunk: int) -> str | None:
+    """Return what a user may not expect of a run of `steps` steps, evaluated `every` so many, in chunks of `chunk` steps."""
+    random, refresh = method.learner.random_steps, method.refresh_every
+    if random >= steps:
+        return f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
+    if refresh and chunk % refresh:
+        return (
+            f"{method.name} refreshes every {math.gcd(chunk, refresh):,} steps, not every {refresh:,}: refresh_every does not "
+            f"divide the {chunk:,} steps of a chunk, which divide random_steps {random:,} and eval_every {every:,}"
+        )
+    return None
 
 
 def _chunk_steps(common: int) -> int:
@@ -90,17 +104,17 @@ def per_lane(options: Options, lanes: int) -> Options:
     """Return a method, or a learner, with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
 
     Raises:
-        ValueError: a leaf is neither a scalar nor of length `lanes`.
+        ValueError: a leaf is neither a scalar nor of length `lanes`; the message names its option.
     """
 
-    def broadcast(leaf):
+    def broadcast(path, leaf):
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
-            raise InputError(f"a hyper-parameter has shape {shape}; pass one value, or one for each of {lanes} lanes")
+            raise InputError(f"{path[-1].name} has shape {shape}; pass one value, or one for each of {lanes} lanes")
         dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 
-    return jax.tree.map(broadcast, options)
+    return jax.tree_util.tree_map_with_path(broadcast, options)
 
 
 def program_structure(method: Method) -> Hashable:

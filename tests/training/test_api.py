@@ -63,7 +63,7 @@ def test_options_of_task_and_setting_go_by_name_and_a_list_gives_each_lane_its_o
     assert (same.env.wide, same.config.setting) == (True, {"name": "deployment", "intervention_chance": 0.01})
     np.testing.assert_array_equal(mixed.metrics["entropy"][1], same.metrics["entropy"][1])
     assert (mixed.metrics["entropy"][0] != same.metrics["entropy"][0]).any()
-    with pytest.raises(ValueError, match="each of 2 lanes"):
+    with pytest.raises(ValueError, match=r"^reward_scale has shape \(3,\); .* each of 2 lanes"):
         tiny_train("naive", reward_scale=[1.0, 2.0, 3.0])
 
 

@@ -37,9 +37,11 @@ def test_a_run_that_ends_within_its_random_steps_is_warned_of(problem):
     prepare(problem, tiny_method("naive", random_steps=119), lanes=2, steps=120)
 
 
-def test_steps_must_be_a_multiple_of_eval_every(problem):
-    with pytest.raises(ValueError, match="steps 100 is not a multiple of eval_every 40"):
-        prepare(problem, tiny_method("naive"), lanes=2, steps=100)
+@pytest.mark.filterwarnings("error")
+def test_refreshes_that_a_chunk_makes_more_frequent_are_warned_of(problem):
+    with pytest.warns(RunWarning, match=r"vaprl refreshes every 5 steps, not every 25: .* the 20 steps of a chunk"):
+        prepare(problem, tiny_method("vaprl", refresh_every=25), lanes=2, steps=120)
+    prepare(problem, tiny_method("vaprl", refresh_every=10), lanes=2, steps=120)
 
 
 def test_integer_leaves_become_floats_and_flags_stay_flags():
