@@ -159,6 +159,8 @@ LOGS: dict[str, Callable[[RunFolder, int], Log]] = {TENSORBOARD: TensorBoardLog,
 
 def check_logs(logs: Sequence[Any]) -> None:
     """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`, or lacks its library."""
+    if isinstance(logs, str):
+        raise InputError(f"logs must be a list, such as [{logs!r}], not {logs!r}")
     for log in logs:
         if isinstance(log, str) and log not in LOGS:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")

@@ -14,6 +14,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from earl_jax.algos.learner.replay import Replay
 from earl_jax.errors import InputError
+from earl_jax.options.values import COUNT, require
 from earl_jax.training.state import TrainState
 
 LANES: Any = PartitionSpec("lanes")
@@ -48,7 +49,8 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     available = jax.devices()
     default = len(available) if jax.process_count() > 1 else 1
     count = default if devices is None else devices
-    if not 1 <= count <= len(available):
+    require("devices", count, COUNT)
+    if count > len(available):
         raise InputError(f"{count} devices requested, but {len(available)} available ({available[0].device_kind})")
     if lanes % count:
         lane_choices = sorted({max(count, lanes // count * count), (lanes // count + 1) * count})

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from earl_jax.algos import Method
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
+from earl_jax.options.values import COUNT, require
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, per_lane, prepare
@@ -32,9 +33,12 @@ def lifetime(
             it is a static argument.
 
     Raises:
-        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, or as `prepare`.
+        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, `keys` is a single
+            key, or as `prepare`.
     """
     steps = _static_steps(problem, steps)
+    if not keys.shape:
+        raise InputError("keys must have a lane axis, one key for each seed: jax.random.split(key, number)")
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)
@@ -53,6 +57,7 @@ def _static_steps(problem: Problem, steps: int | None) -> int:
             "the steps of a lifetime are a whole number, and static under jit: use Problem(env, protocol, steps=...), or "
             'jax.jit(lifetime, static_argnames="steps")'
         )
+    require("steps", steps, COUNT)
     return steps
 
 

@@ -15,6 +15,7 @@ from earl_jax.algos import Method
 from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
+from earl_jax.options.values import counted
 from earl_jax.training.init import empty_replay, init_train_state
 from earl_jax.training.state import Problem, TrainState
 
@@ -47,9 +48,10 @@ class MemoryEstimate:
         return self.lanes * self.lane
 
     def __str__(self) -> str:
+        each, verb = (" each", "take") if self.lanes > 1 else ("", "takes")
         return (
-            f"{self.lanes} lanes take {self.total / GIGABYTE:.3g} GB: {self.replay / 1e6:.0f} MB of replay, "
-            f"{self.agent / 1e6:.0f} MB of agent and {self.work / 1e6:.0f} MB of work each"
+            f"{counted(self.lanes, 'lane')} {verb} {self.total / GIGABYTE:.3g} GB: {self.replay / 1e6:.0f} MB of replay, "
+            f"{self.agent / 1e6:.0f} MB of agent and {self.work / 1e6:.0f} MB of work{each}"
         )
 
 
@@ -151,7 +153,8 @@ def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
         if count == 1
         else f"{count} devices have {free / GIGABYTE:.3g} GB each"
     )
-    raise InputError(f"{needed}, but {available} free: {free // needed.lane * count} lanes would fit. {_remedy()}")
+    fitting = counted(free // needed.lane * count, "lane")
+    raise InputError(f"{needed}, but {available} free: {fitting} would fit. {_remedy()}")
 
 
 def _remedy() -> str:

@@ -160,3 +160,8 @@ def test_a_missing_library_is_an_error_that_names_the_extra(monkeypatch, name, l
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ValueError, match=rf"(?i)the log {name} needs {library}: pip install '{library}>="):
         check_logs([name])
+
+
+def test_a_name_in_the_place_of_a_list_of_logs_is_refused():
+    with pytest.raises(ValueError, match=r"logs must be a list, such as \['tensorboard'\], not 'tensorboard'"):
+        check_logs("tensorboard")

@@ -65,9 +65,17 @@ def test_four_devices_train_as_one_does_without_a_collective_and_three_are_refus
     assert refusal == "8 lanes don't divide over 3 devices: take 6 or 9 lanes, or one of 1, 2 devices"
 
 
-def test_more_devices_than_there_are_is_an_error():
-    with pytest.raises(ValueError, match=r"2 devices requested, but 1 available \(cpu\)"):
-        lane_mesh(2, 8)
+@pytest.mark.parametrize(
+    ("devices", "message"),
+    [
+        (2, r"2 devices requested, but 1 available \(cpu\)"),
+        (0, r"devices must lie in \[1, "),
+        *[(devices, "devices must be a whole number") for devices in ("2", 1.0, True)],
+    ],
+)
+def test_other_numbers_of_devices_than_there_are_is_an_error(devices, message):
+    with pytest.raises(ValueError, match=message):
+        lane_mesh(devices, 8)
     assert lane_mesh(None, 8) is None
 
 

@@ -40,12 +40,16 @@ def test_a_lifetime_and_its_metrics_under_a_bare_jit_equal_training(problem):
     np.testing.assert_allclose(spread["entropy"], [measure(lane)["entropy"] for lane in visits], rtol=1e-5)
 
 
-def test_steps_that_are_missing_or_traced_are_refused(problem):
+def test_steps_that_are_missing_or_traced_and_a_single_key_are_refused(problem):
     method, keys = make_algo("naive"), seed_keys(range(2))
     with pytest.raises(ValueError, match="needs a number of steps"):
         lifetime(problem, method, keys)
     with pytest.raises(ValueError, match=r"static under jit: use Problem.*static_argnames"):
         jax.jit(lifetime)(problem, method, keys, 120)
+    with pytest.raises(ValueError, match=r"steps must lie in \[1, "):
+        lifetime(problem, method, keys, 2**31)
+    with pytest.raises(ValueError, match="keys must have a lane axis"):
+        lifetime(problem, method, keys[0], 120)
 
 
 @pytest.mark.parametrize("random_steps", [0, 20, RUN_STEPS])

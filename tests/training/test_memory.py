@@ -46,6 +46,8 @@ def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes
         earl_jax.train("sawyer_door", "naive", seeds=5, steps=80, eval_every=80, out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
     memory.require(dataclasses.replace(need, lanes=3))
+    assert str(need).startswith("1 lane takes ")
+    assert str(need).endswith(" of work")
 
 
 def test_a_program_among_neighbours_is_refused_by_its_share_with_fewer_neighbours_as_the_remedy(monkeypatch):

@@ -64,6 +64,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
     assert_equal_results(again, first)
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
+    with pytest.raises(ValueError, match=r"logs as objects, not \['tensorboard'\]: names belong to train"):
+        earl_jax.resume(tmp_path / "run", logs=["tensorboard"])
 
 
 def test_a_run_can_end_where_it_stopped(tmp_path):

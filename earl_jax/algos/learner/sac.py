@@ -169,7 +169,9 @@ class SAC(Learner):
         agent, log_prob = self.update_actor(actor_key, agent, batch)
         agent = self.update_temperature(agent, log_prob, batch.action.shape[-1])
         diagnostics = critic_loss, -log_prob, jnp.exp(agent.log_temperature)
-        agent = self._update_average(self._update_targets(agent))
+        agent = self._update_targets(agent)
+        if self.actor_average_rate is not None:
+            agent = agent.replace(averaged=follow(agent.averaged, agent.actor, self.actor_average_rate))
         return agent, dict(zip(self.diagnostics, diagnostics, strict=True))
 
     def _repeat_critic_updates(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, Batch]:
@@ -231,12 +233,6 @@ class SAC(Learner):
 
     def _update_targets(self, agent: Agent) -> Agent:
         return agent.replace(targets=follow(agent.targets, agent.critics, self.target_rate))
-
-    def _update_average(self, agent: Agent) -> Agent:
-        """Return the agent with its averaged actor a step nearer to the actor, if it has one (Nikishin et al. 2018)."""
-        if self.actor_average_rate is None:
-            return agent
-        return agent.replace(averaged=follow(agent.averaged, agent.actor, self.actor_average_rate))
 
 
 def _sample(parameters: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
