@@ -101,7 +101,6 @@ class Method(OptionsNode):
 
         If it has a dict `metrics` of scalars [], these are columns `METHOD/NAME` of metrics.csv.
         """
-        del key, env, goals
         return ()
 
     def pretrain(self, key: jax.Array, env: Env, agent: Any, demos: DemoSteps | None) -> Any:
@@ -122,7 +121,6 @@ class Method(OptionsNode):
 
     def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
         """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default the learner's."""
-        del env, moment, method_state
         return self.learner.act(key, actor, obs)
 
     def ends_phase(
@@ -132,7 +130,6 @@ class Method(OptionsNode):
 
         `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
         """
-        del key, agent, obs, method_state
         lengths = [env.eval_horizon if phase.length is None else phase.length for phase in self.phases]
         return moment.phase_step + 1 >= of_phase(lengths, moment.phase)
 
@@ -140,7 +137,6 @@ class Method(OptionsNode):
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
         """Return the goals of a new `phase`, by default a random task goal, which can equal the `current` one."""
-        del phase, current, method_state
         task = goals.draw_task(key)
         return GoalIndices(goal=task, task=task)
 
@@ -153,14 +149,12 @@ class Method(OptionsNode):
         reached, the lifetime ended, or, without `Learner.timeout_bootstrap`, the phase timed out. Rows that stay
         `demonstrated` are cloned with `Learner.cloning`.
         """
-        del key, env, goals, phase, method_state
         return batch
 
     def learn(
         self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
     ) -> tuple[Any, Any, dict[str, jax.Array]]:
         """Return the acting controller and `method_state` after learning from `batch`, and `Learner.diagnostics`."""
-        del env, phase
         agent, diagnostics = self.learner.update(key, agent, batch)
         return agent, method_state, diagnostics
 
@@ -172,7 +166,6 @@ class Method(OptionsNode):
         `batch [refresh_batch_size]` are transitions of the last controller's own, `demonstrated` where it has none yet;
         None if `refresh_batch_size` is 0.
         """
-        del key, env, goals, agent, batch
         return method_state
 
 

@@ -59,8 +59,7 @@ class R3L(Method):
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
         task = goals.draw_task(key)
-        keep = phase == RETURN
-        return GoalIndices(goal=jnp.where(keep, current.goal, task), task=jnp.where(keep, current.task, task))
+        return tree_where(phase == RETURN, current, GoalIndices(goal=task, task=task))
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> RND:
         example = jnp.zeros((env.state_size,))

@@ -1,5 +1,6 @@
 """The schedule of a run, with the defaults of all ways to start one."""
 
+import bisect
 import dataclasses
 import math
 
@@ -40,11 +41,9 @@ def require_whole_windows(steps: int, eval_every: int) -> None:
     problem = f"steps {steps} is not a multiple of eval_every {eval_every}"
     if steps < 1:
         raise InputError(problem)
-    divisors = [number for number in range(1, math.isqrt(steps) + 1) if steps % number == 0]
-    divisors += [steps // number for number in divisors]
-    below = max(number for number in divisors if number < eval_every)
-    above = min((number for number in divisors if number > eval_every), default=below)
-    shorter = steps - steps % eval_every
-    lengths = [str(length) for length in (shorter, shorter + eval_every) if length]
-    every = " or ".join(map(str, sorted({below, above})))
-    raise InputError(f"{problem}; take eval_every {every}, or steps {' or '.join(lengths)}")
+    small = [number for number in range(1, math.isqrt(steps) + 1) if steps % number == 0]
+    divisors = sorted({*small, *(steps // number for number in small)})
+    place, shorter = bisect.bisect(divisors, eval_every), steps // eval_every * eval_every
+    every = " or ".join(map(str, divisors[place - 1 : place + 1]))
+    lengths = " or ".join(str(length) for length in (shorter, shorter + eval_every) if length)
+    raise InputError(f"{problem}; take eval_every {every}, or steps {lengths}")

@@ -71,7 +71,6 @@ class StopRequest:
         self._restore()
 
     def _record(self, number: int, frame: object) -> None:
-        del frame
         self.number = number
         self._restore()
 

@@ -104,7 +104,6 @@ def _product_forward(dtype: Any, x: jax.Array, kernel: jax.Array) -> tuple[jax.A
 
 def _product_backward(dtype: Any, saved: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple:
     """Return the gradients of `x` and `kernel` from bfloat16 products; the default rule would multiply in float32."""
-    del dtype
     (x, low), gradient = saved, gradient.astype(jnp.bfloat16)
     return _dot(gradient, low, (1, 1)), _dot(x, gradient, (0, 0), jnp.float32)
 

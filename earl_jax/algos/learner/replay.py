@@ -18,7 +18,8 @@ import jax.numpy as jnp
 from flax import struct
 
 GOAL_BITS = 16
-REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED = (1 << (GOAL_BITS + bit) for bit in range(4))
+FLAG_BITS = [1 << (GOAL_BITS + bit) for bit in range(4)]
+"""The bits of `reached`, `timeout`, `no_successor` and `absorbed` in a packed word, above those of the goal."""
 
 
 class TransitionFlags(NamedTuple):
@@ -129,19 +130,13 @@ def create(
 
 def pack(flags: TransitionFlags) -> jax.Array:
     """Return `flags` packed into int32 words."""
-    bits = (
-        REACHED * flags.reached
-        + TIMEOUT * flags.timeout
-        + NO_SUCCESSOR * flags.no_successor
-        + ABSORBED * flags.absorbed
-    )
+    bits = sum(bit * flag for bit, flag in zip(FLAG_BITS, flags[1:], strict=True))
     return flags.goal.astype(jnp.int32) | bits.astype(jnp.int32)
 
 
 def unpack(words: jax.Array) -> TransitionFlags:
     """Return the flags that are packed in int32 `words`."""
-    bits = [(words & bit) != 0 for bit in (REACHED, TIMEOUT, NO_SUCCESSOR, ABSORBED)]
-    return TransitionFlags(words & (REACHED - 1), *bits)
+    return TransitionFlags(words & (FLAG_BITS[0] - 1), *[(words & bit) != 0 for bit in FLAG_BITS])
 
 
 @jax.named_scope("store")

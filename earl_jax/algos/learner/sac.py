@@ -91,11 +91,7 @@ class SAC(Learner):
         count = self.ensemble + 2 * entropy_free_pairs
         critics = jax.vmap(network.init, (0, None))(jax.random.split(critic_key, count), example)
         log_temperature = jnp.log(jnp.asarray(self.initial_temperature, jnp.float32))
-        moments = {
-            "actor": ADAM.init(actor),
-            "critics": ADAM.init(critics),
-            "temperature": ADAM.init(log_temperature),
-        }
+        moments = {"actor": ADAM.init(actor), "critics": ADAM.init(critics), "temperature": ADAM.init(log_temperature)}
         averaged = None if self.actor_average_rate is None else jax.tree.map(jnp.copy, actor)
         return Agent(actor, critics, jax.tree.map(jnp.copy, critics), log_temperature, moments, averaged)
 
