@@ -81,15 +81,13 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     from earl_jax.algos.learner import learner_class
     from earl_jax.algos.learner.base import Learner
     from earl_jax.options.schedule import FIELDS
-    from earl_jax.options.values import check, unknown_option
+    from earl_jax.options.values import check, require_object, unknown_option
 
     method = _ALGOS.get(name)
     base = method.learner if learner is None else learner
+    require_object("learner", base, Learner)
     if isinstance(base, str):
         base = preset_learner(method, learner_class(base))
-    if not isinstance(base, Learner):
-        call = f"; did you mean {base.__name__}()?" if isinstance(base, type) else ""
-        raise InputError(f"the learner must be a name or an object, not {brief(base)}{call}")
     shared = {field.name: field for field in dataclasses.fields(base)}
     own = {field.name: field for field in dataclasses.fields(method) if field.name != "learner"}
     known = own | shared
@@ -147,7 +145,7 @@ def _leaf(field: dataclasses.Field, value: Any) -> Any:
     try:
         with np.errstate(over="ignore"):  # too large values become infinite, and the check of intervals refuses them
             return np.asarray(value, np.float32)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{field.name} must be a number for each lane, not {brief(value)}") from error
 
 

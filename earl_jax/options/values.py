@@ -69,6 +69,13 @@ def require(name: str, value: Any, interval: Interval) -> None:
         raise InputError(f"{name} must lie in {interval.text}, not {brief(value)}")
 
 
+def require_object(noun: str, given: Any, kind: type) -> None:
+    """Raise an InputError unless `given` is a name or an object of `kind`, as a class is not."""
+    if not isinstance(given, str | kind):
+        call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
+        raise InputError(f"the {noun} must be a name or an object, not {brief(given)}{call}")
+
+
 def check_intervals(owner: str, options: Any) -> None:
     """Check the fields of the dataclass `options` that declare an interval; None is always valid. Errors as `check`."""
     for field in dataclasses.fields(options):
@@ -129,7 +136,8 @@ def _expected(field: dataclasses.Field, value: Any) -> str | None:
         return None if _is_sizes(value) else "whole numbers of at least 1"
     kind = type(default) if default is not None else _type_beside_none(field.type)
     may_be_none = default is None or type(None) in typing.get_args(field.type)
-    fits = kind not in KINDS or _fits(kind, value) or (value is None and may_be_none)
+    has_lanes = field.metadata.get("pytree_node", True)
+    fits = kind not in KINDS or _fits(kind, value, has_lanes) or (value is None and may_be_none)
     return None if fits else KINDS[kind]
 
 
@@ -142,18 +150,19 @@ def _is_sizes(value: Any) -> bool:
     return isinstance(value, tuple) and bool(value) and all(_fits(int, size) and size for size in value)
 
 
-def _fits(kind: Any, value: Any) -> bool:
-    """Return whether `value` has the type `kind`; for numbers and flags, an array with a value for each lane does too."""
+def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
+    """Return whether `value` has the type `kind`; of a number or flag that `has_lanes`, an array with a value for each does."""
     import numpy as np
 
     if kind is str or (kind is bool and isinstance(value, bool)):
         return isinstance(value, kind)
     if kind is int:
         return _is_whole(value) and int(value) >= 0
-    if isinstance(value, np.ndarray):
-        valid = np.isin(value, (0, 1)) if kind is bool else np.isfinite(value)
-        return value.dtype.kind in "fiub" and bool(valid.all())
-    if _is_of_jax(value):
+    if has_lanes and isinstance(value, np.ndarray):
+        if kind is bool:
+            return bool(np.isin(value, (0, 1)).all())
+        return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
+    if has_lanes and _is_of_jax(value):
         return True
     return kind is float and _is_number(value)
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS, seed_list
-from earl_jax.options.values import TimeLimit
+from earl_jax.options.values import TimeLimit, require_object
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
@@ -83,7 +83,8 @@ def train(
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
     """
     require_jax()
-    _require_kinds(env, algo)
+    require_object("task", env, Env)
+    require_object("method", algo, Method)
     limit = TimeLimit.of(minutes)
     task, rules, options = split_options(env, {**options, "setting": setting})
     task = with_engine(task, engine)
@@ -94,14 +95,6 @@ def train(
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
-
-
-def _require_kinds(env: Any, algo: Any) -> None:
-    """Raise an InputError if the task or the method is neither a name nor an object, such as a class."""
-    for noun, given, kind in (("task", env, Env), ("method", algo, Method)):
-        if not isinstance(given, str | kind):
-            call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
-            raise InputError(f"the {noun} must be a name or an object, not {brief(given)}{call}")
 
 
 def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:

@@ -69,6 +69,9 @@ def test_an_interval_contains_its_numbers_only(interval, inside, outside):
     [
         (lambda: make_algo("fbrl", learning_rate=1e308), "method 'fbrl': learning_rate must lie in (0, 1], not 1e+308"),
         (lambda: make_algo("fbrl", learning_rate=[3e-4, 0.0]), "learning_rate must lie in (0, 1]"),
+        (lambda: make_algo("fbrl", learning_rate=[3e-4, 10**400]), "learning_rate must be a number for each lane"),
+        (lambda: make_algo("fbrl", learning_rate=np.array(["3e-4"])), "learning_rate must be a finite number"),
+        (lambda: make_algo("fbrl", layer_norm=np.array([True, False])), "layer_norm must be true or false"),
         (lambda: make_algo("fbrl", initial_temperature=-1.0), "initial_temperature must lie in (0, 1000000]"),
         (lambda: make_algo("naive", discount=1.0), "discount must lie in [0, 1), not 1.0"),
         (lambda: make_algo("naive", demo_share=1.5), "demo_share must lie in [0, 1], not 1.5"),

@@ -74,9 +74,10 @@ def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, n
     assert_same_files(folder, whole)
 
 
-def test_a_signal_after_the_last_chunk_changes_nothing(whole, tmp_path, monkeypatch):
-    call_after(monkeypatch, 6, lambda: os.kill(os.getpid(), signal.SIGTERM))
-    tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40)
+@pytest.mark.parametrize("end", [lambda _: os.kill(os.getpid(), signal.SIGTERM), put_clock_forward])
+def test_a_signal_or_the_end_of_the_minutes_after_the_last_chunk_changes_nothing(whole, tmp_path, monkeypatch, end):
+    call_after(monkeypatch, 6, lambda: end(monkeypatch))
+    assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).finished
     assert_same_files(tmp_path / "run", whole)
 
 
@@ -128,12 +129,6 @@ def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monk
 
     monkeypatch.setattr(runner, "_evaluate", evaluate_for_an_hour)
     assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).step == 40
-
-
-def test_a_run_whose_minutes_run_out_in_its_last_chunk_is_as_without_a_limit(whole, tmp_path, monkeypatch):
-    call_after(monkeypatch, 6, lambda: put_clock_forward(monkeypatch))
-    assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).finished
-    assert_same_files(tmp_path / "run", whole)
 
 
 def test_a_run_without_a_folder_returns_what_it_has(monkeypatch):
