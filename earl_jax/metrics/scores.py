@@ -14,7 +14,7 @@ from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.metrics.statistics import namespace_of
-from earl_jax.options.values import counted
+from earl_jax.options.values import COUNT, counted, require
 
 SHARE, FEWEST = 0.1, 5
 """The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
@@ -50,8 +50,8 @@ class Window(NamedTuple):
         if last is not None and window is not None:
             raise InputError("last counts evaluations and window counts steps: give one of them")
         for name, value in (("last", last), ("window", window)):
-            if value is not None and value < 1:
-                raise InputError(f"{name} must be at least 1, not {value}")
+            if value is not None:
+                require(name, value, COUNT)
         return cls(last, window)
 
     def count(self, steps: np.ndarray) -> int:

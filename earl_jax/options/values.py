@@ -69,11 +69,11 @@ def require(name: str, value: Any, interval: Interval) -> None:
         raise InputError(f"{name} must lie in {interval.text}, not {brief(value)}")
 
 
-def require_object(noun: str, given: Any, kind: type) -> None:
-    """Raise an InputError unless `given` is a name or an object of `kind`, as a class is not."""
-    if not isinstance(given, str | kind):
+def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> None:
+    """Raise an InputError unless `given` is an object of `kind`, as a class is not, or a name if `or_name`."""
+    if not isinstance(given, kind) and not (or_name and isinstance(given, str)):
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
-        raise InputError(f"the {noun} must be a name or an object, not {brief(given)}{call}")
+        raise InputError(f"the {noun} must be {'a name or ' * or_name}an object, not {brief(given)}{call}")
 
 
 def check_intervals(owner: str, options: Any) -> None:

@@ -17,7 +17,7 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS, seed_list
-from earl_jax.options.values import TimeLimit, require_object
+from earl_jax.options.values import COUNT, TimeLimit, require, require_object
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
@@ -141,6 +141,9 @@ def resume(
             objects must be registered or passed, or have other options, or its checkpoints were removed.
     """
     require_jax()
+    for noun, given, kind in (("task", env, Env), ("method", algo, Method)):
+        if given is not None:
+            require_object(noun, given, kind, or_name=False)
     limit = TimeLimit.of(minutes)
     opened = RunFolder.open(Path(folder))
     step = opened.require_resumable().step  # rather than after the training
@@ -158,6 +161,7 @@ def resume(
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
     """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if it has more."""
+    require("steps", steps, COUNT)
     reached = max(step, newest(folder.checkpoints))
     if steps < reached:
         raise InputError(f"{folder.path} has {reached} steps already, more than {steps}")

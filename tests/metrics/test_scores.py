@@ -66,8 +66,10 @@ def test_a_window_counts_evaluations_or_steps():
     assert Window.of(None, 5_000) == Window(steps=5_000)
     with pytest.raises(ValueError, match="give one of them"):
         Window.of(1, 1)
-    with pytest.raises(ValueError, match="last must be at least 1, not 0"):
+    with pytest.raises(ValueError, match=r"last must lie in \[1, "):
         Window.of(0)
+    with pytest.raises(ValueError, match="window must be a whole number"):
+        Window.of(None, 1.5)
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():

@@ -64,8 +64,20 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
     assert_equal_results(again, first)
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
-    with pytest.raises(ValueError, match=r"logs as objects, not \['tensorboard'\]: names belong to train"):
-        earl_jax.resume(tmp_path / "run", logs=["tensorboard"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"logs": ["tensorboard"]}, r"logs as objects, not \['tensorboard'\]: names belong to train"),
+        ({"env": "meadow"}, "the task must be an object, not 'meadow'"),
+        ({"algo": Patient}, r"the method must be an object, not .*; did you mean Patient\(\)\?"),
+        ({"steps": "160"}, "steps must be a whole number, not '160'"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(folder, options, message):
+    with pytest.raises(InputError, match=message):
+        earl_jax.resume(folder, **options)
 
 
 def test_a_run_can_end_where_it_stopped(tmp_path):
