@@ -131,7 +131,7 @@ def create(
 def pack(flags: TransitionFlags) -> jax.Array:
     """Return `flags` packed into int32 words."""
     bits = sum(bit * flag for bit, flag in zip(FLAG_BITS, flags[1:], strict=True))
-    return flags.goal.astype(jnp.int32) | bits.astype(jnp.int32)
+    return flags.goal.astype(jnp.int32) | jnp.asarray(bits, jnp.int32)
 
 
 def unpack(words: jax.Array) -> TransitionFlags:
