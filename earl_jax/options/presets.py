@@ -31,7 +31,7 @@ class Preset:
 
 PRESETS = {
     "paper": Preset(
-        "The paper's run: published number of steps, five seeds, and the learner's defaults, which are the paper's.",
+        "The paper's run: published number of steps, five seeds, and the learner's defaults.",
         published_steps=True,
     ),
     "quick": Preset(
