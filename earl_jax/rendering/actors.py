@@ -1,6 +1,6 @@
 """Actors and their episodes: a policy, a scripted expert, replayed demonstrations or random actions in a task."""
 
-import contextlib
+import functools
 import operator
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.envs import Env, State, chosen_engine, list_envs, make, with_engine
+from earl_jax.envs import Env, State, TaskDemos, chosen_engine, list_envs, make, with_engine
 from earl_jax.errors import InputError
 from earl_jax.options.values import SEED, require
 from earl_jax.rendering.scenes import view_of
@@ -110,32 +110,20 @@ def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
     actors = {} if policy is None else {"policy": Actor(env, "policy", start, policy)}
     if env.demonstrations.expert is not None:
         actors["expert"] = Actor(env, "expert", start, env.demonstrations.expert)
-    with contextlib.suppress(ValueError):  # no demonstrations
-        actors["demos"] = Actor(env, "demos", _demo_starts(env, seed))
+    if env.demonstrations.recorded and env.demonstrations.state_at is not None:
+        actors["demos"] = Actor(env, "demos", functools.partial(_demo_start, env.demonstrations, seed))
     actors["random"] = Actor(env, "random", random_start)
     return actors
 
 
-def _demo_starts(env: Env, seed: int) -> Callable[[int], EpisodeStart]:
-    """Return the function that starts replays of the forward demonstrations.
-
-    Raises:
-        ValueError: the task has no demonstrations, or cannot start from them.
-    """
-    state_at = env.demonstrations.state_at
-    if state_at is None:
-        raise InputError(f"{env.name} cannot replay demonstrations: it can only start from reset")
-    demos = env.demonstrations.load("forward")
+def _demo_start(recorded: TaskDemos, seed: int, number: int) -> EpisodeStart:
+    """Return the start of a forward demonstration, with its actions and zeros up to the length of the longest one."""
+    demos = recorded.load("forward")
     spans = assets.spans(demos.ends)
-    longest = max(span.stop - span.start for span in spans)
-
-    def start(number: int) -> EpisodeStart:
-        span = spans[(seed + number) % len(spans)]
-        planned = np.zeros((longest, env.action_size), np.float32)
-        planned[: span.stop - span.start] = demos.actions[span]
-        return state_at(jnp.asarray(demos.states[span.start]), jnp.asarray(demos.goals[span.start])), planned
-
-    return start
+    span, longest = spans[(seed + number) % len(spans)], max(span.stop - span.start for span in spans)
+    actions = demos.actions[span]
+    planned = np.pad(actions, ((0, longest - len(actions)), (0, 0)))
+    return recorded.state_at(jnp.asarray(demos.states[span.start]), jnp.asarray(demos.goals[span.start])), planned
 
 
 def episodes(actor: Actor, life: bool = False) -> Iterator[Episode]:

@@ -8,7 +8,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.rendering import render
-from earl_jax.rendering.actors import actor_of, episodes
+from earl_jax.rendering.actors import _actors, actor_of, episodes
 from earl_jax.rendering.output import GAP
 from earl_jax.rendering.scenes import Scene
 from tests.conftest import tiny_train
@@ -49,6 +49,13 @@ def test_an_animation_has_one_frame_for_each_step(graphics, tmp_path, suffix, ac
         first = np.asarray(film.convert("RGB"))
         film.seek(5)
         assert (first != np.asarray(film.convert("RGB"))).any()
+
+
+def test_demonstrations_that_cannot_be_read_are_named(tmp_path):
+    """They used to be no choice at all."""
+    env = make(TASK, demo_file=str(tmp_path / "gone.npz"))
+    with pytest.raises(ValueError, match="no demos for '.*gone.npz'"):
+        next(episodes(_actors(env, None, 0)["demos"]))
 
 
 def test_fps_makes_a_video_skip_steps(graphics, tmp_path):
