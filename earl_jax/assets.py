@@ -66,11 +66,9 @@ def root() -> Path:
 
 def _file(kind: str, name: str, suffix: str) -> Path:
     """Return the file of `name` in the assets of `kind`, or the file at the path `name`."""
-    path = root() / kind / f"{name}{suffix}"
-    if name.endswith(suffix) and Path(name).is_file():
-        return Path(name)
+    known = {entry.stem: entry for entry in sorted((root() / kind).glob(f"*{suffix}"))}
+    path = known.get(name, Path(name))
     if not path.is_file():
-        known = sorted(entry.stem for entry in (root() / kind).glob(f"*{suffix}"))
         raise InputError(f"no {kind} for {name!r}; {choices(name, known)}")
     return path
 
@@ -90,18 +88,49 @@ def demos(name: str, direction: str) -> Demos:
 
     Raises:
         ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
+            Or they are not as `checked_demos` requires.
     """
     if direction not in DIRECTIONS:
         raise InputError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
     path = _file("demos", name, ".npz")
-    stored = _arrays(path, [f"{direction}_{field}" for field in Demos._fields])
-    if f"{direction}_states" not in stored:
+    if direction not in demo_directions(name):
         raise InputError(f"{path.name} has no {direction} demonstrations")
+    stored = _arrays(path, [f"{direction}_{field}" for field in Demos._fields])
     if len(stored) < len(Demos._fields):
         raise InputError(f"{path} is damaged: it lacks arrays of the {direction} demonstrations")
-    for array in stored.values():
+    try:
+        demos = checked_demos(Demos._make(stored.values()))
+    except InputError as error:
+        raise InputError(f"{path}: {direction} demonstrations: {error}") from error
+    for array in demos:
         array.setflags(write=False)
-    return Demos(**{field: stored[f"{direction}_{field}"] for field in Demos._fields})
+    return demos
+
+
+def checked_demos(demos: Demos) -> Demos:
+    """Return `demos` with the types of `Demos`.
+
+    Raises:
+        ValueError: there are none, their arrays do not fit together, a number is not finite, an action is outside [-1, 1],
+            or the last demonstration has no end.
+    """
+    import numpy as np
+
+    with np.errstate(over="ignore"):  # too large values become infinite, which the check below finds
+        numbers = [array.astype(np.float32, copy=False) for array in demos[:-1]]
+    demos = Demos(*numbers, demos.ends.astype(bool, copy=False))
+    shapes = {name: array.shape for name, array in demos._asdict().items()}
+    fit = [array.ndim for array in demos] == [2, 2, 2, 2, 1, 1] and demos.states.shape == demos.next_states.shape
+    if not fit or {len(array) for array in demos} != {demos.ends.size or None}:
+        raise InputError(f"the arrays don't fit together: {shapes}")
+    for name, array in demos._asdict().items():
+        if not np.isfinite(array).all():
+            raise InputError(f"the {name} have values that are not finite")
+    if (np.abs(demos.actions) > 1).any():
+        raise InputError("the actions have values outside [-1, 1]")
+    if not demos.ends[-1]:
+        raise InputError("the last one stops in the middle of an episode")
+    return demos
 
 
 def demo_directions(name: str) -> tuple[str, ...]:
@@ -110,7 +139,13 @@ def demo_directions(name: str) -> tuple[str, ...]:
     Raises:
         ValueError: there are no such demonstrations; the message lists the choices.
     """
-    stored = _arrays(_file("demos", name, ".npz"), [f"{direction}_states" for direction in DIRECTIONS])
+    path = _file("demos", name, ".npz")
+    stored = _arrays(path, [f"{direction}_states" for direction in DIRECTIONS])
+    if not stored:
+        raise InputError(
+            f"{path} has no demonstrations: it lacks forward_states and backward_states; "
+            "`earl-jax import-demos` converts recordings of the original"
+        )
     return tuple(direction for direction in DIRECTIONS if f"{direction}_states" in stored)
 
 

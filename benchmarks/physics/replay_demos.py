@@ -21,8 +21,9 @@ import tyro
 from tyro.conf import Positional
 
 from earl_jax import physics
+from earl_jax.assets import Demos, spans
 from earl_jax.envs import State, make, resolved_engine
-from earl_jax.envs.demos.importer import Recording, read
+from earl_jax.envs.demos import read
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
 from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
 from earl_jax.envs.sawyer.peg import HEAD
@@ -80,13 +81,18 @@ def moved_hand(env: Sawyer, state: State, first: np.ndarray) -> jax.Array:
     return jnp.asarray(data.qpos, jnp.float32)
 
 
-def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
+def first_observation(episode: Demos) -> np.ndarray:
+    """Return state and goal [14] at the start of `episode`."""
+    return np.append(episode.states[0], episode.goals[0])
+
+
+def play(env: Sawyer, episodes: list[Demos]) -> list[np.ndarray]:
     """Return the observations [T + 10, 14] of each episode, all of them simulated in one program."""
     longest = max(len(episode.actions) for episode in episodes) + HOLD
     actions = np.stack(
         [episode.actions[np.minimum(np.arange(longest), len(episode.actions) - 1)] for episode in episodes]
     )
-    starts = [start_state(env, episode.observations[0]) for episode in episodes]
+    starts = [start_state(env, first_observation(episode)) for episode in episodes]
     state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
 
     def play_episode(state: State, actions: jax.Array) -> jax.Array:
@@ -100,7 +106,7 @@ def play(env: Sawyer, episodes: list[Recording]) -> list[np.ndarray]:
     return [part[: len(episode.actions) + HOLD] for part, episode in zip(obs, episodes, strict=True)]
 
 
-def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
+def compare(env: Sawyer, episode: Demos, obs: np.ndarray) -> dict[str, Any]:
     """Return errors [T] of the object in metres, agreement [T] of rewards and the offset of the first success."""
     length = len(episode.actions)
     success = np.asarray(jax.jit(env.success)(obs))
@@ -108,7 +114,7 @@ def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
     recorded = episode.rewards > 0
     ended = int(np.argmax(recorded)) if recorded.any() else length - 1
     return {
-        "errors": np.linalg.norm(obs[:length, 4:7] - episode.next_observations[:, 4:7], axis=1),
+        "errors": np.linalg.norm(obs[:length, 4:7] - episode.next_states[:, 4:7], axis=1),
         "agreement": success[:length] == recorded,
         "offset": None if first is None else first - ended,
         "by_end": first is not None and first < length,
@@ -117,14 +123,15 @@ def compare(env: Sawyer, episode: Recording, obs: np.ndarray) -> dict[str, Any]:
 
 def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, Any]:
     """Return the report on one file of recordings."""
-    episodes = read(file).episodes()
+    demos = read(file)
+    episodes = [Demos(*(field[span] for field in demos)) for span in spans(demos.ends)]
     env = make(name, engine=engine, substeps=substeps)
     if not isinstance(env, Sawyer):
         raise ValueError(f"{name} is not a Sawyer task; the tests in tests/envs replay its recordings")
-    forward = bool(np.abs(episodes[0].observations[0, 7:] - env.goal_states[0]).max() < 1e-4)
+    forward = bool(np.abs(demos.goals[0] - env.goal_states[0]).max() < 1e-4)
     results = [compare(env, episode, obs) for episode, obs in zip(episodes, play(env, episodes), strict=True)]
     errors = np.concatenate([result["errors"] for result in results])
-    reset_error = max(_reset_error(env, episode.observations[0]) for episode in episodes)
+    reset_error = max(_reset_error(env, first_observation(episode)) for episode in episodes)
     return {
         "env": name, "file": file.name, "engine": resolved_engine(env), "substeps": substeps,
         "direction": "forward" if forward else "backward", "episodes": len(results),

@@ -84,16 +84,14 @@ def demonstrated(env: Env, direction: str) -> assets.Demos:
         ValueError: there are none, or their arrays have other sizes than the transitions of `env`.
     """
     recorded = env.demonstrations
-    problem = f"{recorded.file or recorded.task} has no demonstrations of {env.name}"
-    try:
-        demos = recorded.load(direction)
-    except IndexError as error:  # of the task's layout
-        raise InputError(f"{problem}: {error}") from error
-    count, state = demos.ends.size, env.state_size
-    shapes = ((count, state), (count, env.goal_size), (count, env.action_size), (count, state), (count,), (count,))
-    for name, array, shape in zip(demos._fields, demos, shapes, strict=True):
-        if not count or array.shape != shape:
-            raise InputError(f"{problem}: {direction}_{name} has the shape {array.shape}, not {shape}")
+    demos = recorded.load(direction)
+    for name, size in (("states", env.state_size), ("goals", env.goal_size), ("actions", env.action_size)):
+        own = getattr(demos, name).shape[1]
+        if own != size:
+            source = recorded.file or recorded.task
+            raise InputError(
+                f"{source} has no demonstrations of {env.name}: its {direction} {name} have {own} numbers, not {size}"
+            )
     return demos
 
 

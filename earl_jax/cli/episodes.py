@@ -74,7 +74,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
     if target.exists():
         raise InputError(f"{target} exists; choose another file with --out")
     files = {"forward": file} if backward is None else {"forward": file, "backward": backward}
-    imported = {direction: importer.read(path).demos() for direction, path in files.items()}
+    imported = {direction: importer.read(path) for direction, path in files.items()}
     scripted.save(imported, target)
     print(f"{target}: " + ", ".join(f"{int(demos.ends.sum())} {direction}" for direction, demos in imported.items()))
 

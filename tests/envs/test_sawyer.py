@@ -12,6 +12,7 @@ import pytest
 from benchmarks.physics import replay_demos
 from earl_jax import assets, physics
 from earl_jax.envs import make
+from earl_jax.envs.demos import save
 from earl_jax.envs.mujoco_env import leashed_target
 from earl_jax.envs.sawyer.door import handle_at
 from earl_jax.envs.sawyer.peg import HEADS
@@ -67,13 +68,17 @@ def test_backward_demonstrations_start_inserted_whatever_the_tasks_starts(option
 
 
 @pytest.mark.parametrize(("released", "radii"), [(DOOR, (0.02, 0.08)), (PEG, (0.05, 0.05))])
-def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(released, radii):
+def test_the_papers_variant_has_twelve_numbers_and_its_own_radius(released, radii, tmp_path):
     env = dataclasses.replace(released, variant="paper")
     assert (released.radius["released"], env.radius["paper"]) == radii
     assert (released.observation_size, env.observation_size) == (14, 12)
     state, full = first_state(env), first_state(released)
     np.testing.assert_array_equal(state.obs, np.delete(full.obs, [3, 10]))
-    assert env.demonstrations.load("forward").states.shape[1] == 6
+    demos = env.demonstrations.load("forward")
+    assert demos.states.shape[1] == 6
+    save({"forward": demos}, tmp_path / "own.npz")
+    own = dataclasses.replace(env, demo_file=str(tmp_path / "own.npz")).demonstrations.load("forward")
+    np.testing.assert_array_equal(own.states, demos.states, err_msg="those that the variant recorded are its own")
     near = np.concatenate([env.goal_states[0] + np.float32([0, 0, 0, 0.045, 0, 0]), env.goal_states[0]])
     assert env.success(near)
     if env.name == "sawyer_door":

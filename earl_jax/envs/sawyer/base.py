@@ -26,8 +26,8 @@ HAND_HIGH = np.array([0.5, 1.0, 0.5], np.float32)
 POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0], np.float32) / np.float32(np.sqrt(2.0))
 OPENING = 0.1
 """Metres between the finger tips at which the gripper reads 1."""
-GRIPPER = 3
-"""Index of the gripper's opening in a state; `variant="paper"` omits it."""
+RELEASED_SIZE, GRIPPER = 7, 3
+"""Length of a released state, and the index of the gripper's opening in it; `variant="paper"` omits it."""
 VARIANTS = ("released", "paper")
 ARM = 9
 """Number of joints of arm and fingers; the object's joints follow."""
@@ -90,7 +90,8 @@ class Sawyer(MujocoEnv):
     @property
     def observed_indices(self) -> np.ndarray:
         """Indices of the released state [7] that this variant observes."""
-        return np.arange(7) if self.variant == "released" else np.delete(np.arange(7), GRIPPER)
+        every = np.arange(RELEASED_SIZE)
+        return every if self.variant == "released" else np.delete(every, GRIPPER)
 
     @property
     def state_size(self) -> int:
@@ -162,9 +163,10 @@ class Sawyer(MujocoEnv):
         return data, vector, {}
 
     def _observed_demos(self, demos: Demos) -> Demos:
-        """Return `demos` with the numbers that this variant observes."""
-        parts = {name: getattr(demos, name)[:, self.observed_indices] for name in ("states", "goals", "next_states")}
-        return demos._replace(**parts)
+        """Return `demos` with the numbers that this variant observes; those that it recorded have no others."""
+        parts = {name: getattr(demos, name) for name in ("states", "goals", "next_states")}
+        released = {name: part for name, part in parts.items() if part.shape[1] == RELEASED_SIZE}
+        return demos._replace(**{name: part[:, self.observed_indices] for name, part in released.items()})
 
     def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         """Yield `demo_count` starts; backward demonstrations cycle through the initial states as goals."""

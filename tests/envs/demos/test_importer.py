@@ -137,10 +137,13 @@ def test_pickles_of_python_2_are_read():
 
 def test_a_recording_is_read_in_a_process_of_its_own(tmp_path):
     content = arrays()
-    recording = importer.read(pickled(tmp_path / "demo.pkl", {**content, "comment": "text"}))
-    for name, value in recording._asdict().items():
-        np.testing.assert_allclose(value, content[name].reshape(value.shape), rtol=1e-6)
-    assert [len(episode.actions) for episode in recording.episodes()] == [5, 5]
+    demos = importer.read(pickled(tmp_path / "demo.pkl", {**content, "comment": "text"}))
+    observations, next_states = np.hstack([demos.states, demos.goals]), demos.next_states
+    np.testing.assert_array_equal(observations, np.float32(content["observations"]))
+    np.testing.assert_array_equal(next_states, np.float32(content["next_observations"][:, :7]))
+    np.testing.assert_array_equal(demos.actions, np.float32(content["actions"]))
+    np.testing.assert_array_equal(demos.rewards, demos.ends)
+    assert np.flatnonzero(demos.ends).tolist() == [4, 9]
 
 
 def test_a_system_without_limits_reads_recordings(monkeypatch):
@@ -203,6 +206,8 @@ def test_nothing_else_in_the_package_unpickles():
         (lambda a: a.update(rewards=np.zeros((2, 3, 4))), "don't fit together"),
         (lambda a: a["observations"].__setitem__(0, np.nan), "not finite"),
         (lambda a: a["terminals"].__setitem__(-1, False), "middle of an episode"),
+        (lambda a: a["actions"].__setitem__(0, 1.5), "outside"),
+        (lambda a: a.update(observations=a["observations"][:, 1:]), r"\(10, 13\), not rows of a state and a goal"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_with_the_cause(tmp_path, change, cause):
@@ -220,7 +225,7 @@ def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path):
         observations = np.hstack([part.states, part.goals])
         next_observations = np.hstack([part.next_states, part.goals])
         fields = [observations, part.actions, part.rewards, next_observations, part.ends]
-        content = dict(zip(importer.Recording._fields, fields, strict=True))
+        content = dict(zip(importer.FIELDS, fields, strict=True))
         files[name] = pickled(tmp_path / f"{name}.pkl", content)
     out = tmp_path / "mine.npz"
     told = succeed("import-demos", files["forward"], "--backward", files["backward"], "--out", out)
@@ -232,7 +237,8 @@ def test_imported_demonstrations_can_be_used_as_a_demo_file(tmp_path):
     with unchanged(out.parent, but="mine"):
         one_line(run("import-demos", files["forward"], "--out", out), "exists")
         succeed("import-demos", files["forward"], "--out", out.with_suffix(""))
-    assert out.with_suffix("").is_file(), "a file has the name that was given"
+    named = make("sawyer_door", demo_file=str(out.with_suffix("")))
+    assert named.demonstrations.directions == ("forward",), "a file has the name that was given, whatever its suffix"
     succeed("import-demos", files["forward"])
     alone = make("sawyer_door", demo_file=str(tmp_path / "forward_imported.npz"))
     with pytest.raises(ValueError, match="no backward demonstrations"):
