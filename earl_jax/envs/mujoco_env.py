@@ -13,7 +13,7 @@ from earl_jax.envs.features import View
 from earl_jax.options.values import Interval, require
 from earl_jax.physics import EngineCost, PendingStep, PhysicsState, Simulator, resolve_engine
 
-SUBSTEPS = Interval("[1, 1000]")
+SUBSTEPS = Interval("[1, 1000]", whole=True)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -274,6 +274,8 @@ def test_unknown_names_and_options_are_errors_that_list_the_choices():
         make("tabletop")
     with pytest.raises(ValueError, match=r"no option 'colour'.*reward_type"):
         make("tabletop_organization", colour="red")
+    with pytest.raises(ValueError, match="substeps must be a whole number"):
+        env_class("sawyer_door")(substeps=2.5)
     with pytest.raises(ValueError, match="exists already"):
         register_env("tabletop_organization", env_class("tabletop_organization"))
     for name, options in [*VARIANTS, ("minitaur_pen", {"walls": "closed"}), ("sawyer_peg", {"reward_type": "sparse"})]:
