@@ -31,7 +31,9 @@ def with_overlay(name: str) -> Any:
     if not overlay.is_file():
         return mujoco.MjModel.from_xml_path(str(path))
     tree = merge(_with_includes(path), _with_includes(overlay))
-    return mujoco.MjModel.from_xml_string(ET.tostring(tree, encoding="unicode"))
+    spec = mujoco.MjSpec.from_string(ET.tostring(tree, encoding="unicode"))
+    spec.modelfiledir = str(path.parent)  # for the files of meshes and textures
+    return spec.compile()
 
 
 def _with_includes(path: Path) -> ET.Element:
@@ -93,7 +95,7 @@ def _keep_last(model: ET.Element) -> None:
     for parent in reversed(list(model.iter())):
         for child in reversed(list(parent)):
             name = (child.tag, child.get("name"))
-            if parent.tag == "asset" or child.tag == "camera":
+            if name[1] and (parent.tag == "asset" or child.tag == "camera"):
                 if name in kept:
                     parent.remove(child)
                 kept.add(name)

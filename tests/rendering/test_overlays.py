@@ -63,19 +63,26 @@ def test_replace_hides_the_geoms_of_the_model():
     assert MODEL.find("worldbody/geom").get("group") is None
 
 
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+
+
 def test_an_overlay_of_an_unknown_body_is_refused():
     with pytest.raises(ValueError, match="the body 'foot', but the model has none"):
         merge(MODEL, mjcf('<body name="foot"/>'))
 
 
-def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder(tmp_path):
+def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder_and_keeps_its_meshes(tmp_path):
     for folder in ("models", "overlays"):
         (tmp_path / folder).mkdir()
     model = tmp_path / "models" / "ball.xml"
-    model.write_text('<mujoco><worldbody><body name="ball"><geom size="1"/></body></worldbody></mujoco>')
+    for name in ("flat", "tall"):
+        (model.parent / f"{name}.obj").write_text(TETRAHEDRON)
+    meshes = '<asset><mesh file="flat.obj"/><mesh file="tall.obj"/></asset>'
+    geoms = '<geom type="mesh" mesh="flat"/><geom type="mesh" mesh="tall"/>'
+    model.write_text(f'<mujoco>{meshes}<worldbody><body name="ball">{geoms}</body></worldbody></mujoco>')
     copy = model.with_name("plain.xml")
     copy.write_text(model.read_text())
     defaults = '<default><default class="overlay"><geom type="sphere" mass="0"/></default></default>'
     overlay = tmp_path / "overlays" / "ball.xml"
     overlay.write_text(f'<mujoco>{defaults}<body name="ball"><geom size=".5"/></body></mujoco>')
-    assert [with_overlay(str(path)).ngeom for path in (model, copy)] == [2, 1]
+    assert [with_overlay(str(path)).ngeom for path in (model, copy)] == [3, 2]
