@@ -10,6 +10,7 @@ from rich.progress import track
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
+from earl_jax.options.values import COUNT, Interval, require
 from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene
@@ -21,6 +22,7 @@ SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".webp": (240, 320), ".png": (2
 """Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
 RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 """Largest frames a second by suffix, unless the caller sets another."""
+FPS = Interval("[0.01, 1000]")
 
 
 @package_types()
@@ -56,15 +58,16 @@ def render(
 
     Raises:
         ValueError: the source, suffix, acting, policy or camera is unknown, the source has no such acting or camera, a
-            number is not positive, a video's height or width is odd, a library is missing, or a life is asked for of
-            demonstrations or on a sheet.
+            number is invalid, a video's height or width is odd, a library is missing, this machine cannot draw, `all` is
+            given a policy, a camera or steps, or a life is asked for of demonstrations or on a sheet.
     """
     path = output_path(source, out)
     size = size or SIZES[path.suffix]
-    _check(path, size, life, steps=steps, fps=fps)
+    _check(path, size, life, steps, fps)
     if str(source) == ALL:
-        if policy is not None:
-            raise InputError(f"a policy belongs to one task: name the task instead of {ALL}")
+        for name, value in (("policy", policy), ("camera", camera), ("number of steps", steps)):
+            if value is not None:
+                raise InputError(f"a {name} belongs to one task: name the task instead of {ALL}")
         actors = [actor_of(name, acting, seed) for name in PAPER_TASKS]
         return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
     actor = actor_of(source, acting, seed, policy)
@@ -72,8 +75,8 @@ def render(
         raise InputError("demonstrations begin where they were recorded, so they are not a life: choose another acting")
     if path.suffix == ".png":
         return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
-    states, rate = frames(actor, steps, fps or RATES[path.suffix], life)
     with Scene(actor.env, size, camera) as scene:
+        states, rate = frames(actor, steps, fps or RATES[path.suffix], life)
         return write_film(path, map(scene.image, _tracked(states, len(states), progress)), rate, size)
 
 
@@ -86,11 +89,11 @@ def output_path(source: str | Path, out: str | Path | None) -> Path:
     return path
 
 
-def _check(path: Path, size: tuple[int, int], life: bool, **positive: float | None) -> None:
-    """Raise a ValueError if `path` cannot be of this `size` or a `life`, one of `positive` is not, or a library is missing."""
-    for name, value in positive.items():
-        if value is not None and value <= 0:
-            raise InputError(f"{name} must be above 0, not {value}")
+def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps: float | None) -> None:
+    """Raise a ValueError if `path` cannot be of this `size` or a `life`, a number is invalid, or a library is missing."""
+    for name, value, interval in (("steps", steps, COUNT), ("fps", fps, FPS)):
+        if value is not None:
+            require(name, value, interval)
     height, width = size
     if path.suffix == ".mp4" and (height % 2 or width % 2):
         raise InputError(f"a video needs an even height and width, not {height} and {width}")

@@ -12,6 +12,7 @@ import numpy as np
 
 from earl_jax.envs import Env, State, View
 from earl_jax.errors import InputError
+from earl_jax.options.values import COUNT, require
 from earl_jax.rendering.overlays import with_overlay
 
 STATE_GROUPS = (0, 1, 2)
@@ -25,6 +26,9 @@ NO_GRAPHICS = (
     "no way to draw without a display: install EGL (apt-get install libegl1 libgl1-mesa-dri) "
     "or OSMesa (apt-get install libosmesa6), or set MUJOCO_GL"
 )
+
+NO_BACKEND = (ImportError, RuntimeError, AttributeError)
+"""The errors of mujoco, and of OpenGL's library, for a backend that `MUJOCO_GL` names and this machine lacks."""
 
 
 class Scene:
@@ -127,20 +131,20 @@ def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
 
 def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
     height, width = size
-    if min(size) < 1:
-        raise InputError(f"size must be at least (1, 1), not {tuple(size)}")
+    require("height", height, COUNT)
+    require("width", width, COUNT)
     model.vis.global_.offheight, model.vis.global_.offwidth = size
     try:
         return mujoco.Renderer(model, height, width)
-    except (ImportError, RuntimeError, AttributeError, mujoco.FatalError) as error:
-        raise InputError(f"{NO_GRAPHICS} ({os.environ.get('MUJOCO_GL', 'unset')}: {error})") from error
+    except (*NO_BACKEND, mujoco.FatalError) as error:
+        raise _no_graphics(error) from error
 
 
 def _drawing_mujoco() -> Any:
     """Return the module `mujoco`, able to draw: on Linux without a display, through the first of `BACKENDS` that works.
 
     Raises:
-        ValueError: no backend works; the message says what to install.
+        ValueError: no backend works, or not that of `MUJOCO_GL`; the message says what to install.
     """
     has_display = any(os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"))
     if platform.system() == "Linux" and not has_display:
@@ -148,7 +152,14 @@ def _drawing_mujoco() -> Any:
         if "mujoco" in sys.modules:  # mujoco chose its backend when it was imported
             renderer: Any = sys.modules[sys.modules["mujoco"].Renderer.__module__]
             importlib.reload(renderer.gl_context)
-    return importlib.import_module("mujoco")
+    try:
+        return importlib.import_module("mujoco")
+    except NO_BACKEND as error:
+        raise _no_graphics(error) from error
+
+
+def _no_graphics(error: Exception) -> InputError:
+    return InputError(f"{NO_GRAPHICS} ({os.environ.get('MUJOCO_GL', 'unset')}: {error})")
 
 
 @functools.cache

@@ -58,9 +58,9 @@ def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int 
 def portraits(actors: Iterable[Actor], size: tuple[int, int]) -> Iterator[Shot]:
     """Yield one moment of each of `actors`, captioned with the task's name; `size` is height and width on the sheet."""
     for actor in actors:
-        episode = next(episodes(actor))
-        step = RANDOM_STEP if actor.acting == "random" else round(PORTRAIT_SHARE * episode.last)
         with Scene(actor.env, _supersampled(size)) as scene:
+            episode = next(episodes(actor))
+            step = RANDOM_STEP if actor.acting == "random" else round(PORTRAIT_SHARE * episode.last)
             yield scene.image(episode.at(step)), actor.env.name
 
 

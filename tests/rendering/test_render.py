@@ -17,6 +17,7 @@ pytest.importorskip("mediapy", reason="videos need the extra render")
 images = pytest.importorskip("PIL.Image", reason="pictures need the extra render")
 TASK = "tabletop_organization"
 SMALL = (64, 96)
+OF_ONE_TASK = {"policy": "fbrl", "camera": "above", "steps": 3}
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_an_animation_has_one_frame_for_each_step(graphics, tmp_path, suffix, ac
 def test_demonstrations_that_cannot_be_read_are_named(tmp_path):
     """They used to be no choice at all."""
     env = make(TASK, demo_file=str(tmp_path / "gone.npz"))
-    with pytest.raises(ValueError, match="no demos for '.*gone.npz'"):
+    with pytest.raises(ValueError, match=r"no demos for '.*gone.npz'"):
         next(episodes(_actors(env, None, 0)["demos"]))
 
 
@@ -87,11 +88,14 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"acting": "me"}, "unknown acting 'me'; choose from policy"),
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
         ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
-        ({"policy": "fbrl", "source": "all", "out": "x.png"}, "a policy belongs to one task"),
         ({"life": True, "out": "x.png"}, "a life is a film, not a sheet"),
         ({"life": True, "acting": "demos"}, "demonstrations begin where they were recorded"),
-        ({"steps": 0}, "steps must be above 0"),
-        ({"fps": -1.0}, "fps must be above 0"),
+        *[
+            ({"source": "all", "out": "x.png", name: value}, "belongs to one task")
+            for name, value in OF_ONE_TASK.items()
+        ],
+        ({"steps": 0}, "steps must lie in"),
+        ({"fps": float("nan")}, "fps must lie in"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
     ],
 )

@@ -42,7 +42,7 @@ def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphi
         Scene(Chain(), SMALL)
     with pytest.raises(ValueError, match="no camera 'mine'; choose from default, above"):
         Scene(env, SMALL, camera="mine")
-    with pytest.raises(ValueError, match="size must be at least"):
+    with pytest.raises(ValueError, match="height must lie in"):
         Scene(env, (0, 8))
 
 
@@ -55,6 +55,16 @@ def test_goal_markers_are_at_the_goal(name):
     state = env.reset(jax.random.key(3))
     data = mujoco_data(env.view.model, env.view.render_goal(state))
     np.testing.assert_allclose(data.site(GOAL_SITES[name]).xpos, state.info["goal"][-3:], atol=2e-4)
+
+
+def test_a_backend_that_the_machine_lacks_is_named(monkeypatch, env):
+    def fail(name):
+        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setattr(scenes.importlib, "import_module", fail)
+    with pytest.raises(ValueError, match=r"no way to draw.* set MUJOCO_GL .osmesa: .*glGetError"):
+        Scene(env, SMALL)
 
 
 def test_the_first_working_backend_is_chosen(monkeypatch):
