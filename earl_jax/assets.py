@@ -82,18 +82,27 @@ def mjcf(name: str) -> Path:
     return _file("mjcf", name, ".xml")
 
 
-@functools.cache
 def demos(name: str, direction: str) -> Demos:
     """Return the forward or backward demonstrations of task `name`, or of the npz file at that path, as read-only arrays.
 
     Raises:
         ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
-            Or they are not as `checked_demos` requires.
+            Or they are not as `checked_demos` requires, or the file has changed since this process read it.
     """
     if direction not in DIRECTIONS:
         raise InputError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
     path = _file("demos", name, ".npz")
-    if direction not in demo_directions(name):
+    read, changed = _read_demos(path, direction)
+    if path.stat().st_mtime_ns != changed:  # goals of the first content are in compiled programs
+        raise InputError(f"{path} has changed since this process read it: choose another name for the new file")
+    return read
+
+
+@functools.cache
+def _read_demos(path: Path, direction: str) -> tuple[Demos, int]:
+    """Return the demonstrations in the npz file `path`, and when it was last changed. Errors as `demos`."""
+    changed = path.stat().st_mtime_ns
+    if direction not in demo_directions(str(path)):
         raise InputError(f"{path.name} has no {direction} demonstrations")
     stored = _arrays(path, [f"{direction}_{field}" for field in Demos._fields])
     if len(stored) < len(Demos._fields):
@@ -104,7 +113,7 @@ def demos(name: str, direction: str) -> Demos:
         raise InputError(f"{path}: {direction} demonstrations: {error}") from error
     for array in demos:
         array.setflags(write=False)
-    return demos
+    return demos, changed
 
 
 def checked_demos(demos: Demos) -> Demos:

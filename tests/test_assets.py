@@ -1,6 +1,7 @@
 """Tests of the shipped files: demonstrations that the demos command reproduces."""
 
 import dataclasses
+import os
 
 import jax
 import numpy as np
@@ -62,6 +63,16 @@ def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
     np.testing.assert_array_equal(with_demos.demonstrations.load("forward").actions, recorded.actions)
     with pytest.raises(RuntimeError, match="missed"):
         scripted.record(env, start, np.random.default_rng(0), steps=5)
+
+
+def test_a_demo_file_that_changes_within_a_process_is_refused(tmp_path):
+    """The first content used to be taken, silently: compiled programs have its goals."""
+    shipped, file = assets.demos("tabletop_organization", "forward"), tmp_path / "mine.npz"
+    scripted.save({"forward": shipped}, file)
+    np.testing.assert_array_equal(assets.demos(str(file), "forward").actions, shipped.actions)
+    os.utime(file, (0, 0))
+    with pytest.raises(ValueError, match="has changed since this process read it"):
+        assets.demos(str(file), "forward")
 
 
 def test_missing_files_and_directions_are_refused_with_the_choices():

@@ -75,7 +75,11 @@ DIRECTIONS = {
     [
         ("tabletop_organization", "missing.npz", r"no demos for '.*missing.npz'; .*hoose from sawyer_door"),
         ("tabletop_organization", "/dev/null", r"no demos for '/dev/null'; choose from sawyer_door"),
-        ("sawyer_door", DEMO_TASK, f"{DEMO_TASK} has no demonstrations of sawyer_door: .* states have 6 numbers, not 7"),
+        (
+            "sawyer_door",
+            DEMO_TASK,
+            f"{DEMO_TASK} has no demonstrations of sawyer_door: .* states have 6 numbers, not 7",
+        ),
         ("franka_kitchen", DEMO_TASK, "forward states have 6 numbers, not 23"),
     ],
 )
