@@ -68,31 +68,13 @@ def goal_table(env: Env) -> Goals:
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.demonstrations.recorded and env.state_size == env.goal_size:
         for direction in env.demonstrations.directions:
-            states, last = trajectories(demonstrated(env, direction))
+            states, last = trajectories(env.demonstrations.load(direction))
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
     if len(table) > 1 << GOAL_BITS:
         raise InputError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
     return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
-
-
-def demonstrated(env: Env, direction: str) -> assets.Demos:
-    """Return the recorded demonstrations of `direction`.
-
-    Raises:
-        ValueError: there are none, or their arrays have other sizes than the transitions of `env`.
-    """
-    recorded = env.demonstrations
-    demos = recorded.load(direction)
-    for name, size in (("states", env.state_size), ("goals", env.goal_size), ("actions", env.action_size)):
-        own = getattr(demos, name).shape[1]
-        if own != size:
-            source = recorded.file or recorded.task
-            raise InputError(
-                f"{source} has no demonstrations of {env.name}: its {direction} {name} have {own} numbers, not {size}"
-            )
-    return demos
 
 
 def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:

@@ -172,7 +172,7 @@ class Env(abc.ABC):
     @property
     def demonstrations(self) -> TaskDemos:
         """The recorded demonstrations, by default without an expert and a script."""
-        return TaskDemos(self.name, self.demo_file)
+        return TaskDemos(self.name, self.demo_file, (self.state_size, self.goal_size, self.action_size))
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:

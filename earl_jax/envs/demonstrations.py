@@ -9,6 +9,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.state import State
+from earl_jax.errors import InputError
 
 
 class DemoStart(NamedTuple):
@@ -43,6 +44,8 @@ class TaskDemos:
 
     task: str
     file: str | None = None
+    sizes: tuple[int, int, int] | None = None
+    """The lengths of a state, a goal and an action, which recorded demonstrations must have; None for any."""
     layout: Callable[[assets.Demos], assets.Demos] = lambda demos: demos
     """Converts recorded demonstrations to the layout of the task."""
     expert: Callable[[jax.Array], jax.Array] | None = None
@@ -66,6 +69,16 @@ class TaskDemos:
         """Return the recorded demonstrations of `direction` (forward or backward) in the task's layout.
 
         Raises:
-            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices.
+            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices. Or their
+                transitions have other sizes than those of the task.
         """
-        return self.layout(assets.demos(self.file or self.task, direction))
+        source = self.file or self.task
+        demos = self.layout(assets.demos(source, direction))
+        for name, size in zip(("states", "goals", "actions"), self.sizes or (), strict=False):
+            own = getattr(demos, name).shape[1]
+            if own != size:
+                raise InputError(
+                    f"{source} is of another task or variant than this {self.task}: its {direction} {name} have {own} "
+                    f"numbers, not {size}"
+                )
+        return demos

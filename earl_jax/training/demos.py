@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from earl_jax.algos.goals import demonstrated, trajectories
+from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner.cloning import DemoSteps
 from earl_jax.algos.method import BACKWARD, FORWARD, Method, PhaseDemos
 from earl_jax.errors import InputError
@@ -54,7 +54,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
     uses = [(controller, demos) for controller, demos in _uses(method) if demos.direction in known]
     parts, all_states, first = [], [], 0
     for direction in dict.fromkeys(demos.direction for _, demos in uses):
-        recorded = demonstrated(env, direction)
+        recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)
         goals, later = _goal_indices(problem, recorded.goals), last[rows] - rows

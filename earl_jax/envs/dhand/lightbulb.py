@@ -14,14 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.assets import Demos
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
 from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, VARIANTS, observed, palm_down, yaw_of
 from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
-from earl_jax.errors import InputError
 from earl_jax.physics import EngineCost, PhysicsState
 
 SPAN = 0.8
@@ -154,28 +152,11 @@ class DHandLightbulb(MujocoEnv):
     def demonstrations(self) -> TaskDemos:
         script = DemoScript(noise=0.1, starts=self._demo_starts, hold=200)
         return dataclasses.replace(
-            super().demonstrations,
-            layout=self._of_this_variant,
-            expert=self._expert,
-            script=script,
-            state_at=self._demonstrated_state,
+            super().demonstrations, expert=self._expert, script=script, state_at=self._demonstrated_state
         )
 
     def _demonstrated_state(self, vector: jax.Array, goal: jax.Array) -> State:
         return self.with_goal(self.start_at(vector[FINGERS + ARM : FINGERS + ARM + 2]), goal)
-
-    def _of_this_variant(self, demos: Demos) -> Demos:
-        """Return `demos`.
-
-        Raises:
-            ValueError: they were recorded with the other variant, whose states differ.
-        """
-        if demos.states.shape[1] != self.state_size:
-            raise InputError(
-                f"{self.demo_file} was not recorded with variant {self.variant!r}: record demonstrations "
-                "of this variant with earl_jax.envs.demos.make and earl_jax.envs.demos.save"
-            )
-        return demos
 
     def _demo_starts(self, seed: int) -> Iterator[DemoStart]:
         for key in jax.random.split(jax.random.key(seed), self.demo_count):

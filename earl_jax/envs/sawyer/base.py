@@ -90,8 +90,7 @@ class Sawyer(MujocoEnv):
     @property
     def observed_indices(self) -> np.ndarray:
         """Indices of the released state [7] that this variant observes."""
-        every = np.arange(RELEASED_SIZE)
-        return every if self.variant == "released" else np.delete(every, GRIPPER)
+        return np.delete(np.arange(RELEASED_SIZE), [] if self.variant == "released" else GRIPPER)
 
     @property
     def state_size(self) -> int:
