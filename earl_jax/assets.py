@@ -127,7 +127,7 @@ def checked_demos(demos: Demos) -> Demos:
 
     with np.errstate(over="ignore"):  # too large values become infinite, which the check below finds
         numbers = [array.astype(np.float32, copy=False) for array in demos[:-1]]
-    demos = Demos(*numbers, demos.ends.astype(bool, copy=False))
+    demos = Demos._make([*numbers, demos.ends.astype(bool, copy=False)])
     shapes = {name: array.shape for name, array in demos._asdict().items()}
     fit = [array.ndim for array in demos] == [2, 2, 2, 2, 1, 1] and demos.states.shape == demos.next_states.shape
     if not fit or {len(array) for array in demos} != {demos.ends.size or None}:

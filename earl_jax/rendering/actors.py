@@ -119,6 +119,7 @@ def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
 def _demo_start(recorded: TaskDemos, seed: int, number: int) -> EpisodeStart:
     """Return the start of a forward demonstration, with its actions and zeros up to the length of the longest one."""
     demos = recorded.load("forward")
+    assert recorded.state_at is not None
     spans = assets.spans(demos.ends)
     span, longest = spans[(seed + number) % len(spans)], max(span.stop - span.start for span in spans)
     actions = demos.actions[span]
