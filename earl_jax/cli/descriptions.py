@@ -15,21 +15,18 @@ import numpy as np
 from earl_jax import algos, envs
 from earl_jax.algos.learner import learner_class
 from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_NUMBERS, names
-from earl_jax.errors import InputError
+from earl_jax.options.values import literals
 from earl_jax.physics.engine_choice import ENGINES
 
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
-CHOICES = re.compile(r"(?:is not one of|choose from) (.*)$")
 
 
 def task(name: str) -> dict[str, Any]:
     """Return what a task is, its sizes, rewards, horizons, demonstrations and options."""
     env = envs.make(name)
     options = _options(type(env))
-    for key, option in options.items():
-        option["valid"] = option["valid"] or _choices(env, key)
     summary, details = _summary_and_details(type(env))
     return {
         "summary": summary,
@@ -95,25 +92,18 @@ def _options(cls: type) -> dict[str, dict[str, Any]]:
     options = {}
     for field in dataclasses.fields(cls):
         about = (sentence for sentence in sentences if re.search(rf"`{field.name}[`=]", sentence))
-        interval = field.metadata.get("interval")
+        interval, choices = field.metadata.get("interval"), list(literals(cls).get(field.name, []))
         options[field.name] = {
-            "type": field.type if isinstance(field.type, str) else inspect.formatannotation(field.type),
+            "type": "str" if choices else _type_text(field.type),
             "default": None if field.default is dataclasses.MISSING else np.asarray(field.default).tolist(),
-            "valid": interval.text if interval else None,
+            "valid": interval.text if interval else choices or None,
             "meaning": meanings.get(field.name) or next(about, ""),
         }
     return options
 
 
-def _choices(env: Any, option: str) -> list[str] | None:
-    """Return the valid values of an option of text, which the error of another value names; None for other options."""
-    if not isinstance(getattr(env, option), str):
-        return None
-    try:
-        dataclasses.replace(env, **{option: "?"})
-    except InputError as error:
-        named = CHOICES.search(str(error))
-        return named[1].split(", ") if named else None
+def _type_text(kind: Any) -> str:
+    return kind if isinstance(kind, str) else inspect.formatannotation(kind)
 
 
 def _summary_and_details(cls: type) -> tuple[str, list[str]]:

@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,11 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check_literals, require
 from earl_jax.physics import PendingStep
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Box
-
-REWARD_TYPES = ("sparse", "dense")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Env(abc.ABC):
     object each: `map`, `starts`, `object_position`, `demonstrations` and `view`.
     """
 
-    reward_type: str = "sparse"
+    reward_type: Literal["sparse", "dense"] = "sparse"
     """The reward: 1 on success and 0 elsewhere (sparse), or shaped (dense)."""
     train_horizon: int = 200_000
     """H_T: steps between hard interventions in training; 0 for never, the full autonomy of the paper's definition."""
@@ -58,14 +56,9 @@ class Env(abc.ABC):
                 constant.setflags(write=False)
 
     def __post_init__(self):
-        self._require_choice("reward_type", REWARD_TYPES)
+        check_literals(self)
         require("train_horizon", self.train_horizon, COUNT_OR_NEVER)
         require("eval_horizon", self.eval_horizon, COUNT)
-
-    def _require_choice(self, field: str, choices: tuple[str, ...]) -> None:
-        """Raise a ValueError if the option `field` is not one of `choices`."""
-        if getattr(self, field) not in choices:
-            raise InputError(f"{field} {getattr(self, field)!r} is not one of {', '.join(choices)}")
 
     @property
     @abc.abstractmethod

@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ class MujocoEnv(Env):
     `control`, `observe` and `control_step` in the place of `transition`.
     """
 
-    engine: str = "auto"
+    engine: Literal["auto", "mjx", "warp", "c"] = "auto"
     substeps: int = 1
     """Physics steps in a control step."""
 

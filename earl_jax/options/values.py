@@ -4,6 +4,7 @@ A field declares the interval of its valid values in its metadata: `field(defaul
 """
 
 import dataclasses
+import inspect
 import math
 import numbers
 import re
@@ -82,6 +83,20 @@ def check_intervals(owner: str, options: Any) -> None:
         value = getattr(options, field.name)
         if "interval" in field.metadata and value is not None:
             require(f"{owner}: {field.name}", value, field.metadata["interval"])
+
+
+def literals(cls: type) -> dict[str, tuple[Any, ...]]:
+    """Return the valid values of the fields whose type is `Literal[...]` in `cls` or, before an override, in a base."""
+    kinds = [item for base in reversed(cls.__mro__) for item in inspect.get_annotations(base).items()]
+    return {name: typing.get_args(kind) for name, kind in kinds if typing.get_origin(kind) is typing.Literal}
+
+
+def check_literals(options: Any) -> None:
+    """Raise an InputError if a field of the object `options` has a value that `literals` does not have."""
+    for name, valid in literals(type(options)).items():
+        value = getattr(options, name)
+        if value not in valid:
+            raise InputError(f"{name} {brief(value)} is not one of {', '.join(valid)}")
 
 
 def check_storable(owner: str, values: Any, depth: int = 0) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.dhand import grasp, observation
-from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, VARIANTS, observed, palm_down, yaw_of
+from earl_jax.envs.dhand.observation import ARM, FINGERS, REACH, TABLE, TARGET, observed, palm_down, yaw_of
 from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
@@ -94,7 +94,7 @@ class DHandLightbulb(MujocoEnv):
     train_horizon: int = 400_000
     eval_horizon: int = 400
     substeps: int = 10
-    variant: str = VARIANTS[0]
+    variant: observation.Variant = "reconstruction"
 
     name: ClassVar[str] = "dhand_lightbulb"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.71, device=103.0)
@@ -104,10 +104,6 @@ class DHandLightbulb(MujocoEnv):
     control_step: ClassVar[float] = 0.1
     demo_count: ClassVar[int] = 20
     """Number of scripted demonstrations, all forward. The paper has none, and none ship."""
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._require_choice("variant", VARIANTS)
 
     @property
     def state_size(self) -> int:

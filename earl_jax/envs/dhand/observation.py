@@ -10,12 +10,14 @@ pose. The observation was never released. The variants have different states:
 Both are followed by the goal 3.
 """
 
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 FINGERS, ARM = 16, 7
-VARIANTS = ("reconstruction", "paper")
+Variant = Literal["reconstruction", "paper"]
 STATE = {"reconstruction": FINGERS + ARM + 9, "paper": FINGERS + ARM + 12}
 """Length of a state of each variant."""
 POSE = FINGERS + ARM + 3
@@ -29,14 +31,14 @@ TARGET = np.array([0.72, 0.15, 0.92], np.float32)
 """The task's goal: the desired position of the bulb's middle, metres."""
 
 
-def parts(obs: jax.Array, variant: str = VARIANTS[0]) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def parts(obs: jax.Array, variant: Variant) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return from `obs [..., o]` the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
     bulb, size = obs[..., POSE - 3 : POSE], STATE[variant]
     hand = bulb + obs[..., POSE + 3 : POSE + 6] if variant == "paper" else obs[..., POSE : POSE + 3]
     return obs[..., :FINGERS], bulb, hand, obs[..., size : size + 3]
 
 
-def observed(qpos: jax.Array, hand: jax.Array, variant: str) -> jax.Array:
+def observed(qpos: jax.Array, hand: jax.Array, variant: Variant) -> jax.Array:
     """Return the state [s] for joints `qpos [30]` and the point between the fingers at `hand [3]`.
 
     The order is MTRF's, fingers before the arm. As in MTRF, joints and bulb are current and the hand lags by one

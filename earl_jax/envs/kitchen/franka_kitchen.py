@@ -7,7 +7,7 @@ appliances and the other direction than the release: `variant="paper"`.
 
 import dataclasses
 import itertools
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,6 @@ FINGER_REACH = 0.16
 MOCAP_LOW = np.array([-0.7, -0.1, 1.8], np.float32)
 MOCAP_HIGH = np.array([0.4, 0.5, 2.6], np.float32)
 HELD_UPRIGHT = np.array([0.65359542, -0.65307515, -0.27036028, -0.27057566], np.float32)
-VARIANTS = ("released", "paper")
 RADIUS = 0.3
 ROBOT_NOISE = 0.01
 OBJECT_NOISE = (0.0005, 0.0005, *[5e-5] * 6, *[5e-4] * 3, *[0.01] * 3)
@@ -108,7 +107,7 @@ class FrankaKitchen(MujocoEnv):
     train_horizon: int = 100_000
     eval_horizon: int = 400
     substeps: int = 12
-    variant: str = "released"
+    variant: Literal["released", "paper"] = "released"
     noise: bool = True
 
     name: ClassVar[str] = "franka_kitchen"
@@ -117,10 +116,6 @@ class FrankaKitchen(MujocoEnv):
     action_size: ClassVar[int] = 9
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(800, train_horizon=50_000)
     control_step: ClassVar[float] = 0.08
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._require_choice("variant", VARIANTS)
 
     @property
     def goal_states(self) -> np.ndarray:

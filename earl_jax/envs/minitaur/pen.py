@@ -5,7 +5,7 @@ poses and trots that were recorded there; docs/tasks.md lists every difference.
 """
 
 import dataclasses
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,6 @@ from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import EngineCost, PhysicsState, Simulator
 
-WALLS = ("closed", "floating")
-VARIANTS = ("released", "paper")
 RADIUS = 0.1
 GOALS = np.array([(x, y) for x in (-0.4, -0.2, 0.2, 0.4) for y in (0.0, 0.2, 0.4)], np.float32)
 VOLTS, NOMINAL_VOLTS = (14.8, 16.8), 16.0
@@ -77,8 +75,8 @@ class MinitaurPen(MujocoEnv):
     substeps: int = 5
     randomize: bool = True
     overheat: bool = True
-    walls: str = "closed"
-    variant: str = "released"
+    walls: Literal["closed", "floating"] = "closed"
+    variant: Literal["released", "paper"] = "released"
     """The released reward, or that of the paper's text."""
 
     name: ClassVar[str] = "minitaur_pen"
@@ -89,11 +87,6 @@ class MinitaurPen(MujocoEnv):
     initial_states: ClassVar[np.ndarray] = np.zeros((1, 2), np.float32)
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(2000)
     control_step: ClassVar[float] = 0.01
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._require_choice("walls", WALLS)
-        self._require_choice("variant", VARIANTS)
 
     @property
     def model(self) -> str:

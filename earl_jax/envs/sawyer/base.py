@@ -7,7 +7,7 @@ Source: the released EARL environments on Meta-World's `SawyerXYZEnv` of July 20
 import abc
 import dataclasses
 from collections.abc import Iterator
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,6 @@ OPENING = 0.1
 """Metres between the finger tips at which the gripper reads 1."""
 RELEASED_SIZE, GRIPPER = 7, 3
 """Length of a released state, and the index of the gripper's opening in it; `variant="paper"` omits it."""
-VARIANTS = ("released", "paper")
 ARM = 9
 """Number of joints of arm and fingers; the object's joints follow."""
 WRIST = 6
@@ -69,7 +68,7 @@ class Sawyer(MujocoEnv):
     """
 
     substeps: int = 5
-    variant: str = "released"
+    variant: Literal["released", "paper"] = "released"
     """The released observation of 14 numbers, or the 12 of the paper's text, without the gripper."""
     reset_at_goal: bool = False
 
@@ -82,10 +81,6 @@ class Sawyer(MujocoEnv):
     object_low: ClassVar[np.ndarray]
     object_high: ClassVar[np.ndarray]
     """The box [m] of the object's positions; outside it, the simulation broke."""
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._require_choice("variant", VARIANTS)
 
     @property
     def observed_indices(self) -> np.ndarray:
