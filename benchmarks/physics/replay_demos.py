@@ -25,8 +25,6 @@ from earl_jax.assets import Demos, spans
 from earl_jax.envs import State, make, resolved_engine
 from earl_jax.envs.demos import read
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
-from earl_jax.envs.sawyer.door import HANDLE, HINGE, SawyerDoor
-from earl_jax.envs.sawyer.peg import HEAD
 
 HOLD = 10
 ALREADY_THERE = 1e-5
@@ -36,19 +34,14 @@ ALREADY_THERE = 1e-5
 def start_state(env: Sawyer, first: np.ndarray) -> State:
     """Return the state in which a recording with the first observation `first [14]` started."""
     env = nearer_reset(env, first)
-    position, goal = first[4:7], jnp.asarray(first[7:])
-    if isinstance(env, SawyerDoor):
-        angle = np.arctan2(*(position[:2] - HINGE)[::-1]) - np.arctan2(HANDLE[1], HANDLE[0])
-        state = env.start_at(jnp.array([angle]), jnp.asarray(position), goal)
-    else:
-        peg = jnp.asarray(position - HEAD)
-        state = env.start_at(peg, jnp.asarray(position), goal, start=peg, grasp=jnp.zeros(()))
+    assert env.demonstrations.state_at is not None
+    state = env.demonstrations.state_at(*map(jnp.asarray, np.split(first, 2)))
     if np.abs(np.asarray(state.obs[:3]) - first[:3]).max() < ALREADY_THERE:
         return state
     target = state.data.mocap_pos + jnp.asarray(first[:3]) - state.obs[:3]
     vector = jnp.concatenate([jnp.asarray(first[:4]), state.obs[4:7]])
     data = state.data.replace(qpos=moved_hand(env, state, first), mocap_pos=target)
-    return state.replace(data=data, obs=jnp.concatenate([vector, goal]))
+    return state.replace(data=data, obs=jnp.concatenate([vector, first[7:]]))
 
 
 def nearer_reset(env: Sawyer, first: np.ndarray) -> Sawyer:
