@@ -173,7 +173,7 @@ def has_demos(name: str) -> bool:
 
 @functools.cache
 def starts(name: str) -> dict[str, np.ndarray]:
-    """Return initial states of task `name` after settling, as read-only float32 arrays [N, ...] by field of the physics state.
+    """Return the file of starts of task `name`, states at rest or settled, as read-only float32 arrays [N, ...] by name.
 
     Raises:
         ValueError: the task has no such file; the message lists the choices.
