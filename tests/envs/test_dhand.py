@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from earl_jax import assets, physics
-from earl_jax.envs import demos, make
+from earl_jax import physics
+from earl_jax.envs import make
 from earl_jax.envs.dhand import lightbulb as task
 from tests.envs.programs import program, run_actions, run_alone, starts
 
@@ -122,19 +122,6 @@ def test_the_papers_variant_has_the_same_reward_success_and_script():
     paper, ours = program(PAPER, np.float32(listed)), program(ENV, obs)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-4), paper, ours)
     assert paper["success"].any()
-
-
-def test_demonstrations_of_the_other_variant_are_an_error(tmp_path):
-    state, file = np.asarray(start_at(0.7, 0.2).obs)[None], tmp_path / "own.npz"
-    rows = assets.Demos(state[:, :32], state[:, 32:], np.zeros((1, 22)), state[:, :32], np.ones(1), np.ones(1, bool))
-    demos.save({"forward": rows}, file)
-    own, paper = (dataclasses.replace(env, demo_file=str(file)) for env in (ENV, PAPER))
-    np.testing.assert_array_equal(own.demonstrations.load("forward").states, state[:, :32])
-    with pytest.raises(
-        ValueError,
-        match=r"another task or variant .*: its forward states have 32 numbers, not 35",
-    ):
-        paper.demonstrations.load("forward")
 
 
 def test_starts_cover_the_table_and_stay_inside():
