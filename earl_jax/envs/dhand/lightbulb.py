@@ -116,8 +116,7 @@ class DHandLightbulb(MujocoEnv):
         if self.variant == "paper":
             corners = tuple(MIDDLE + sign * SPREAD / np.sqrt(2) for sign in (-1, 1))
         xs, ys = (np.linspace(low, high, 3) for low, high in zip(*corners, strict=True))
-        positions = [(x, y, REST) for x in xs for y in ys]
-        return np.array(positions, np.float32)
+        return np.array([(x, y, REST) for x in xs for y in ys], np.float32)
 
     def reset(self, key: jax.Array) -> State:
         if self.variant == "paper":

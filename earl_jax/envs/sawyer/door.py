@@ -111,7 +111,9 @@ class SawyerDoor(Sawyer):
     def _wide_start(self, key: jax.Array) -> State:
         start_key, far_key, angle_key, arm_key = jax.random.split(key, 4)
         angle = jax.random.uniform(angle_key, minval=STOP, maxval=-NOISE)
-        arm = drawn_arm(arm_key, self.name)
+        rest = random_row(arm_key, assets.starts(self.name))
+        still = jnp.zeros_like(rest["qpos"])
+        arm = Pose(rest["target"], rest["qpos"], still, still, rest["hand"], grip=1.0)
         far = self.start_at(angle[None], handle_at(angle), jnp.asarray(self.goal_states)[0], arm)
         return tree_where(jax.random.bernoulli(far_key), far, self.reset(start_key))
 
@@ -147,10 +149,3 @@ def handle_at(angle: jax.Array) -> jax.Array:
     x = HINGE[0] + cos * HANDLE[0] - sin * HANDLE[1]
     y = HINGE[1] + sin * HANDLE[0] + cos * HANDLE[1]
     return jnp.stack([x, y, jnp.full_like(x, HEIGHT)])
-
-
-def drawn_arm(key: jax.Array, name: str) -> Pose:
-    """Return one of the poses of task `name`, at rest with an open gripper; its fields are arrays."""
-    arm = random_row(key, assets.starts(name))
-    still = jnp.zeros_like(arm["qpos"])
-    return Pose(arm["target"], arm["qpos"], still, still, arm["hand"], 1.0)
