@@ -14,10 +14,6 @@ from tests.envs.programs import first_state, program, starts
 RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"
 
 
-def start_state(env, vector, goal):
-    return program(env, "demonstrations.state_at")(np.float32(vector), np.float32(goal))
-
-
 @pytest.mark.skipif(not RECORDED.is_dir(), reason="the recorded originals are not part of the project")
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
 def test_replayed_recordings_of_the_original_give_its_observations_and_rewards(env, direction):
@@ -45,7 +41,8 @@ def test_a_mug_is_held_when_near_and_gripped_and_stays_held_at_any_distance_up_t
         ([2.75, 0.0, 2.0, 0.0, *HELD], [1.0, -1.0, 0.1], [2.8, -0.2, 2.05, -0.2, *HELD]),
     ]
     for before, action, after in steps:
-        state = program(env, "step")(start_state(env, before, env.goal_states[0]), np.float32(action))
+        state = program(env, "demonstrations.state_at")(np.float32(before), env.goal_states[0])
+        state = program(env, "step")(state, np.float32(action))
         np.testing.assert_allclose(state.obs[:6], after, atol=1e-6)
 
 

@@ -13,14 +13,6 @@ from earl_jax.envs import make
 from earl_jax.physics import mjx_compat
 
 
-@pytest.fixture
-def replace_module(monkeypatch):
-    """Return a function that replaces one of MJX's modules by another one."""
-    import_module, modules = importlib.import_module, {}
-    monkeypatch.setattr(importlib, "import_module", lambda name, *rest: modules.get(name) or import_module(name, *rest))
-    return lambda name, module: modules.update({f"mujoco.mjx._src.{name}": module})
-
-
 @pytest.mark.skipif(not mjx_compat.needs_guard(), reason="XLA compiles MJX's kinematics fast here")
 def test_a_step_on_mjx_has_the_barrier_on_the_carry_of_body_tree_once():
     env = make("minitaur_pen", engine="mjx")
@@ -40,11 +32,9 @@ def test_a_step_on_mjx_has_the_barrier_on_the_carry_of_body_tree_once():
         ("solver", mjx_compat.sum_cones_by_contact, "solver._update_gradient"),
     ],
 )
-def test_a_release_without_a_patched_function_is_an_error_that_names_the_version(
-    replace_module, monkeypatch, module, patch, missing
-):
+def test_a_release_without_a_patched_function_is_an_error_that_names_the_version(monkeypatch, module, patch, missing):
     monkeypatch.setattr(mjx_compat, "_jaxlib_version", lambda: mjx_compat.AFFECTED_JAXLIB)
-    replace_module(module, types.SimpleNamespace())
+    monkeypatch.setattr(importlib, "import_module", {f"mujoco.mjx._src.{module}": types.SimpleNamespace()}.__getitem__)
     with pytest.raises(ImportError, match=f"mujoco-mjx {metadata.version('mujoco-mjx')} has no {missing}"):
         patch()
 

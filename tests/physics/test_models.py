@@ -13,16 +13,8 @@ from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import first_state, program
 
 
-@pytest.fixture(scope="module")
-def moved(env):
-    """The state of the kinematic task after two steps."""
-    state = first_state(env)
-    for action in ([1.0, 0.5, 0.0], [1.0, -0.2, 0.0]):
-        state = program(env, "step")(state, jnp.array(action))
-    return state
-
-
-def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env, moved):
+def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env):
+    moved = program(env, "step")(first_state(env), jnp.array([1.0, -0.5, 0.0]))
     model, data = physics.load_model(env.name), physics.mujoco_data(env.name, moved.data)
     for body, part in (("gripper", slice(0, 2)), ("mug", slice(2, 4))):
         np.testing.assert_allclose(data.xpos[model.body(body).id][:2], moved.obs[part], atol=1e-6)

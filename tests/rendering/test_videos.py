@@ -21,14 +21,6 @@ pytest.importorskip("PIL", reason="videos need the extra 'render'")
 FRAMES = 6
 
 
-@pytest.fixture
-def short(monkeypatch):
-    """Draw ten steps of an evaluation episode, small."""
-    draw = videos.render
-    monkeypatch.setattr(videos, "render", lambda *args, **options: draw(*args, **{**options, "steps": 10}))
-    monkeypatch.setattr(videos, "SIZE", (32, 48))
-
-
 def events(folder):
     """Return the values of all event files by step and tag."""
     loader = importlib.import_module("tensorboardX.proto.event_pb2").Event
@@ -44,9 +36,12 @@ def events(folder):
 
 
 def test_videos_are_in_the_folder_and_in_tensorboard_also_after_a_resumption_and_change_no_number(
-    graphics, short, tmp_path
+    graphics, monkeypatch, tmp_path
 ):
     pytest.importorskip("tensorboardX", reason="the test needs the extra 'tensorboard'")
+    draw = videos.render
+    monkeypatch.setattr(videos, "render", lambda *args, **options: draw(*args, **{**options, "steps": 10}))
+    monkeypatch.setattr(videos, "SIZE", (32, 48))
     out, shown = tmp_path / "run", tmp_path / "run" / "videos"
     succeed(*training(out, "--videos", "1", "--log", "tensorboard"))
     expected = tiny_train("fbrl").metrics
