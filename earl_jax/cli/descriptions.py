@@ -16,7 +16,6 @@ from earl_jax import algos, envs
 from earl_jax.algos.learner import learner_class
 from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_NUMBERS, names
 from earl_jax.options.values import literals
-from earl_jax.physics.engine_choice import ENGINES
 
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
@@ -34,7 +33,7 @@ def task(name: str) -> dict[str, Any]:
         "goal_change": env.continuing.goal_change,
         "reward_types": options["reward_type"]["valid"],
         "demonstrations": list(env.demonstrations.directions),
-        "engines": list(ENGINES) if isinstance(env, envs.MujocoEnv) else [],
+        "engines": options["engine"]["valid"][1:] if isinstance(env, envs.MujocoEnv) else [],
         "details": details,
         "options": options,
     }

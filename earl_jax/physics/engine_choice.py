@@ -8,7 +8,6 @@ from jax import default_backend, local_device_count
 from earl_jax.errors import InputError, install_line
 from earl_jax.options.environment import own_cores
 
-ENGINES = ("mjx", "warp", "c")
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
 """The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
 mjx."""
