@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from earl_jax import assets
-from earl_jax.assets import load_npz
+from earl_jax import npz
 from earl_jax.errors import InputError
+from earl_jax.npz import load_npz
 
 TYPES = ["?", "i1", "u1", "<i2", ">u4", "<i8", "<f2", ">f4", "<f8"]
 
@@ -93,7 +93,7 @@ def test_a_hostile_npz_is_refused_in_one_line(name):
 def test_the_sum_of_the_arrays_is_limited(monkeypatch):
     data = saved({"a": np.ones(600), "b": np.ones(600)})
     assert len(load_npz(data, ["a", "b"])) == 2
-    monkeypatch.setattr(assets, "MAX_BYTES", 9000)
+    monkeypatch.setattr(npz, "MAX_BYTES", 9000)
     assert len(load_npz(data, ["a"])) == 1
     with pytest.raises(InputError, match="larger than"):
         load_npz(data, ["a", "b"])

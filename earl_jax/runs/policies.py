@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from earl_jax.assets import MAX_BYTES, load_npz
 from earl_jax.errors import InputError
+from earl_jax.npz import MAX_BYTES, load_npz
 from earl_jax.runs.files import read_bytes, write_atomically
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from earl_jax.assets import MAX_BYTES, Demos, checked_demos, load_npz, read_bytes, shortened
+from earl_jax.assets import Demos, checked_demos
 from earl_jax.errors import InputError
+from earl_jax.npz import MAX_BYTES, load_npz, read_bytes, shortened
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
 LONGEST = 180

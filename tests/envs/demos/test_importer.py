@@ -14,10 +14,10 @@ import pytest
 
 import earl_jax
 from earl_jax import assets
-from earl_jax.assets import MAX_BYTES
 from earl_jax.envs import make
 from earl_jax.envs.demos import importer, unpickle
 from earl_jax.errors import InputError
+from earl_jax.npz import MAX_BYTES
 from tests.cli.process import one_line, run, succeed, unchanged
 
 TYPES = ["?", "i1", "u1", "<i2", ">u4", "<i8", "<f2", ">f4", "<f8"]
