@@ -41,6 +41,8 @@ BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 CAPACITY = "replay_capacity_1000000"
 RELEASED_REPLAY = f"keep_demos_False-{CAPACITY}"
+ALL_KEPT = "replay_capacity_None"
+"""The variant of a cell whose replay keeps all transitions."""
 RUN_AGAIN = TABLETOP, DOOR
 """Tasks whose cells have the released replay, which is the default since 2026-11-27."""
 SCRIPT_OPTIONS = f"random_steps_10000-{CAPACITY}-reward_scale_0.1"
@@ -55,7 +57,7 @@ def _released(update: str, horizon: int) -> tuple[str, str]:
 
 def _all_kept(cell: str) -> str:
     """Return the run of a cell whose replay keeps all transitions, as that of its variants does."""
-    return f"{cell}/replay_capacity_None" if cell.startswith(RUN_AGAIN) else cell
+    return f"{cell}/{ALL_KEPT}" if cell.startswith(RUN_AGAIN) else cell
 
 
 def _released_replay(cell: str) -> tuple[Pair, ...]:
@@ -86,8 +88,8 @@ AGAIN = {
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
 VAPRL = {
-    DOOR: ("no_nearest_fallback", "no_unmet_goals", "replay_capacity_None"),
-    TABLETOP: ("no_unmet_goals", "replay_capacity_None"),
+    DOOR: ("no_nearest_fallback", "no_unmet_goals", ALL_KEPT),
+    TABLETOP: ("no_unmet_goals", ALL_KEPT),
 }
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),

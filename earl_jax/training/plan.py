@@ -29,8 +29,8 @@ LONGEST_CHUNK = 1000
 class Plan:
     """A program of `lanes` lanes and `steps` steps, in chunks, which are jitted calls of `chunk_steps` steps.
 
-    `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices
-    that share the lanes, None for one device; `memory`: the memory that the program needs.
+    `random_steps`: steps of uniformly random actions at the start; `mesh`: the devices that share the lanes, None for one
+    device; `memory`: the memory that the program needs.
     """
 
     problem: Problem
