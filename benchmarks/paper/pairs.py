@@ -43,7 +43,7 @@ ALL_KEPT = "replay_capacity_None"
 """The variant of a cell whose replay keeps all transitions."""
 RUN_AGAIN = TABLETOP, DOOR, PEG
 """Tasks whose cells have the released replay, which is the default since 2026-11-27."""
-SCRIPT_OPTIONS = f"random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
+SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
 

@@ -96,15 +96,19 @@ class VaPRL(Method):
         batch: TransitionBatch | None,
         method_state: Curriculum,
     ) -> Curriculum:
-        agent = jax.tree.map(lambda leaf: leaf[0], agent)
         tasks, count = goals.table[: goals.tasks], len(goals.candidates)
         obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
+        return Curriculum(self.mean_value(key, agent, obs).reshape(goals.tasks, count))
+
+    def mean_value(self, key: jax.Array, agent: Any, obs: jax.Array) -> jax.Array:
+        """Return the values [B] of `obs [B, o]` over `value_samples` actions, in units of one reward."""
+        agent = jax.tree.map(lambda leaf: leaf[0], agent)
 
         def value(sample_key):
             return self.learner.value(sample_key, agent, obs)
 
         values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
-        return Curriculum(values.reshape(goals.tasks, count) / self.learner.reward_scale)
+        return values / self.learner.reward_scale
 
     def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum

@@ -12,6 +12,7 @@ from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.algos.method import FUNCTIONS, RETURN, TASK, Moment, controller_count
+from earl_jax.algos.vaprl import Curriculum
 from earl_jax.training import loop
 from earl_jax.training.demos import demo_rows
 from tests.algos.lives import OPTIONS, lived
@@ -214,6 +215,19 @@ def test_vaprl_draws_its_next_task_when_it_returns(env):
     back = next_goals(method, goals, RETURN, method.init(KEYS[0], env, goals).replace(values=values))
     assert (back.goal == 5 + 77).all()
     assert set(back.task.tolist()) == ANY
+
+
+def test_a_variant_of_vaprl_takes_subgoals_that_the_last_task_phase_leads_to(env, problem, registries):
+    from benchmarks.paper.vaprl_variants import VaPRLReachable
+
+    method, goals = VaPRLReachable(), goal_table(env)
+    values = jnp.zeros((2, goals.tasks, len(goals.candidates))).at[0, :, jnp.array([77, 500])].set(1.0)
+    far = next_goals(method, goals, RETURN, Curriculum(values.at[(1, CURRENT.task, 500)].set(1.0)))
+    assert (far.goal == 5 + 500).all()
+    lane = take_lane(make_train_state(problem, tiny_method("vaprl", 1), [0]).lanes, 0)
+    refreshed = method.refresh(KEYS[0], problem.env, problem.goals, lane.agent, None, method.init(KEYS[0], env, goals))
+    assert refreshed.values.shape == values.shape
+    np.testing.assert_array_less(0.0, abs(refreshed.values[0] - refreshed.values[1]).max(axis=1))
 
 
 def test_vaprl_values_come_from_the_entropy_free_pair(problem):

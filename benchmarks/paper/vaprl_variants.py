@@ -1,0 +1,51 @@
+"""A variant of VaPRL for difference 14: `earl-jax train TASK --algo NAME --import benchmarks/paper/vaprl_variants.py`."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+import earl_jax
+from earl_jax.algos.goals import GoalIndices, Goals
+from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.vaprl import Curriculum, VaPRL
+from earl_jax.envs import Env
+
+
+class VaPRLReachable(VaPRL):
+    """VaPRL whose subgoals must also be reachable from where the task phase before them ends.
+
+    The value of a candidate is the smaller one of solving the task from it and of reaching it, as with `use_minimum`, the
+    default of the released flag; its only released configuration sets it to 0. The release takes the state in which the
+    task phase ended, this variant the goal of that phase.
+    """
+
+    name: ClassVar[str] = "vaprl_reachable"
+
+    def init(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
+        return Curriculum(jnp.zeros((2, goals.tasks, len(goals.candidates))))
+
+    def next_goal(
+        self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Curriculum
+    ) -> GoalIndices:
+        solved, reached = method_state.values
+        least = Curriculum(jnp.minimum(solved, reached[current.task]))
+        return super().next_goal(key, goals, phase, current, least)
+
+    def refresh(
+        self,
+        key: jax.Array,
+        env: Env,
+        goals: Goals,
+        agent: Any,
+        batch: TransitionBatch | None,
+        method_state: Curriculum,
+    ) -> Curriculum:
+        solved = super().refresh(key, env, goals, agent, batch, method_state).values
+        tasks = jnp.repeat(goals.table[: goals.tasks], len(goals.candidates), axis=0)
+        candidates = jnp.tile(goals.candidates, (goals.tasks, 1))
+        reached = self.mean_value(jax.random.fold_in(key, 1), agent, jnp.concatenate([tasks, candidates], axis=-1))
+        return Curriculum(jnp.stack([solved, reached.reshape(solved.shape)]))
+
+
+earl_jax.register_algo(VaPRLReachable.name, VaPRLReachable)
