@@ -1,4 +1,4 @@
-"""A variant of VaPRL for difference 14: `earl-jax train TASK --algo NAME --import benchmarks/paper/vaprl_variants.py`."""
+"""Variants of VaPRL for difference 14: `earl-jax train TASK --algo NAME --import benchmarks/paper/vaprl_variants.py`."""
 
 from typing import Any, ClassVar
 
@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import earl_jax
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.method import Phase, PhaseDemos
 from earl_jax.algos.vaprl import Curriculum, VaPRL
 from earl_jax.envs import Env
+from earl_jax.envs.state import tree_where
 
 
 class VaPRLReachable(VaPRL):
@@ -48,4 +50,29 @@ class VaPRLReachable(VaPRL):
         return Curriculum(jnp.stack([solved, reached.reshape(solved.shape)]))
 
 
-earl_jax.register_algo(VaPRLReachable.name, VaPRLReachable)
+class VaPRLDemoRelabelling(VaPRL):
+    """VaPRL that relabels demonstrations alone: the default of the released flag, whose goals are those of one task.
+
+    The release then stores a transition of its own once, so a relabelled copy of a demonstration has the same weight.
+    """
+
+    name: ClassVar[str] = "vaprl_demo_relabelling"
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        forward, back = (PhaseDemos(direction, copies_per_step=1.0) for direction in ("forward", "backward"))
+        return Phase((forward,)), Phase((back,))
+
+    def prepare(
+        self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum
+    ) -> TransitionBatch:
+        relabelled = super().prepare(key, env, goals, batch, phase, method_state)
+        demonstrated = batch.row < len(goals.ends)
+        return relabelled._replace(
+            reward=jnp.where(demonstrated, relabelled.reward, batch.reward),
+            flags=tree_where(demonstrated, relabelled.flags, batch.flags),
+        )
+
+
+for variant in (VaPRLReachable, VaPRLDemoRelabelling):
+    earl_jax.register_algo(variant.name, variant)

@@ -291,6 +291,16 @@ def test_vaprl_relabels_demonstrations_with_their_own_later_states(env, relabel)
     assert len(set(later[row == 60].tolist())) > 20
 
 
+def test_a_variant_of_vaprl_relabels_demonstrations_alone(env, relabel, batch, registries):
+    from benchmarks.paper.vaprl_variants import VaPRLDemoRelabelling
+
+    variant = VaPRLDemoRelabelling()
+    demonstrated = batch._replace(row=np.arange(4000) % 100)
+    np.testing.assert_array_equal(relabel(variant, batch).flags.goal, batch.flags.goal)
+    assert (np.asarray(relabel(variant, demonstrated).flags.goal) != np.asarray(batch.flags.goal)).mean() > 0.5
+    assert (relabel(make_algo("vaprl"), batch).flags.goal != batch.flags.goal).any()
+
+
 def test_time_outs_are_terminal_unless_bootstrapped(problem):
     batch = make_batch(*np.zeros((2, 4, 6)))
     flags = batch.flags._replace(reached=np.array([1, 0, 1, 0], bool), timeout=np.array([0, 1, 0, 0], bool))
