@@ -117,13 +117,9 @@ def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) ->
         curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
         CONTINUING: curves.metrics[CONTINUING],
     }
-    style = {
-        "linestyle": line_style,
-        "label": method_title(group.label),
-        "marker": "o" if len(curves.steps) == 1 else None,
-    }
+    label = method_title(group.label)
     for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
-        draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, **style)
+        draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label)
         if final := published_beside(table, curves):
             edge = axis.get_yaxis_transform()
             axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)

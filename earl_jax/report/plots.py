@@ -18,6 +18,7 @@ from earl_jax.report.style import (
     AXES,
     LINE_STYLES,
     PICTURES,
+    dot,
     draw_band,
     legend_below,
     matplotlib,
@@ -171,7 +172,7 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict
     band = Estimate(*[estimate.value] * 3) if each else estimate
     draw_band(axis, steps, band, alpha=0.2, **style)
     if each:
-        axis.plot(steps, values.T, color=style["color"], alpha=0.3, linewidth=0.8)
+        axis.plot(steps, values.T, color=style["color"], alpha=0.3, linewidth=0.8, marker=dot(steps))
 
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:

@@ -64,6 +64,15 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert axis.get_ylim() == (-0.03, 1.03), "a share is drawn from 0 to 1"
 
 
+def test_a_single_evaluation_is_drawn_as_dots(tmp_path, drawn):
+    """A line of one point is invisible."""
+    metrics = {"continuing/reward": 0.1}
+    write_run(tmp_path / "many", TABLETOP, "naive", rising(3, 1), metrics=metrics)
+    write_run(tmp_path / "few", TABLETOP, "fbrl", rising(2, 1), metrics=metrics)
+    lines = drawn(tmp_path).axes[0].lines
+    assert [line.get_marker() for line in lines] == ["o"] * 4
+
+
 def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path, drawn):
     for number in range(11):
         options = {"discount": 0.9 + number / 1000, "learning_rate": 1e-3}
