@@ -261,7 +261,7 @@ def _draw(rows: Sequence[Row]) -> Any:
     rows = [row for row in rows if not math.isnan(row["low"])]
     if not rows:
         raise InputError(
-            "no difference has an interval to draw: each side needs two seeds, and not all of them may be equal"
+            "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"
         )
     envs = list(dict.fromkeys(row["env"] for row in rows))
     figure, axes = new_figure(1, len(envs), (5.4 * len(envs), 1.2 + 0.4 * len(rows)))

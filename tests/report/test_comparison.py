@@ -125,9 +125,9 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
     with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
         write_comparison(rows, tmp_path / "a.html")
-    single = [row | {"low": math.nan} for row in rows]
-    with pytest.raises(ValueError, match="no difference has an interval to draw"):
-        write_comparison(single, tmp_path / "b.png")
+    few = [write_run(tmp_path / algo, KITCHEN, algo, constant(1.0, 2.0)) for algo in ("naive", "fbrl")]
+    with pytest.raises(ValueError, match="no difference has an interval to draw: each side needs three seeds"):
+        write_comparison(compare(few), tmp_path / "b.png")
 
 
 def test_returns_of_thousands_are_written_without_an_exponent(tmp_path):
