@@ -7,6 +7,7 @@ both tables and figures 3, 4 and 5 read the same ones. The grid of the runs is w
 
 import dataclasses
 import json
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -162,4 +163,11 @@ def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
 
 
 def _toml_lines(table: Options) -> list[str]:
-    return [f"{key} = {json.dumps(value)}" for key, value in table.items()]
+    """Return the options of `table` in TOML; a ValueError names one that TOML cannot hold, such as null."""
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
+    for line in lines:
+        try:
+            tomllib.loads(line)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"option {line}: the grid of the runs is in TOML, which has no such value") from error
+    return lines

@@ -113,8 +113,10 @@ def test_the_full_scale_of_the_tables_is_that_of_the_paper_and_figures_share_the
 
 
 def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
-    _, runs = planned_runs("table1", "short", tmp_path, "tabletop_organization", precision="bf16")
-    assert {(run.schedule.steps, len(run.seeds), run.options["precision"]) for run in runs} == {(250_000, 3, "bf16")}
+    options = {"precision": "bf16", "demo_file": "😀.npz"}
+    _, runs = planned_runs("table1", "short", tmp_path, "tabletop_organization", **options)
+    assert {(run.schedule.steps, len(run.seeds)) for run in runs} == {(250_000, 3)}
+    assert all(run.options == options for run in runs)
     with pytest.raises(ValueError, match="'cheetah_run'; choose from tabletop_organization"):
         artefact.training_steps("cheetah_run")
 
@@ -172,6 +174,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
         ({"name": "figure6"}, "unknown experiment 'figure6'; choose from table1"),
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
+        ({"name": "table1", "options": {"replay_capacity": None}}, "option replay_capacity = null: the grid .* TOML"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
         ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),
