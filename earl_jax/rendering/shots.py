@@ -1,5 +1,6 @@
 """What a film or a contact sheet shows of an actor's episodes."""
 
+import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -11,6 +12,8 @@ from earl_jax.rendering.scenes import Scene, view_of
 
 DEFAULT_SECONDS = 10.0
 """Length of a film, unless the caller sets the number of steps."""
+ROUNDING = 1e-6
+"""Share of a control step by which the time between two frames may be shorter than 1 / fps."""
 MOMENTS = 6
 """Moments on a sheet of one task."""
 RANDOM_STEP = 40
@@ -25,7 +28,7 @@ def frames(actor: Actor, steps: int | None, fps: float, life: bool) -> tuple[lis
     They are of episodes that have `steps` steps together, by default ten seconds, of one `life` or each from a reset.
     """
     seconds = view_of(actor.env).dt
-    stride, left = max(1, round(1 / (fps * seconds))), steps or round(DEFAULT_SECONDS / seconds)
+    stride, left = max(1, math.ceil(1 / (fps * seconds) - ROUNDING)), steps or round(DEFAULT_SECONDS / seconds)
     states = []
     for episode in episodes(actor, life):
         length = len(episode.states.reward)
