@@ -14,8 +14,8 @@ import numpy as np
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.report import style
 from earl_jax.report.published import published_steps
-from earl_jax.report.style import save
 from earl_jax.report.tables import Row, write
 
 PAGES = Path(__file__).parent / "pages"
@@ -57,7 +57,7 @@ class Report(NamedTuple):
             write(rows, path)
         page = out / f"{name}.md"
         page.write_text(self.text(name))
-        return [*tables, page, save(self.figure, out / f"{name}.png")]
+        return [*tables, page, style.save(self.figure, out / f"{name}.png")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,10 +98,7 @@ def runs_of(*methods: str) -> Callable[[str], list[Block]]:
 
 def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
     """Return `rows` by their values of the columns `names`, in the order in which they occur."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[name] for name in names), []).append(row)
-    return groups
+    return style.grouped(rows, lambda row: tuple(row[name] for name in names))
 
 
 def column(rows: Iterable[Row], name: str) -> np.ndarray:

@@ -21,6 +21,7 @@ from earl_jax.report.style import (
     LINE_STYLES,
     colours,
     draw_band,
+    grouped,
     legend_below,
     legend_entries,
     method_title,
@@ -96,11 +97,10 @@ def _released_text(number: int, curves: Curves, released: Curves | None, digits:
 
 
 def _draw(groups: Sequence[MethodRuns]) -> Any:
-    envs = list(dict.fromkeys(group.env for group in groups))
-    figure, axes = new_figure(2, len(envs), (max(4.4 * len(envs), 7.0), 6.6), sharex="col")
+    tasks = grouped(groups, lambda group: group.env)
+    figure, axes = new_figure(2, len(tasks), (max(4.4 * len(tasks), 7.0), 6.6), sharex="col")
     palette = colours(group.algo for group in groups)
-    for env, column in zip(envs, axes.T, strict=True):
-        of_task = [group for group in groups if group.env == env]
+    for of_task, column in zip(tasks.values(), axes.T, strict=True):
         for group in of_task:
             peers = [other.label for other in of_task if other.algo == group.algo]
             line_style = LINE_STYLES[peers.index(group.label) % len(LINE_STYLES)]

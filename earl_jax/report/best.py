@@ -16,7 +16,7 @@ from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
 from earl_jax.report.runs import MethodRuns, options_text
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.style import task_order
+from earl_jax.report.style import grouped
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
 
 Test = Literal["permutation", "welch"]
@@ -53,11 +53,8 @@ def best(folders: Sequence[Path], test: Test = "permutation", window: Window = D
     Raises:
         ValueError: a folder holds no run that can be read, or runs of a task are scored by different metrics.
     """
-    groups = read_methods(folders, window)
-    rows: list[Row] = []
-    for env in task_order(group.env for group in groups):
-        rows += _ranked([group for group in groups if group.env == env], test)
-    return rows
+    tasks = grouped(read_methods(folders, window), lambda group: group.env)
+    return [row for groups in tasks.values() for row in _ranked(groups, test)]
 
 
 def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
@@ -115,8 +112,7 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
     if top < 1:
         raise InputError(f"top must be at least 1, not {top}")
     parts: list[str] = []
-    for env in dict.fromkeys(row["env"] for row in rows):
-        of_task = [row for row in rows if row["env"] == env]
+    for env, of_task in grouped(rows, lambda row: row["env"]).items():
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]

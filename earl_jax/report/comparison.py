@@ -27,7 +27,7 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import MethodRuns, common_steps
 from earl_jax.report.scores import interval_of, seed_scores
-from earl_jax.report.style import PICTURES, method_title, new_figure, reach, save, task_title
+from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import (
     INTERVALS,
     Column,
@@ -106,10 +106,7 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> li
 
     By default a family has the comparisons of a task at the same age.
     """
-    families: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        families.setdefault(tuple(row.get(name) for name in family), []).append(row)
-    for members in families.values():
+    for members in grouped(rows, lambda row: tuple(row.get(name) for name in family)).values():
         for row, adjusted in zip(members, holm([row["p"] for row in members]), strict=True):
             row["p_holm"] = float(adjusted)
             row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
@@ -263,10 +260,9 @@ def _draw(rows: Sequence[Row]) -> Any:
         raise InputError(
             "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"
         )
-    envs = list(dict.fromkeys(row["env"] for row in rows))
-    figure, axes = new_figure(1, len(envs), (5.4 * len(envs), 1.2 + 0.4 * len(rows)))
-    for env, axis in zip(envs, axes[0], strict=True):
-        chosen = [row for row in rows if row["env"] == env]
+    tasks = grouped(rows, lambda row: row["env"])
+    figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + 0.4 * len(rows)))
+    for (env, chosen), axis in zip(tasks.items(), axes[0], strict=True):
         for position, row in enumerate(chosen):
             colour = "C0" if row["verdict"] in ("above", "below") else "0.5"
             interval = reach(Estimate(row["difference"], row["low"], row["high"]))

@@ -17,6 +17,7 @@ from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import chosen_words
 from earl_jax.report.runs import Curves, MethodRuns
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
+from earl_jax.report.style import grouped
 from earl_jax.report.tables import interval_text, millions, step_interval
 from earl_jax.runs.provenance import made_by, short_commit
 
@@ -79,9 +80,7 @@ def shipped_rows() -> list[Row]:
 
 def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
     """Return `rows` by task, in the order in which tasks occur, those of a task by their score."""
-    by_task: dict[str, list[Row]] = {}
-    for row in rows:
-        by_task.setdefault(row.env, []).append(row)
+    by_task = grouped(rows, lambda row: row.env)
     return {env: sorted(members, key=lambda row: -row.score) for env, members in by_task.items()}
 
 

@@ -13,7 +13,7 @@ from earl_jax.metrics.continuing import count_diverged
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
-from earl_jax.report.style import method_order, task_order
+from earl_jax.report.style import grouped, method_order, task_order
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
@@ -128,14 +128,10 @@ def labels(runs: Sequence[Curves]) -> list[str]:
     without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
     is not known here.
     """
-    tasks: dict[str, list[Curves]] = {}
-    peers: dict[tuple[str, str], list[Curves]] = {}
-    for curves in runs:
-        tasks.setdefault(curves.config.env, []).append(curves)
-        peers.setdefault((curves.config.env, curves.config.algo), []).append(curves)
+    tasks = grouped(runs, lambda curves: curves.config.env)
     on_task = {env: _differing(members, [curves.task_options for curves in members]) for env, members in tasks.items()}
     found: dict[int, str] = {}
-    for (env, algo), members in peers.items():
+    for (env, algo), members in grouped(runs, lambda curves: (curves.config.env, curves.config.algo)).items():
         differing = (on_task[env] - SAME_TASK) | _differing(members, [curves.options for curves in members])
         found |= {id(curves): label(algo, _values(curves, differing)) for curves in members}
     return [found[id(curves)] for curves in runs]

@@ -1,7 +1,7 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
 import importlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,14 @@ def ordered(names: Iterable[str], first: Iterable[str]) -> list[str]:
     """Return each of `names` once: those in `first` in its order, then the others alphabetically."""
     leading, distinct = list(first), set(names)
     return [name for name in leading if name in distinct] + sorted(distinct - set(leading))
+
+
+def grouped(items: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Return `items` by their `key`, in the order in which these occur."""
+    groups: dict[Any, list[Any]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def task_order(envs: Iterable[str]) -> list[str]:

@@ -13,7 +13,7 @@ from earl_jax.report.html.page_tables import UNKNOWN, difference_table, leaderbo
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.runs import options_text
 from earl_jax.report.scores import SMOOTH
-from earl_jax.report.style import task_order, task_title
+from earl_jax.report.style import grouped, task_order, task_title
 from earl_jax.report.tables import steps_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
@@ -29,9 +29,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
     names = dict.fromkeys(name for origin in origins for name in origin)
     versions = {name: list(dict.fromkeys(origin.get(name, UNKNOWN) for origin in origins)) for name in names}
     shown = videos(lines, policies)
-    tasks: dict[tuple[str, str], list[Line]] = {}
-    for line in lines:
-        tasks.setdefault((line.group.env, line.curves.deployed_metric), []).append(line)
+    tasks = grouped(lines, lambda line: (line.group.env, line.curves.deployed_metric))
     return {
         "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
         "tasks": [_task_section(f"t{number}", members, shown) for number, members in enumerate(tasks.values())],
