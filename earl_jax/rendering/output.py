@@ -52,7 +52,8 @@ def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Pa
         options = {"format": "GIF", "optimize": True}
     film = io.BytesIO()
     first, *rest = pictures
-    first.save(film, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, **options)
+    duration = 10 * round(100 / fps)  # milliseconds; a .gif cuts them to hundredths of a second
+    first.save(film, save_all=True, append_images=rest, duration=duration, loop=0, **options)
     return _written(path, film.getvalue())
 
 

@@ -9,7 +9,7 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.rendering import render
 from earl_jax.rendering.actors import _actors, actor_of, episodes
-from earl_jax.rendering.output import GAP
+from earl_jax.rendering.output import GAP, write_film
 from earl_jax.rendering.scenes import Scene
 from tests.conftest import tiny_train
 
@@ -50,6 +50,13 @@ def test_an_animation_has_one_frame_for_each_step(graphics, tmp_path, suffix, ac
         first = np.asarray(film.convert("RGB"))
         film.seek(5)
         assert (first != np.asarray(film.convert("RGB"))).any()
+
+
+def test_a_gif_is_not_faster_than_its_frames(tmp_path):
+    """A .gif counts in hundredths of a second: 87.5 ms were cut to 80."""
+    frames = [np.full((8, 8, 3), colour, np.uint8) for colour in (0, 255)]
+    with images.open(write_film(tmp_path / "x.gif", frames, 80 / 7, (8, 8))) as film:
+        assert film.info["duration"] == 90
 
 
 def test_demonstrations_that_cannot_be_read_are_named(tmp_path):
