@@ -167,13 +167,19 @@ def test_an_attempt_has_at_least_one_step():
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
 
 
-def test_an_evaluation_of_a_life_balances_its_pairs_if_the_protocol_does(env):
-    """Every evaluation has each of the four goals once, so doing nothing returns the same each time."""
+def test_balanced_pairs_take_the_chance_out_of_the_score_of_a_policy_if_the_protocol_balances_them(env):
+    """The returns of doing nothing differ between the four goals; a balanced evaluation has each of them once."""
     dense = dataclasses.replace(env, reward_type="dense")
-    protocol = Protocol(0, 2, eval_episodes=4, eval_pairs="balanced")
 
-    def measured(key):
-        life = init(dense, protocol, key)
-        return evaluate(dense, protocol, life, lambda obs: jnp.zeros(env.action_size))[1]["deployed/return"]
+    def scores(pairs):
+        protocol = Protocol(0, 2, eval_episodes=4, eval_pairs=pairs)
 
-    assert np.ptp(jax.jit(jax.vmap(measured))(jax.random.split(jax.random.key(0), 6))) < 1e-5
+        def measured(key):
+            life = init(dense, protocol, key)
+            return evaluate(dense, protocol, life, lambda obs: jnp.zeros(env.action_size))[1]["deployed/return"]
+
+        return jax.vmap(measured)(jax.random.split(jax.random.key(0), 12))
+
+    random, balanced = np.asarray(jax.jit(lambda: [scores(pairs) for pairs in ("random", "balanced")])())
+    assert np.ptp(balanced) < 1e-5 < 0.1 < np.ptp(random)
+    assert abs(random.mean() - balanced.mean()) < np.ptp(random)
