@@ -6,7 +6,7 @@ the first version of SAC, ours the second.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -119,14 +119,17 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
 
 def _run_note(run: Curves) -> str:
     """Return how long a run is, how the goal of its task changes, and with which temperature and reward scale it learns."""
-    sac = run.config.build_method().learner
-    assert isinstance(sac, SAC)
-    temperatures, scales = (
-        ", ".join(f"{v:g}" for v in np.unique(x)) for x in (sac.initial_temperature, sac.reward_scale)
-    )
-    kind = "fixed at" if sac.fixed_temperature else "learnt from"
-    learner = f"temperature {kind} {temperatures}, reward scale {scales}"
-    return f"- {run.config.env}: {run.steps[-1]:,} steps, {_goals_text(run.config)}, {learner}"
+    learner = run.config.build_method().learner
+    text = f"learner {learner.name}"
+    if isinstance(learner, SAC):
+        kind = "fixed at" if learner.fixed_temperature else "learnt from"
+        text = f"temperature {kind} {_listed(learner.initial_temperature)}"
+    lengths = f"{run.steps[-1]:,} steps, {_goals_text(run.config)}"
+    return f"- {run.config.env}: {lengths}, {text}, reward scale {_listed(learner.reward_scale)}"
+
+
+def _listed(values: Any) -> str:
+    return ", ".join(f"{value:g}" for value in np.unique(values))
 
 
 def _goals_text(config: RunConfig) -> str:

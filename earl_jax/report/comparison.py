@@ -28,16 +28,7 @@ from earl_jax.report.published import (
 from earl_jax.report.runs import MethodRuns, common_steps
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
-from earl_jax.report.tables import (
-    INTERVALS,
-    Column,
-    Row,
-    Table,
-    interval_text,
-    millions,
-    number_text,
-    write,
-)
+from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, millions, number_text, write
 from earl_jax.runs.files import RunWarning
 
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)

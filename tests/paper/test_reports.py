@@ -140,11 +140,18 @@ def test_each_point_of_figure_2_has_the_final_returns_of_its_lanes(files):
     assert curve == [[10, 510], [20, 510]]
 
 
-def test_figure_2_says_how_the_target_changes_and_what_the_learner_is(tmp_path):
+@pytest.mark.parametrize(
+    ("learner", "expected"),
+    [
+        ({"fixed_temperature": True, "reward_scale": 0.1}, "temperature fixed at 1, reward scale 0.1"),
+        ({"learner": "td3"}, "learner td3, reward scale 10"),
+    ],
+)
+def test_figure_2_says_how_the_target_changes_and_what_the_learner_is(tmp_path, learner, expected):
     tied = {"setting": Continuing(goal_change=2_000), "env_options": {"train_horizon": 2_000}}
-    runs = [(FISH, "naive", constant(1.0), {**tied, "fixed_temperature": True, "reward_scale": 0.1})]
+    runs = [(FISH, "naive", constant(1.0), {**tied, **learner})]
     text = ARTEFACTS["figure2"].report(write_runs(tmp_path, runs)).parts["runs"]
-    assert text == "- fish_swim: 20 steps, the target stays between resets, temperature fixed at 1, reward scale 0.1"
+    assert text == f"- fish_swim: 20 steps, the target stays between resets, {expected}"
 
 
 @pytest.mark.parametrize(
