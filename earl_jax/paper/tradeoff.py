@@ -15,7 +15,7 @@ from scipy import stats
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, mean_interval
-from earl_jax.metrics.scores import deployed_area, final_scores
+from earl_jax.metrics.scores import SUCCESS, deployed_area, final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.comparison import with_verdicts
@@ -71,14 +71,15 @@ def report(folders: Sequence[Path]) -> Report:
     Raises:
         ValueError: a folder is no run, two runs of one point differ in other options, or matplotlib is not installed.
     """
-    rows = seed_rows(read_all(folders))
+    runs = read_all(folders)
+    rows, metrics = seed_rows(runs), {run.config.env: run.deployed_metric for run in runs}
     lines = {
         name: sorted(grouped(line, "value").values(), key=lambda seeds: column(seeds, "interventions").mean())
         for name, line in grouped(rows, *LINE).items()
     }
     return Report(
         {"points": _points_table(rows), "findings": _findings_table(lines), "level": str(LEVEL)},
-        _draw(lines),
+        _draw(lines, metrics),
         {"": rows},
     )
 
@@ -172,29 +173,29 @@ def _detectable(seeds: int) -> float:
     return math.tanh((stats.norm.ppf(1 - LEVEL / 2) + stats.norm.ppf(POWER)) / math.sqrt(seeds - 3))
 
 
-def _draw(lines: Lines) -> Any:
-    """Return a figure with a column per task: final score and area by the interventions spent."""
+def _draw(lines: Lines, metrics: dict[str, str]) -> Any:
+    """Return a figure with a column per task: final score and area by the interventions spent; `metrics` names the scores."""
     envs = list(dict.fromkeys(env for env, _, _ in lines))
     figure, axes = new_figure(2, len(envs), (max(4.8 * len(envs), 6.4), 7.0), sharex="col")
     palette = colours(algo for _, algo, _ in lines)
     for (env, algo, kind), line in lines.items():
+        style = {"fmt": KINDS[kind], "color": palette[algo], "label": f"{method_title(algo)}, {NAMES[kind]}"}
         for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
-            _draw_line(
-                axis, line, score, fmt=KINDS[kind], color=palette[algo], label=f"{method_title(algo)}, {NAMES[kind]}"
-            )
+            _draw_line(axis, line, score, metrics[env] == SUCCESS, **style)
     for env, (above, below) in zip(envs, axes.T, strict=True):
-        above.set(title=task_title(env), ylabel=AXES["deployed/success"])
-        below.set(xscale="symlog", xlabel="Interventions", ylabel="Mean success over training")
+        above.set(title=task_title(env), ylabel=AXES[metrics[env]])
+        mean = f"Mean {metrics[env].removeprefix('deployed/')} over training"
+        below.set(xscale="symlog", xlabel="Interventions", ylabel=mean)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     legend_below(figure, legend_entries(axes[0]), 4)
     return figure
 
 
-def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, **style: Any) -> None:
+def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, rate: bool, **style: Any) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
     spent = [column(seeds, "interventions").mean() for seeds in line]
-    estimate = Estimate(*zip(*(mean_interval(column(seeds, score), rate=True) for seeds in line), strict=True))
+    estimate = Estimate(*zip(*(mean_interval(column(seeds, score), rate) for seeds in line), strict=True))
     axis.errorbar(spent, estimate.value, reach(estimate), capsize=3, markersize=5, **style)
     for x, y, seeds in zip(spent, estimate.value, line, strict=True):
         axis.annotate(f"{seeds[0]['value']:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")

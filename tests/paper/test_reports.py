@@ -1,12 +1,14 @@
 """Tables, curves and figures on runs written by hand, against numbers computed by hand. Figure 3 has its own tests."""
 
 import math
+import warnings
 
 import pytest
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from earl_jax.envs import PAPER_TASKS
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.paper import figure2, figure4
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.protocol import Continuing, Deployment
@@ -14,7 +16,7 @@ from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.scores import crossings_beside
 from earl_jax.report.style import COLOURS
-from tests.paper.written_runs import CHEETAH, FISH, RUNS, SCORES, numbers, rewards, write_runs
+from tests.paper.written_runs import CHEETAH, FISH, RUNS, SCORES, lifetimes, numbers, rewards, write_runs
 from tests.report.run_files import KITCHEN, TABLETOP, constant, count_pixels, read_csv
 
 
@@ -201,6 +203,18 @@ def test_each_seed_of_the_trade_off_has_its_scores_at_the_last_step_that_its_lin
     line = [row for name, row in rows.items() if name[:2] == ("naive", "epsilon")]
     assert len({row["steps"] for row in line}) == 1
     assert {row["final"] for row in line if row["value"] == "0.0"} == {"0.0"}  # its third evaluation comes later
+
+
+def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):
+    """Their mean has Student's interval; Wilson's, which is for rates, is a warning and nan."""
+    dense = {"env_options": {"reward_type": "dense"}}
+    scores = constant(-100.0, -200.0, -150.0), constant(-50.0, -60.0, -80.0)
+    runs = [(TABLETOP, "naive", own, {**lifetimes(5, n / 100), **dense}) for n, own in enumerate(scores)]
+    with warnings.catch_warnings(action="error"):
+        figure = ARTEFACTS["tradeoff"].report(write_runs(tmp_path, runs)).figure
+    assert [axis.get_ylabel() for axis in figure.axes] == ["Return of the deployed policy", "Mean return over training"]
+    [interval, _] = figure.axes[0].containers[0].lines[2][0].get_segments()
+    assert interval[:, 1] == pytest.approx(mean_interval(scores[0][:, 0])[1:])
 
 
 DROPS = {
