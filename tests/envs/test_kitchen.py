@@ -11,19 +11,8 @@ import pytest
 from benchmarks.physics import kitchen as benchmark
 from earl_jax import physics
 from earl_jax.envs import make
+from earl_jax.envs.kitchen import franka_kitchen as task
 from earl_jax.envs.kitchen import reward as kitchen_reward
-from earl_jax.envs.kitchen.franka_kitchen import (
-    ARM_QPOS,
-    ARM_QVEL,
-    ARM_WARMSTART,
-    CLOSED,
-    MIDDLE,
-    MOCAP_HIGH,
-    MOCAP_LOW,
-    NOISE,
-    PAIRS,
-    TEXT_GOALS,
-)
 from tests.envs.programs import first_state, program, run_actions, run_alone, starts
 
 ENV = make("franka_kitchen")
@@ -43,7 +32,7 @@ PARTS = {
 
 def changed_parts(states, ignored=frozenset()):
     """Return the indices of each of `states [n, 23]` that differ from the closed kitchen."""
-    return [set(np.flatnonzero(state != CLOSED).tolist()) - ignored for state in states]
+    return [set(np.flatnonzero(state != task.CLOSED).tolist()) - ignored for state in states]
 
 
 def reward_in_numpy(obs, mocap, sites):
@@ -63,7 +52,7 @@ def reward_in_numpy(obs, mocap, sites):
 def test_the_released_starts_have_two_appliances_open_and_its_time_step():
     assert ENV.simulator.timestep == pytest.approx(0.08 / 12)
     changed = {tuple(sorted(parts)) for parts in changed_parts(ENV.initial_states)}
-    assert changed == {tuple(sorted(PARTS[first] | PARTS[second])) for first, second in PAIRS}
+    assert changed == {tuple(sorted(PARTS[first] | PARTS[second])) for first, second in task.PAIRS}
 
 
 def test_reset_is_the_state_after_ten_released_steps_of_no_action():
@@ -73,13 +62,15 @@ def test_reset_is_the_state_after_ten_released_steps_of_no_action():
         data = mujoco.MjData(model)
         data.qpos[:9] = np.clip(RELEASED_START, model.jnt_range[:9, 0], model.jnt_range[:9, 1])
         data.qpos[9:] = ENV.initial_states[lane, kitchen_reward.FIRST[9:]]
-        data.mocap_pos[0], data.ctrl[:] = MIDDLE, RELEASED_START[:2]
+        data.mocap_pos[0], data.ctrl[:] = task.MIDDLE, RELEASED_START[:2]
         mujoco.mj_step(model, data, 400)
-        np.testing.assert_allclose(data.qpos[:9], ARM_QPOS, atol=1e-7)
-        np.testing.assert_allclose(data.qvel[:9], ARM_QVEL, atol=1e-6)
-        np.testing.assert_allclose(data.qacc_warmstart[:9], ARM_WARMSTART, atol=1e-5)
+        np.testing.assert_allclose(data.qpos[:9], task.ARM_QPOS, atol=1e-7)
+        np.testing.assert_allclose(data.qvel[:9], task.ARM_QVEL, atol=1e-6)
+        np.testing.assert_allclose(data.qacc_warmstart[:9], task.ARM_WARMSTART, atol=1e-5)
         assert np.abs(joints - data.qpos[9:]).max(axis=1).min() < 1e-6, "some start is this one"
-    assert np.abs(np.array(ARM_QPOS[:7]) - CLOSED[:7]).max() < 0.03, "the published goal's arm, but for its noise"
+    assert np.abs(np.array(task.ARM_QPOS[:7]) - task.CLOSED[:7]).max() < 0.03, (
+        "the published goal's arm, but for its noise"
+    )
 
 
 def test_weights_of_plates_and_of_the_light_close_them_slowly_as_in_the_original():
@@ -98,14 +89,14 @@ def test_weights_of_plates_and_of_the_light_close_them_slowly_as_in_the_original
 
 def test_noise_is_bounded_in_every_number_and_new_at_every_step():
     expected = [*[0.01] * 9, *[0.0005] * 2, *[0.00005] * 6, *[0.0005] * 3, *[0.01] * 3]
-    np.testing.assert_allclose(NOISE, expected, rtol=1e-6)
+    np.testing.assert_allclose(task.NOISE, expected, rtol=1e-6)
     first = starts(ENV)
     after = jax.tree.map(lambda leaf: leaf[0], run_actions(ENV, first, np.zeros((1, len(first.obs), 9), np.float32)))
     noise = np.stack(
         [state.obs[:, :23] - kitchen_reward.observed(np.asarray(state.data.qpos)) for state in (first, after)]
     )
-    assert (np.abs(noise) <= NOISE + 1e-6).all()
-    np.testing.assert_allclose(np.abs(noise).max(axis=(0, 1)), NOISE, rtol=0.03, atol=1e-6)
+    assert (np.abs(noise) <= task.NOISE + 1e-6).all()
+    np.testing.assert_allclose(np.abs(noise).max(axis=(0, 1)), task.NOISE, rtol=0.03, atol=1e-6)
     assert np.abs(np.corrcoef(*noise[:, :, 0])[0, 1]) < 0.2
     exact = starts(EXACT)
     np.testing.assert_array_equal(exact.obs[:, :23], kitchen_reward.observed(np.asarray(exact.data.qpos)))
@@ -118,13 +109,13 @@ def test_observation_and_reward_match_numpy():
     joints = states.data.qpos.astype(np.float64)
     pairs = [joints[:, [9 + knob]] / [1, 174] for knob in range(4)]
     plain = np.concatenate([joints[:, :9], *pairs, joints[:, [13]] / [1, 14], joints[:, 14:]], axis=1)
-    assert (np.abs(states.obs[:, :23] - plain) <= NOISE + 1e-5).all()
-    np.testing.assert_array_equal(states.obs[:, 23:], np.tile(CLOSED, (60, 1)))
-    mocap = np.array(MIDDLE)
+    assert (np.abs(states.obs[:, :23] - plain) <= task.NOISE + 1e-5).all()
+    np.testing.assert_array_equal(states.obs[:, 23:], np.tile(task.CLOSED, (60, 1)))
+    mocap = np.array(task.MIDDLE)
     for move, reached in zip(actions[:, :3], states.info["mocap"], strict=True):
-        mocap = np.clip(mocap + 0.02 * move, MOCAP_LOW, MOCAP_HIGH)
+        mocap = np.clip(mocap + 0.02 * move, task.MOCAP_LOW, task.MOCAP_HIGH)
         np.testing.assert_allclose(reached, mocap, atol=1e-5)
-    np.testing.assert_allclose([MOCAP_LOW, MOCAP_HIGH], [[-0.7, -0.1, 1.8], [0.4, 0.5, 2.6]], rtol=1e-6)
+    np.testing.assert_allclose([task.MOCAP_LOW, task.MOCAP_HIGH], [[-0.7, -0.1, 1.8], [0.4, 0.5, 2.6]], rtol=1e-6)
     expected = [
         reward_in_numpy(*row) for row in zip(states.obs, states.info["mocap"], states.info["sites"], strict=True)
     ]
@@ -167,14 +158,14 @@ def test_the_papers_reward_and_the_sparse_reward():
 
 def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitchen():
     assert (PAPER.observation_size, PAPER.goal_states.shape, PAPER.initial_states.shape) == (46, (11, 23), (1, 23))
-    assert len(set(map(frozenset, TEXT_GOALS))) == 11
+    assert len(set(map(frozenset, task.TEXT_GOALS))) == 11
     changed = changed_parts(PAPER.goal_states, ignored={20})
-    assert changed == [set().union(*(PARTS[name] for name in group)) - {20} for group in TEXT_GOALS]
+    assert changed == [set().union(*(PARTS[name] for name in group)) - {20} for group in task.TEXT_GOALS]
     assert not PARTS["light"] & set().union(*changed), "the text has no light"
     assert {22, 21, 11, 12} in changed, "the text's example: microwave, door and burner"
     assert {11, 12, 15, 16} in changed, "two distinct burners"
     states = starts(PAPER)
-    assert np.abs(states.obs[:, 9:23] - CLOSED[9:]).max() < 0.01, "everything is closed at the start"
+    assert np.abs(states.obs[:, 9:23] - task.CLOSED[9:]).max() < 0.01, "everything is closed at the start"
     assert len(np.unique(states.obs[:, 23:], axis=0)) == 11, "every goal is drawn"
     assert not np.asarray(states.metrics["success"]).any()
     assert not jax.jit(jax.vmap(PAPER.fault))(states).any()
