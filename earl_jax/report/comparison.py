@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,6 +35,8 @@ from earl_jax.runs.files import RunWarning
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
 TABLES = (".md", ".tex", ".csv")
+LETTERS = 36
+"""Letters in a line of the name of a difference in a picture."""
 AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
@@ -252,13 +255,15 @@ def _draw(rows: Sequence[Row]) -> Any:
             "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"
         )
     tasks = grouped(rows, lambda row: row["env"])
-    figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + 0.4 * len(rows)))
+    names = {env: [textwrap.fill(_difference(row), LETTERS) for row in chosen] for env, chosen in tasks.items()}
+    height = 0.4 + 0.16 * max(name.count("\n") for of_task in names.values() for name in of_task)
+    figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + height * len(rows)))
     for (env, chosen), axis in zip(tasks.items(), axes[0], strict=True):
         for position, row in enumerate(chosen):
             colour = "C0" if row["verdict"] in ("above", "below") else "0.5"
             interval = reach(Estimate(row["difference"], row["low"], row["high"]))
             axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
-        axis.set_yticks(range(len(chosen)), [_difference(row) for row in chosen], fontsize="small")
+        axis.set_yticks(range(len(chosen)), names[env], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)
         axis.set(title=task_title(env), xlabel="Difference of means, 95 % interval", ylim=(len(chosen) - 0.5, -0.5))
     return figure

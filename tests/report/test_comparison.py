@@ -1,6 +1,7 @@
 """Comparisons of runs written by hand."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -128,6 +129,21 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     few = [write_run(tmp_path / algo, KITCHEN, algo, constant(1.0, 2.0)) for algo in ("naive", "fbrl")]
     with pytest.raises(ValueError, match="no difference has an interval to draw: each side needs three seeds"):
         write_comparison(compare(few), tmp_path / "b.png")
+
+
+def test_long_names_in_a_picture_are_wrapped(tmp_path):
+    """They left no room for the intervals and were cut off."""
+    options = {
+        "batch_size": 64,
+        "discount": 0.95,
+        "learning_rate": 1e-3,
+        "reward_scale": 1.0,
+        "timeout_bootstrap": True,
+    }
+    changed = write_run(tmp_path / "a", TABLETOP, "naive", constant(*GOOD), **options)
+    rows = compare([changed, write_run(tmp_path / "b", TABLETOP, "naive", constant(*BAD))])
+    with warnings.catch_warnings(action="error"):
+        write_comparison(rows, tmp_path / "a.png")
 
 
 def test_returns_of_thousands_are_written_without_an_exponent(tmp_path):
