@@ -3,6 +3,7 @@
 Source: Sharma et al. 2022, figure 5.
 """
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,8 @@ from earl_jax.report.style import (
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
 SMOOTH = " (trailing 10)"
+LETTERS = 40
+"""Letters in a line of the legend, which has half as many columns if names have options."""
 
 
 def report(folders: Sequence[Path]) -> Report:
@@ -145,7 +148,10 @@ def _add_legend(figure: Any, axes: Any) -> None:
         "Published, final value": {"color": "0.5", "linestyle": "--", "linewidth": 2},
         "Published mean reaches 0.5, 0.9": {"color": "0.5", "linestyle": "", "marker": "X", "markersize": 7},
     }
-    legend_below(figure, entries, min(len(entries), 4 if axes.shape[1] < 3 else 8), fontsize="small")
+    columns = 4 if axes.shape[1] < 3 else 8
+    if any("(" in name for name in entries):
+        entries, columns = {textwrap.fill(name, LETTERS): style for name, style in entries.items()}, columns // 2
+    legend_below(figure, entries, min(len(entries), columns), fontsize="small")
 
 
 FIGURE5 = Artefact("figure5", PAPER_TASKS, runs_of(*METHODS), report)

@@ -120,6 +120,16 @@ def test_published_crossings_are_drawn_only_beside_the_papers_task_and_setting(t
     assert marks == [{0.5: 880_000, 0.9: 2_090_000}, {}]
 
 
+@pytest.mark.parametrize("options", [{}, {"batch_size": 64, "discount": 0.95, "learning_rate": 1e-3}])
+def test_the_legend_of_figure_5_fits_if_names_have_options(tmp_path, options):
+    variants = [(algo, changed) for algo in ("naive", "fbrl") for changed in ({"reward_scale": 1.0, **options}, {})]
+    runs = [(TABLETOP, algo, SCORES, rewards(0.004, **changed)) for algo, changed in variants]
+    figure = ARTEFACTS["figure5"].report(write_runs(tmp_path, runs)).figure
+    figure.draw_without_rendering()
+    legend = figure.legends[0].get_window_extent()
+    assert 0 <= legend.x0 < legend.x1 <= figure.bbox.x1
+
+
 def test_table_1_scores_a_method_by_the_score_of_its_run(files):
     rows = {(row["env"], row["label"]): row for row in read_csv(files["table1"][0])}
     assert list(dict.fromkeys(env for env, _ in rows)) == list(PAPER_TASKS)
