@@ -37,6 +37,8 @@ COLOUR_COUNT = 10
 """Colours of matplotlib's cycle."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
+TITLE = 1.2
+"""Size of the text of a title, relative to that of other text."""
 POINTS = 2000
 """Most evaluations drawn of a line, more than a panel has pixels."""
 
@@ -48,6 +50,10 @@ class Size(NamedTuple):
     height: float
     points: float
     columns: int
+
+    def wrapped(self, text: str, columns: int, scale: float = 1.0) -> str:
+        """Return `text` in lines that fit into one of so many columns of the figure, with letters `scale` times as large."""
+        return textwrap.fill(text, int(self.width / (LETTER * self.points * scale * columns)) - 6)
 
 
 SIZES = {"screen": Size(10, 4.2, 10, 2), "column": Size(3.35, 2.3, 8, 1), "page": Size(6.9, 2.6, 8, 2)}
@@ -124,7 +130,8 @@ def plot_runs(
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
             released |= _draw_panel(axis, group, panel, smooth, published)
             names = [task_title(group[0].env)] * (len(tasks) > 1) + [group[0].name] * published
-            axis.set_title("\n".join(filter(None, (", ".join(names), PANELS.get(panel, "")))))
+            title = layout.wrapped(", ".join(names), columns, TITLE)
+            axis.set_title("\n".join(filter(None, (title, PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
@@ -180,8 +187,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
     entries = {name: line.style for name, line in _legend_entries(lines).items()}
     entries |= {"Published, five seeds": RELEASED} if released else {}
     columns = min(layout.columns, len(entries))
-    letters = int(layout.width / (LETTER * layout.points * columns)) - 6
-    filled = {textwrap.fill(name, letters): style for name, style in entries.items()}
+    filled = {layout.wrapped(name, columns): style for name, style in entries.items()}
     height = max(sum(name.count("\n") + 1 for name in list(filled)[i::columns]) for i in range(columns))
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
     legend_below(figure, filled, columns)

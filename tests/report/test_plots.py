@@ -85,6 +85,17 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert figure.get_size_inches()[0] == 3.35
 
 
+def test_long_titles_are_wrapped(tmp_path, drawn):
+    """With `published` each run has panels, whose titles ran over each other."""
+    options = {"discount": 0.9, "learning_rate": 1e-3, "batch_size": 64, "timeout_bootstrap": True}
+    for name, changed in {"a": options, "b": {}}.items():
+        write_run(tmp_path / name, TABLETOP, "naive", rising(3, 3), metrics=METRICS, **changed)
+    figure = drawn(tmp_path, size="page", published=True)
+    figure.draw_without_rendering()
+    left, right = (axis.title.get_window_extent() for axis in figure.axes[:2])
+    assert 0 <= left.x0 < left.x1 < right.x0 < right.x1 <= figure.bbox.x1
+
+
 def test_methods_keep_their_order_and_colours_and_unknown_tasks_their_names():
     assert method_order(["oracle", "mine", "naive", "also", "oracle"]) == ["naive", "oracle", "also", "mine"]
     assert colours(["oracle", "mine"])["oracle"] == COLOURS["oracle"]
