@@ -100,7 +100,7 @@ def _released_text(number: int, curves: Curves, released: Curves | None, digits:
 
 
 def _draw(groups: Sequence[MethodRuns]) -> Any:
-    tasks = grouped(groups, lambda group: group.env)
+    tasks = grouped(groups, lambda group: (group.env, group.curves.deployed_metric))
     figure, axes = new_figure(2, len(tasks), (max(4.4 * len(tasks), 7.0), 6.6), sharex="col")
     palette = colours(group.algo for group in groups)
     for of_task, column in zip(tasks.values(), axes.T, strict=True):

@@ -20,6 +20,7 @@ from earl_jax.report.style import (
     PICTURES,
     dot,
     draw_band,
+    grouped,
     legend_below,
     matplotlib,
     method_title,
@@ -118,7 +119,8 @@ def plot_runs(
         raise InputError(f"size must be one of {', '.join(SIZES)}, and smooth at least 1, not {size} and {smooth}")
     lines = _lines(read_all(folders), names)
     tasks = task_order(line.env for line in lines)
-    of_tasks = [[line for line in lines if line.env == env] for env in tasks]
+    by_task = sorted(lines, key=lambda line: tasks.index(line.env))
+    of_tasks = grouped(by_task, lambda line: (line.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
     cells = [(group, panel) for group in groups for panel in (PANELS if metric is None else [metric])]
     layout = SIZES[size]

@@ -130,6 +130,14 @@ def test_the_legend_of_figure_5_fits_if_names_have_options(tmp_path, options):
     assert 0 <= legend.x0 < legend.x1 <= figure.bbox.x1
 
 
+def test_runs_of_a_task_by_success_and_by_return_have_columns_of_their_own_in_figure_5(tmp_path):
+    kinds = [rewards(0.004, env_options={"reward_type": reward}) for reward in ("sparse", "dense")]
+    figure = (
+        ARTEFACTS["figure5"].report(write_runs(tmp_path, [(TABLETOP, "fbrl", SCORES, kind) for kind in kinds])).figure
+    )
+    assert [axis.get_ylabel().partition(" ")[0] for axis in figure.axes[:2]] == ["Success", "Return"]
+
+
 def test_table_1_scores_a_method_by_the_score_of_its_run(files):
     rows = {(row["env"], row["label"]): row for row in read_csv(files["table1"][0])}
     assert list(dict.fromkeys(env for env, _ in rows)) == list(PAPER_TASKS)

@@ -64,6 +64,15 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert axis.get_ylim() == (-0.03, 1.03), "a share is drawn from 0 to 1"
 
 
+def test_runs_of_a_task_by_success_and_by_return_have_panels_of_their_own(tmp_path, drawn):
+    for reward in ("sparse", "dense"):
+        options = {"reward_type": reward}
+        write_run(tmp_path / reward, TABLETOP, "naive", rising(3, 3), metrics=METRICS, env_options=options)
+    labels = [axis.get_ylabel().partition(" ")[0] for axis in drawn(tmp_path).axes]
+    assert labels == ["Return", "Reward", "Success", "Reward"]
+    assert len(drawn(tmp_path, metric="interventions").axes) == 1
+
+
 def test_a_single_evaluation_is_drawn_as_dots(tmp_path, drawn):
     """A line of one point is invisible."""
     metrics = {"continuing/reward": 0.1}
