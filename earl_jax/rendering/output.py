@@ -47,12 +47,13 @@ def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple
 def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Path:
     pictures = map(library("PIL.Image").fromarray, images)
     options: dict[str, Any] = {"format": "WEBP", "quality": WEBP_QUALITY, "method": 6}
+    unit = 1  # milliseconds, in which a format counts
     if path.suffix == ".gif":
         pictures = (picture.quantize(128, dither=0) for picture in pictures)
-        options = {"format": "GIF", "optimize": True}
+        options, unit = {"format": "GIF", "optimize": True}, 10
     film = io.BytesIO()
     first, *rest = pictures
-    duration = 10 * round(100 / fps)  # milliseconds; a .gif cuts them to hundredths of a second
+    duration = unit * max(1, round(1000 / fps / unit))
     first.save(film, save_all=True, append_images=rest, duration=duration, loop=0, **options)
     return _written(path, film.getvalue())
 
