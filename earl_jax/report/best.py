@@ -74,7 +74,7 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
         row["least_p"] = _least_p(len(leader), len(scores), test)
     family = sum(not math.isnan(row["p"]) for row, _ in tested)
     for row, _ in tested:
-        row["least_p"] *= family
+        row["least_p"] = min(row["least_p"] * family, 1.0)  # nan stays
     for row in with_verdicts([row for row, _ in tested]):
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
     tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]

@@ -75,6 +75,12 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
         best_text(few, top=0)
 
 
+def test_the_smallest_adjusted_p_of_many_tests_is_at_most_1(tmp_path):
+    rows = best([write_cells(tmp_path, **{f"run{n}": [n / 10, n / 10 + 0.01] for n in range(5)})])
+    assert {row["least_p"] for row in rows[1:]} == {1.0}
+    assert "the smallest adjusted p of so many permutation tests is 1." in best_text(rows)
+
+
 def test_single_seeds_are_no_tests_of_the_family(tmp_path):
     rows = best([write_cells(tmp_path, good=GOOD[:4], bad=BAD[:4], one=[0.5], two=[0.6])])
     assert [row["verdict"] for row in rows] == ["best", "cannot tell", "cannot tell", "below"]
