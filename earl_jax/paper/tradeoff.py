@@ -160,16 +160,15 @@ def _findings_table(lines: Lines) -> str:
             for score, style in (("interventions", ",.0f"), ("final", ".3f"))
         ]
         p_texts = [number_text(test[p], ".3f", LEAST) for p in ("p", "p_holm")]
-        found = f"{CANNOT_TELL}; {_detectable(len(list(itertools.chain(*line)))):.2f} would be found"
+        seeds = sum(map(len, line))
+        found = CANNOT_TELL + (f"; {_detectable(seeds):.2f} would be found" if seeds > 3 else ": fewer than four seeds")
         rows.append([*name, *ends, number_text(test["difference"], ".3f"), *p_texts, WORDS.get(test["verdict"], found)])
     header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "more interventions"], rows)
 
 
 def _detectable(seeds: int) -> float:
-    """Return the rank correlation that so many seeds show with a probability of 80 %, by Fisher's transformation."""
-    if seeds < 4:
-        return math.nan
+    """Return the rank correlation that four seeds or more show with a probability of 80 %, by Fisher's transformation."""
     return math.tanh((stats.norm.ppf(1 - LEVEL / 2) + stats.norm.ppf(POWER)) / math.sqrt(seeds - 3))
 
 

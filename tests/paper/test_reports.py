@@ -235,6 +235,12 @@ def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):
     assert interval[:, 1] == pytest.approx(mean_interval(scores[0][:, 0])[1:])
 
 
+def test_the_trade_off_of_two_seeds_says_that_they_are_too_few(tmp_path):
+    runs = [(TABLETOP, "naive", constant(0.1 + n), lifetimes(5 + n, n / 100)) for n in range(2)]
+    findings = ARTEFACTS["tradeoff"].report(write_runs(tmp_path, runs)).parts["findings"]
+    assert findings.endswith("| cannot tell: fewer than four seeds |")
+
+
 DROPS = {
     "fbrl": ([1.0, 1.0], [0.5, 0.6], "larger"),
     "r3l": ([0.0, 0.0], [0.0, 0.1], "-"),
