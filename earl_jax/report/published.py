@@ -164,8 +164,8 @@ def published_steps(env: str) -> tuple[int, int] | None:
 
 
 def share_text(steps: int, published: int) -> str:
-    """Return the share that `steps` have of the `published` ones, such as `12 %`."""
-    return f"{100 * steps / published:.2g} %"
+    """Return the share that `steps` have of more `published` ones, such as `12 %`; at most 99 %."""
+    return f"{min(100 * steps / published, 99):.2g} %"
 
 
 def published_fault(table: str, env: str) -> str | None:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from earl_jax import assets, make, make_algo
-from earl_jax.report.published import PublishedScore, chosen_words, released_curves
+from earl_jax.report.published import PublishedScore, chosen_words, released_curves, share_text
 from tests.conftest import make_config
 
 T4 = 2.7764
@@ -34,6 +34,11 @@ def test_a_published_score_is_a_sample_with_an_interval_half_a_printed_digit_wid
 def test_released_success_is_a_share_of_ten_episodes_without_the_rounding_of_single_precision():
     curves = released_curves("tabletop_organization", "naive")
     assert set(np.unique(curves.metrics["deployed/success"])) == {number / 10 for number in range(11)}
+
+
+def test_a_share_of_the_steps_has_two_digits_and_no_exponent():
+    shares = [share_text(steps, 1_000_000) for steps in (48, 120_000, 999_000)]
+    assert shares == ["0.0048 %", "12 %", "99 %"]
 
 
 def test_a_score_without_an_error_is_no_sample():
