@@ -232,13 +232,16 @@ def interval_text(value: float, low: float, high: float, style: str = ".3f") -> 
 
 
 def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
-    """Return a number in a format, by default with three digits, or without a fraction if it is larger; `-` for nan.
+    """Return a number in a format, by default with three digits; `-` for nan.
 
-    A number below `least` is `<` and that.
+    In a format of significant digits, thousands have no fraction and no exponent. A number below `least` is `<` and that.
     """
     if math.isnan(value):
         return "-"
-    return f"<{least:g}" if value < least else format(value, style or (".3g" if abs(value) < 999.5 else ",.0f"))
+    style = style or ".3g"
+    if style.endswith("g") and abs(value) >= 999.5:
+        style = ",.0f"
+    return f"<{least:g}" if value < least else format(value, style)
 
 
 def millions(step: float | None) -> str:

@@ -138,3 +138,4 @@ def test_steps_are_written_in_short_without_an_exponent(steps, text):
 def test_numbers_are_written_in_three_digits_or_without_a_fraction():
     numbers = [0.012345, 999.4, 999.7, -2345.6, np.nan]
     assert list(map(tables.number_text, numbers)) == ["0.0123", "999", "1,000", "-2,346", "-"]
+    assert tables.interval_text(34567.8, 5.4321, 123456.7, ".4g") == "34,568 [5.432, 123,457]"

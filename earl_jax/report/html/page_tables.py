@@ -115,7 +115,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
         for lane, seed in enumerate(line.seeds):
             values = [scores[lane]]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
-            texts = [_typeset(number_text(value, ".4g" if abs(value) < 1000 else ",.0f")) for value in values]
+            texts = [_typeset(number_text(value, ".4g")) for value in values]
             rows.append((line, line.group.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
