@@ -15,12 +15,13 @@ from scipy import stats
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, mean_interval
-from earl_jax.metrics.scores import SUCCESS, deployed_area, final_scores
+from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
 from earl_jax.report.comparison import with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
+from earl_jax.report.scores import seed_scores
 from earl_jax.report.style import (
     AXES,
     colours,
@@ -88,7 +89,7 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
     """Return a row per seed, by task, method, kind and value; the runs of one line at the last step that all have.
 
     Raises:
-        ValueError: two runs of one value differ in other options.
+        ValueError: two runs of one value differ in other options, or a run ends before the first evaluation of another.
     """
     lines: dict[tuple[str, str, str], dict[float, Curves]] = {}
     for run in runs:
@@ -111,12 +112,12 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
 
 def _rows(key: Row, run: Curves, last: int) -> list[Row]:
     """Return the rows of one run at its last step up to `last`."""
-    until = run.steps <= last
+    final, until = seed_scores(run, last), run.steps <= last
     metrics = {name: values[:, until] for name, values in run.metrics.items()}
     deployed = metrics[run.deployed_metric]
     scores = {
         "interventions": np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
-        "final": final_scores(run.steps[until], deployed),
+        "final": final,
         "deployed_area": deployed_area(run.steps[until], deployed),
         "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else np.zeros(len(deployed)),
     }

@@ -189,18 +189,14 @@ def test_verdicts_of_figure_2_need_a_clear_difference(finding, effect, published
     assert figure2.verdict(finding, effect, published) == verdict
 
 
+AGES = [{}, {"steps": (50, 100), "setting": Deployment(intervention_chance=0.1)}]
 DIFFERENT = [{"reward_scale": 1.0}, {"reward_scale": 2.0}]
 REFUSED = {
     "oracle": ("figure2", FISH, "oracle", [{}], "runs of naive, not of oracle"),
     "figure2": ("figure2", FISH, "naive", DIFFERENT, r"H_T 100,000, with the biased update, differ in other options"),
     "figure4": ("figure4", TABLETOP, "fbrl", DIFFERENT, "runs of fbrl differ in their task or their options"),
-    "tradeoff": (
-        "tradeoff",
-        TABLETOP,
-        "naive",
-        DIFFERENT,
-        r"naive on tabletop_organization with epsilon 0 differ in other",
-    ),
+    "tradeoff": ("tradeoff", TABLETOP, "naive", DIFFERENT, f"naive on {TABLETOP} with epsilon 0 differ in other"),
+    "ages": ("tradeoff", TABLETOP, "naive", AGES, f"naive on {TABLETOP} has no evaluation in the first 20 steps"),
 }
 
 
