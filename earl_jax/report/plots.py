@@ -101,7 +101,7 @@ def plot_runs(
     """Draw curves of `folders`, means with 95 % bands, and return `out`.
 
     Args:
-        folders: run folders, or folders of them such as a sweep's; each task has panels of its own.
+        folders: run folders, or folders of them such as a sweep's; each task and kind of reward has panels of its own.
         out: the picture to write; `caption` describes it.
         names: names of the lines, in the order of `report.runs.labels`.
         metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
