@@ -84,8 +84,8 @@ def report(folders: Sequence[Path]) -> Report:
     """Return figure 2 from run folders of `naive`, with rows of the final returns and of every evaluation.
 
     Raises:
-        ValueError: a folder is no run or one of another method, runs of one point differ in other options, or
-            matplotlib is not installed.
+        ValueError: a folder is no run, or one of another method or without resets, runs of one point differ in other options,
+            or matplotlib is not installed.
     """
     points = _points(read_all(folders))
     rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=len(point.scores)) for point in points]
@@ -105,6 +105,8 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
         if config.algo != "naive":
             raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
         returns, horizon = curves.metrics["deployed/return"], config.build_env().train_horizon
+        if not horizon:
+            raise InputError(f"figure 2 needs resets, and a run on {config.env} has none: train_horizon=0")
         updates = np.resize(np.asarray(config.build_method().learner.timeout_bootstrap, bool), len(returns))
         for update in np.unique(updates).tolist():
             key = (config.env, update, horizon)
