@@ -94,7 +94,6 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
         return self._returned(outputs)
 
     def _returned(self, outputs: Outputs) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Return `outputs` as gymnasium's five values."""
         outputs = jax.device_get(outputs)
         values = self._infos(outputs)
         info = {name: value if name == "goal" else value.item() for name, value in values.items()}

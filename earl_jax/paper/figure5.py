@@ -131,7 +131,6 @@ def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) ->
 
 
 def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
-    """Label the two axes of one task."""
     rates = of_task[0].curves.deployed_metric == SUCCESS
     column[0].set(title=task_title(of_task[0].env), ylabel=AXES[of_task[0].curves.deployed_metric])
     if rates:

@@ -142,7 +142,6 @@ def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
 
 
 def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
-    """Return the lines of a grid for the runs of `block` at `scale`."""
     length = scale.steps or round(scale.share * block.steps)
     eval_every = min(scale.eval_every * block.eval_every_factor, length)
     steps = length // eval_every * eval_every

@@ -87,7 +87,6 @@ def _tests(tested: Sequence[Row]) -> str:
 
 
 def _faults(number: int, trained: Sequence[Row]) -> str:
-    """Return the known faults of the published scores of the tasks that were run."""
     faults = {env: published_fault(f"table{number}", env) for env in dict.fromkeys(row["env"] for row in trained)}
     lines = "\n".join(f"- {env}: {fault}" for env, fault in faults.items() if fault)
     return f"Known faults of published scores:\n\n{lines}" if lines else ""

@@ -111,7 +111,6 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
 
 
 def _rows(key: Row, run: Curves, last: int) -> list[Row]:
-    """Return the rows of one run at its last step up to `last`."""
     final, until = seed_scores(run, last), run.steps <= last
     metrics = {name: values[:, until] for name, values in run.metrics.items()}
     deployed = metrics[run.deployed_metric]

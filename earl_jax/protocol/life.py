@@ -146,7 +146,6 @@ def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[Protocol
 
 
 def _result(env: Env, state: ProtocolState, env_state: State, end: StepEnd) -> StepResult:
-    """Return the result of a step from `state` to `env_state`."""
     return StepResult(
         next_obs=jnp.where(end.fault, state.obs, env_state.obs),
         reward=jnp.where(end.fault, 0.0, env_state.reward),

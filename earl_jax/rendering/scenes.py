@@ -77,7 +77,6 @@ class Scene:
         return self._renderer.render()
 
     def _place(self, data: Any, state: Any) -> None:
-        """Give `data` the positions of the physics state `state`."""
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = state.qpos, state.mocap_pos, state.mocap_quat
         self._mujoco.mj_fwdPosition(self.model, data)
 

@@ -58,7 +58,6 @@ def best(folders: Sequence[Path], test: Test = "permutation", window: Window = D
 
 
 def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
-    """Return the rows of one task."""
     if len({group.curves.deployed_metric for group in groups}) > 1:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
     longest = max(group.curves.steps[-1] for group in groups)
