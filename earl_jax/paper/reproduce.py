@@ -162,8 +162,9 @@ def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
 
 
 def _toml_lines(table: Options) -> list[str]:
-    """Return the options of `table` in TOML; a ValueError names one that TOML cannot hold, such as null."""
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
+    """Return the options of `table` in TOML; a ValueError names one that a grid cannot hold, such as infinity."""
+    values = {key: grid.NULL if value is None else value for key, value in table.items()}
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in values.items()]
     for line in lines:
         try:
             tomllib.loads(line)

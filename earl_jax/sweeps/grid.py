@@ -22,6 +22,8 @@ from earl_jax.options.seeds import seed_list
 KEYS = ("preset", "envs", "algos", "seeds", *FIELDS, "options")
 MOST_RUNS = 10_000
 """The largest number of runs in a grid."""
+NULL = "null"
+"""The value of an option that is None; TOML has no null."""
 LONGEST = 150
 """Longest folder name in characters. A longer name is cut, and a hash keeps it unique."""
 
@@ -122,8 +124,10 @@ def _names(block: dict[str, Any], key: str) -> list[str]:
 
 def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the alternative values of each option, sorted by the names of the options."""
-    alternatives = {name: value if isinstance(value, list) else [value] for name, value in sorted(options.items())}
-    for name, values in alternatives.items():
+    alternatives = {}
+    for name, value in sorted(options.items()):
+        values = [None if item == NULL else item for item in (value if isinstance(value, list) else [value])]
+        alternatives[name] = values
         if not values or len(set(map(_text, values))) < len(values):
             raise InputError(
                 f"option {name} = {values} must list at least one value, each once; a list holds alternatives"
@@ -152,4 +156,6 @@ def _text(value: Any) -> str:
         return "x".join(map(_text, value))
     if isinstance(value, bool):
         return str(value).lower()
+    if value is None:
+        return NULL
     return f"{value:.12g}" if isinstance(value, int | float) else str(value)

@@ -174,7 +174,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
         ({"name": "figure6"}, "unknown experiment 'figure6'; choose from table1"),
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
-        ({"name": "table1", "options": {"replay_capacity": None}}, "option replay_capacity = null: the grid .* TOML"),
+        ({"name": "table1", "options": {"rnd_clip": float("inf")}}, "option rnd_clip = Infinity: the grid .* TOML"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
         ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),

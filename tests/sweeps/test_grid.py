@@ -29,6 +29,12 @@ def test_every_combination_is_a_run_with_its_own_folder(tmp_path):
     assert (first.seeds, first.schedule) == ((0, 1), Schedule(steps=400))
 
 
+def test_an_option_can_be_null(tmp_path):
+    specs = read(tmp_path, f"{RUN}options.replay_capacity = ['null', 1000]")
+    assert [spec.options["replay_capacity"] for spec in specs] == [None, 1000]
+    assert [spec.name for spec in specs] == ["e/a/replay_capacity=null", "e/a/replay_capacity=1000"]
+
+
 def test_name_of_a_run_does_not_depend_on_other_runs(tmp_path):
     before = {spec.name for spec in read(tmp_path, BASE + "[options]\nreward_scale = 1\ndiscount = 0.9\n")}
     after = {spec.name for spec in read(tmp_path, BASE + "[options]\ndiscount = 0.90\nreward_scale = [2, 1.0]\n")}
