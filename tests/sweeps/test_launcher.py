@@ -133,7 +133,8 @@ def save_and_end(number, frame):
     sys.exit(128 + number)
 signal.signal(signal.SIGTERM, HANDLER)
 emit("started")
-time.sleep(60)
+for _ in range(600):
+    time.sleep(0.1)  # a longer sleep misses a signal that arrives just before it
 """
 
 
