@@ -99,14 +99,15 @@ def evaluate(
     from earl_jax import training
     from earl_jax.metrics.scores import Window
 
-    chosen = Window.of(last, window)
+    chosen, run = Window.of(last, window), training.load(folder)
+    score = run.score(chosen) if len(run.steps) else None
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
-    score = training.load(folder).score(chosen)
     lines = [f"the newest policies over {episodes} new episodes each:"]
     for name, values in metrics.items():
         lines.append(f"{name} {values.mean():.3f}, per seed {', '.join(f'{value:.3f}' for value in values)}")
     values = {name: values.tolist() for name, values in metrics.items()}
-    emit({**values, "score": score._asdict()}, json, "\n".join([*lines, f"the run: {score}"]))
+    lines.append(f"the run: {score or 'no evaluation yet'}")
+    emit({**values, "score": score and score._asdict()}, json, "\n".join(lines))
 
 
 def plot(

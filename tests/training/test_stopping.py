@@ -154,6 +154,7 @@ def test_the_first_host_decides_about_the_time(monkeypatch):
 def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path):
     folder = tmp_path / "a run"
     tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=1e-9)
+    assert succeed("evaluate", folder, "--episodes", "2").endswith("\nthe run: no evaluation yet\n")
     expected = {"out": str(folder), "stopped": True, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
     printed = json.loads(succeed("resume", folder, "--minutes", "1e-9", "--json"))
     assert {name: printed[name] for name in expected} == expected
