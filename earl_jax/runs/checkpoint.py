@@ -44,7 +44,7 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
     step = int(gathered(state.step))
     done = folder / f"{step:09d}"
     lanes = gathered(named_arrays(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
-    replay = filled(state.replay, span)
+    replay = filled(state.replay, span, step)
     if not first_host():
         return done
     try:

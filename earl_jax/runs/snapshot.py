@@ -37,18 +37,21 @@ def typed(leaves: dict[str, np.ndarray], like: Any) -> Any:
     return jax.tree_util.tree_map_with_path(restore_leaf, like)
 
 
-def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
-    """Return the written part of the replay for the lanes `span`, as the arrays of a checkpoint.
+def filled(replay: Replay, span: slice, steps: int) -> dict[str, np.ndarray]:
+    """Return the part of the replay for the lanes `span` that `steps` steps have written, as the arrays of a checkpoint.
 
-    `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller. Of a replay
-    that evicts transitions, all is saved.
+    `mine` and `other` are the filled parts of `index`, which belong to the first and the second controller. A replay that
+    has evicted transitions is saved whole; before that, `oldest` is saved as of one that evicts none.
     """
-    written = int(gathered(replay.row))
+    written, first_row = int(gathered(replay.row)), int(gathered(replay.first_row))
     slots, counts = len(replay.index), gathered(replay.counts)[span]
     first, second = (int(count) for count in counts.max(axis=0))
-    if replay.evicts:
+    oldest = gathered(replay.oldest)[span]
+    if not replay.evicts or steps == written - first_row:
+        oldest = oldest[:, :0]
+    else:
         written = replay.capacity
-        first = int(gathered(replay.demos)[0]) + written - int(gathered(replay.first_row)) - 1
+        first = int(gathered(replay.demos)[0]) + written - first_row - 1
         second = slots - first
     return {
         "state": _rows(replay.state, 0, written + 1, span),
@@ -59,7 +62,7 @@ def filled(replay: Replay, span: slice) -> dict[str, np.ndarray]:
         "demos": gathered(replay.demos),
         "row": gathered(replay.row),
         "first_row": gathered(replay.first_row),
-        "oldest": gathered(replay.oldest)[span],
+        "oldest": oldest,
     }
 
 
@@ -111,7 +114,7 @@ def _check(saved: dict[str, np.ndarray], lanes: int, like: Replay) -> None:
             shape[:2] = len(array), lanes
         elif name in ("counts", "oldest"):
             shape[0] = lanes
-        if name == "oldest" and array.shape == (lanes, 0):  # it evicted none, and the longer run does
+        if name == "oldest" and array.shape == (lanes, 0):  # it has evicted none
             continue
         if (array.dtype, list(array.shape)) != (leaf.dtype, shape):
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of {leaf.dtype}{shape}")

@@ -87,6 +87,13 @@ def test_a_run_can_end_where_it_stopped(tmp_path):
     assert RunFolder.open(tmp_path / "run").config.steps == 120
 
 
+def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
+    """Its checkpoints used to be refused as damaged."""
+    tiny_train("naive", out=tmp_path / "run", steps=200, replay_capacity=150, minutes=1e-9)
+    shorter = earl_jax.resume(tmp_path / "run", steps=120)
+    assert_equal_results(shorter, tiny_train("naive", replay_capacity=150))
+
+
 def fail(*_):
     raise RuntimeError("out of memory")
 

@@ -140,16 +140,19 @@ def ring(own):
     return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
 
 
-def test_a_replay_that_evicts_is_saved_and_restored():
-    full = fill_replay(*LONG, buffer=ring(4))
-    assert_equal_trees(snapshot.spread([snapshot.filled(full, slice(None))], [2], ring(4)), full)
+@pytest.mark.parametrize("length", [3, 4, 5, 30])
+def test_a_replay_that_evicts_is_saved_and_restored(length):
+    buffer = fill_replay(LONG[0][:length], LONG[1][:length], buffer=ring(4))
+    saved = snapshot.filled(buffer, slice(None), length)
+    assert_equal_trees(snapshot.spread([saved], [2], ring(4)), buffer)
+    assert len(saved["action"]) == min(length, 5), "rows, of which the last has no transition"
 
 
 def test_a_replay_of_a_short_run_is_restored_in_one_that_evicts():
     """As `resume` with more steps does."""
     rows, more = (LONG[0][:6], LONG[1][:6]), (LONG[0][6:], LONG[1][6:])
     short = fill_replay(*rows)
-    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None))], [2], ring(7)))
+    grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None), 6)], [2], ring(7)))
     assert_equal_samples(fill_replay(*more, buffer=grown, first=6), fill_replay(*LONG, buffer=ring(7)))
 
 
