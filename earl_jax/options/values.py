@@ -114,11 +114,19 @@ KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a f
 
 
 def unknown_option(owner: str, option: str, value: Any, known: Sequence[str], name: str) -> InputError:
-    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are."""
+    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
+
+    Names that are `known` and no options are those of the schedule.
+    """
     from difflib import get_close_matches
 
+    one = brief(value)
+    if option == "seeds" or option in known:
+        flag = option.replace("_", "-")
+        return InputError(
+            f"{owner} has no option {option!r}; it stands beside the options: {option}={one}, or --{flag} {one}"
+        )
     if option in ("seed", "n_seeds", "num_seeds"):
-        one = brief(value)
         alone = f" (or seeds=[{one}] for that seed alone)" if option == "seed" else ""
         return InputError(f"there is no option {option!r}; did you mean seeds={one}{alone}?")
     near = get_close_matches(option, known, 3)

@@ -124,6 +124,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
+        ([*TRAIN, "--set", "eval_every=30"], ["beside the options: eval_every=30, or --eval-every 30"]),
+        ([*TRAIN, "--set", "seeds=3"], ["beside the options: seeds=3, or --seeds 3"]),
         ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
         ([*TRAIN, "--reward-type", "dense"], ["--set reward_type=VALUE"]),
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
