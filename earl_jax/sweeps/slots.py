@@ -148,9 +148,8 @@ def visible_gpus(environment: Mapping[str, str]) -> list[str]:
     def exists(name: str) -> bool:
         return int(name) < count if name.isdecimal() else count > 0 and name.startswith(("GPU-", "MIG-"))
 
-    return list(
-        itertools.takewhile(exists, map(str.strip, names))
-    )  # CUDA reads no further than the first that does not
+    # CUDA reads no further than the first that does not exist
+    return list(itertools.takewhile(exists, map(str.strip, names)))
 
 
 def _count_gpus() -> int:

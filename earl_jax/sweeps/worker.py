@@ -55,13 +55,11 @@ class PlannedRun:
 
     def group_key(self) -> Hashable:
         """Return the properties that all runs of one program have in common."""
-        config, env = self.run.config, self.run.env
-        task = (
-            env if env.has_absorbing_state else dataclasses.replace(env, train_horizon=1)
-        )  # lanes carry the horizon as data
-        protocol = self.run.protocol
-        measured = config.schedule, protocol.alive_steps, protocol.eval_pairs
-        return task, *measured, self.step, program_structure(self.run.method)
+        env, protocol = self.run.env, self.run.protocol
+        if not env.has_absorbing_state:
+            env = dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
+        measured = self.run.config.schedule, protocol.alive_steps, protocol.eval_pairs
+        return env, *measured, self.step, program_structure(self.run.method)
 
 
 def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:

@@ -148,13 +148,9 @@ def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
     free = min((free for device in devices if (free := free_bytes(device)) is not None), default=None)
     if free is None or needed.total <= free * count:
         return
-    available = (
-        f"the device has {free / GIGABYTE:.3g} GB"
-        if count == 1
-        else f"{count} devices have {free / GIGABYTE:.3g} GB each"
-    )
+    have, each = ("the device has", "") if count == 1 else (f"{count} devices have", " each")
     fitting = counted(free // needed.lane * count, "lane")
-    raise InputError(f"{needed}, but {available} free: {fitting} would fit. {_remedy()}")
+    raise InputError(f"{needed}, but {have} {free / GIGABYTE:.3g} GB{each} free: {fitting} would fit. {_remedy()}")
 
 
 def _remedy() -> str:

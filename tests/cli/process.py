@@ -12,8 +12,6 @@ from earl_jax import cli
 from tests.conftest import CACHE, TESTS
 
 TASK = "tabletop_organization"
-LENGTHS = ["--seeds", "2", "--steps", "400", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
-OPTIONS = ["--set", "hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
 TINY = ["--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]
 TINY_OPTIONS = ["--set", "hidden_sizes=[16]", "batch_size=16", "--set", "random_steps=20"]
 ADDED = {
@@ -75,11 +73,6 @@ def one_line(result, *words):
     assert lines[0].startswith("earl-jax: ")
     assert len(lines[0]) < 2000
     assert all(word in lines[0] for word in words), lines[0]
-
-
-def train(folder, algo="fbrl"):
-    """Return the arguments of a training run of 400 steps into `folder`."""
-    return ["train", TASK, "--algo", algo, "--out", folder, *LENGTHS, *OPTIONS]
 
 
 def training(folder, *others, task=TASK, algo="fbrl"):

@@ -35,12 +35,6 @@ def test_scalars_are_the_mean_and_the_value_of_each_seed():
     assert scalars((3, 5), METRICS[80]) == expected
 
 
-def test_the_table_is_always_written(tmp_path):
-    folder = make_folder(tmp_path / "run")
-    log_metrics(folder, 0, 40, 80)
-    assert folder.table().metrics["deployed/success"].tolist() == [[0.0, 0.25], [1.0, 0.5]]
-
-
 @pytest.fixture
 def tensorboard(monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", library := Mock())

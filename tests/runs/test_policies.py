@@ -10,11 +10,14 @@ from tests.conftest import assert_equal_trees
 ACTORS = {"params": {"hidden_0": {"kernel": np.arange(12, dtype=np.float32).reshape(2, 3, 2)}}}
 
 
+def save(path, actors=ACTORS, visits=None):
+    save_policies(path, actors, step=40, seeds=(3, 7), obs_size=3, action_size=1, visits=visits)
+    return path
+
+
 @pytest.fixture
 def file(tmp_path):
-    path = tmp_path / "policies.npz"
-    save_policies(path, ACTORS, step=40, seeds=(3, 7), obs_size=3, action_size=1)
-    return path
+    return save(tmp_path / "policies.npz")
 
 
 def test_policies_are_read_as_they_were_written(file):
@@ -25,10 +28,6 @@ def test_policies_are_read_as_they_were_written(file):
         assert "actor['params']['hidden_0']['kernel']" in arrays.files
 
 
-def test_a_missing_file_has_no_step(tmp_path):
-    assert policies_step(tmp_path / "policies.npz") == 0
-
-
 @pytest.mark.parametrize("damage", [b"", b"no archive", None])
 def test_a_damaged_file_is_one_error(file, damage):
     file.write_bytes(file.read_bytes()[:-40] if damage is None else damage)
@@ -36,10 +35,9 @@ def test_a_damaged_file_is_one_error(file, damage):
         policies_step(file)
 
 
-def test_actors_stored_in_half_precision_are_read_in_the_dtype_of_the_learner(tmp_path):
-    half = jax.tree.map(np.float16, ACTORS)
-    save_policies(tmp_path / "policies.npz", half, step=40, seeds=(3, 7), obs_size=3, action_size=1)
-    assert_equal_trees(load_policies(tmp_path / "policies.npz", jax.eval_shape(lambda: ACTORS)), ACTORS)
+def test_actors_stored_in_half_precision_are_read_in_the_dtype_of_the_learner(file):
+    save(file, jax.tree.map(np.float16, ACTORS))
+    assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
 
 
 @pytest.mark.parametrize("like", [np.zeros((2, 3, 3), np.float32), np.zeros((2, 3, 2), np.float64)])
@@ -48,15 +46,10 @@ def test_policies_of_another_run_are_refused(file, like):
         load_policies(file, {"params": {"hidden_0": {"kernel": like}}})
 
 
-def save_visits(path, visits):
-    save_policies(path, ACTORS, step=40, seeds=(3, 7), obs_size=3, action_size=1, visits=visits)
-    return path
-
-
 def test_maps_of_visits_are_read_as_they_were_written(file):
     assert load_visits(file, seeds=2) is None
     visits = np.arange(32, dtype=np.int32).reshape(2, 4, 4)
-    save_visits(file, visits)
+    save(file, visits=visits)
     assert_equal_trees(load_visits(file, seeds=2), visits)
     assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
 
@@ -72,7 +65,6 @@ def test_maps_of_visits_are_read_as_they_were_written(file):
     ],
 )
 def test_maps_of_another_run_or_other_numbers_are_refused(file, visits):
-    with pytest.raises(
-        ValueError, match=r"policies\.npz does not belong to this run: visits are not counts \[2, B, B\]"
-    ):
-        load_visits(save_visits(file, visits), seeds=2)
+    message = r"policies\.npz does not belong to this run: visits are not counts \[2, B, B\]"
+    with pytest.raises(ValueError, match=message):
+        load_visits(save(file, visits=visits), seeds=2)

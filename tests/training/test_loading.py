@@ -51,24 +51,25 @@ def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
         evaluate(folder.path, episodes=2, pairs="all")
 
 
+def save_zeros(trained, folder, step, visits=None):
+    """Put policies of zeros and maps of `visits` into the place of policies.npz."""
+    zeros = jax.tree.map(np.zeros_like, trained[1].policies.actor)
+    policies.save_policies(folder.policies, zeros, step, [3, 7], obs_size=12, action_size=3, visits=visits)
+
+
 def test_the_newer_of_policies_and_checkpoint_is_taken(trained, folder):
     expected, visits = actions_of(folder), load_visits(folder)[1]
     folder.policies.unlink()
     np.testing.assert_array_equal(actions_of(folder), expected)
-    actor = trained[1].policy(0).actor
-    zeros = jax.tree.map(lambda leaf: np.zeros((2, *leaf.shape), leaf.dtype), actor)
     for step, newer in [(119, False), (120, True)]:
-        policies.save_policies(
-            folder.policies, zeros, step=step, seeds=[3, 7], obs_size=12, action_size=3, visits=visits + 1
-        )
+        save_zeros(trained, folder, step, visits + 1)
         assert np.all(np.asarray(actions_of(folder)) == 0) == newer
         np.testing.assert_array_equal(load_visits(folder)[1], visits + newer)
 
 
 def test_what_a_folder_lacks_is_named(trained, folder):
-    visits, actor = load_visits(folder)[1], trained[1].policy(0).actor
-    actors = jax.tree.map(lambda leaf: np.zeros((2, *leaf.shape), leaf.dtype), actor)
-    policies.save_policies(folder.policies, actors, step=120, seeds=[3, 7], obs_size=12, action_size=3)
+    visits = load_visits(folder)[1]
+    save_zeros(trained, folder, 120)
     np.testing.assert_array_equal(load_visits(folder)[1], visits, "those of the checkpoint")
     shutil.rmtree(folder.checkpoints)
     with pytest.raises(ValueError, match=r"policies\.npz has no map of visits"):
