@@ -177,8 +177,10 @@ def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
     """Return whether `value` has the type `kind`; of a number or flag that `has_lanes`, an array with a value for each does."""
     import numpy as np
 
-    if kind is str or (kind is bool and isinstance(value, bool)):
-        return isinstance(value, kind)
+    if kind is str:
+        return isinstance(value, str)
+    if kind is bool and isinstance(value, bool | np.bool_):
+        return True
     if kind is int:
         return _is_whole(value) and int(value) >= 0
     if has_lanes and isinstance(value, np.ndarray):

@@ -96,13 +96,14 @@ class RunConfig:
         parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
         for owner, options in parts:
             check_intervals(owner, options)
+        lengths = dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps)))
         return cls(
             env=task.name,
             env_options=_changed_options(task),
             algo=method.name,
             options=method_options(method),
             seeds=seeds,
-            **dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps))),
+            **{name: int(number) for name, number in lengths.items()},
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),
@@ -255,7 +256,9 @@ def _require_equal(kind: str, own: Mapping[str, Any], given: Mapping[str, Any]) 
 
 
 def _plain(value: Any) -> Any:
-    """Return an array as plain numbers, or as one if those of all lanes are equal; other values as they are."""
+    """Return an array or a number of NumPy as plain numbers, as one if those of all lanes are equal; other values as they are."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
     if not hasattr(value, "shape"):
         return value
     values = as_decimals(np.asarray(value)).tolist()
@@ -264,8 +267,8 @@ def _plain(value: Any) -> Any:
 
 def _changed_options(options: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that differ from its defaults."""
-    fields = {field.name: field.default for field in dataclasses.fields(options)}
-    return {name: getattr(options, name) for name, default in fields.items() if getattr(options, name) != default}
+    values = ((field, _plain(getattr(options, field.name))) for field in dataclasses.fields(options))
+    return {field.name: value for field, value in values if value != field.default}
 
 
 def _registered_class(name: str, class_of: Callable[[str], type]) -> str | None:

@@ -27,6 +27,7 @@ class Example:
     "options",
     [
         {"rate": 1}, {"rate": np.array([0.1, 0.2])}, {"size": np.int64(3)}, {"fast": True}, {"fast": np.array([1.0, 0.0])},
+        {"fast": np.True_},
         {"layers": (4, 4)}, {"limit": None}, {"limit": 2.0}, {"word": "b"},
     ],
 )  # fmt: skip

@@ -3,12 +3,13 @@
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 
 import earl_jax
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
-from earl_jax.protocol import Continuing
+from earl_jax.protocol import Continuing, Deployment
 from earl_jax.runs.config import RunConfig
 from tests.conftest import assert_equal_trees, make_config, tiny_method, tiny_options
 
@@ -26,6 +27,16 @@ def test_options_of_task_and_method_are_restored():
     assert config.build_env() == env
     assert_equal_trees(config.build_method(), method)
     assert (config.env_class, config.algo_class) == (None, None)
+
+
+def test_numbers_of_numpy_are_recorded_as_plain_ones():
+    """They used to be refused for a folder, and a result without one could not be shown."""
+    env = earl_jax.make("tabletop_organization", wide=np.True_, train_horizon=np.int64(500))
+    method = earl_jax.make_algo("naive", hidden_sizes=(np.int64(16),))
+    config = make_config(env, method, setting=Deployment(intervention_chance=np.float32(0.1)), steps=np.int64(80))
+    assert through_json(config).values == config.values
+    assert (config.env_options, config.setting["intervention_chance"]) == ({"train_horizon": 500, "wide": True}, 0.1)
+    assert (config.options, config.steps) == ({"hidden_sizes": (16,)}, 80)
 
 
 def test_the_setting_and_its_budget_are_restored(env):
