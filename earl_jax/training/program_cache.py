@@ -18,11 +18,12 @@ VARIABLE = "EARL_JAX_CACHE"
 CHECKSUM_SIZE = 32
 
 
-def folder() -> Path:
-    """Return the folder of compiled programs: `$EARL_JAX_CACHE`, else earl_jax/programs in the user's cache folder."""
+def folder() -> Path | None:
+    """Return the folder of compiled programs: `$EARL_JAX_CACHE`, else earl_jax/programs in the user's cache folder, if any."""
     if named := os.environ.get(VARIABLE):
         return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "earl_jax" / "programs"
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return None if caches.startswith("~") else Path(caches, "earl_jax", "programs")  # a user of a container has no home
 
 
 def keep_programs() -> None:
@@ -32,9 +33,10 @@ def keep_programs() -> None:
     device.
     """
     config: Any = jax.config
-    if config.jax_compilation_cache_dir is None:
+    place = folder()
+    if place and config.jax_compilation_cache_dir is None:
         _check_entries()
-        config.update("jax_compilation_cache_dir", str(folder()))
+        config.update("jax_compilation_cache_dir", str(place))
 
 
 @functools.cache

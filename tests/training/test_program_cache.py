@@ -1,9 +1,11 @@
 """The cache of compiled programs."""
 
 import os
+import pwd
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import jax
 import pytest
@@ -83,3 +85,13 @@ def test_the_user_chooses_the_folder(monkeypatch):
     monkeypatch.delenv("EARL_JAX_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/caches")
     assert program_cache.folder() == Path("/caches/earl_jax/programs")
+
+
+def test_a_user_without_a_home_trains_without_a_cache(monkeypatch):
+    for name in ("EARL_JAX_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", Mock(side_effect=KeyError))
+    config = Mock(jax_compilation_cache_dir=None)
+    monkeypatch.setattr(jax, "config", config)
+    program_cache.keep_programs()
+    config.update.assert_not_called()
