@@ -1,4 +1,4 @@
-"""Logs of a run: always metrics.csv, and TensorBoard or Weights & Biases on request.
+"""Logs of a run beside its metrics.csv: TensorBoard, Weights & Biases and objects, on request.
 
 All logs receive the same `log(step, metrics)`. metrics.csv is the reference: after a kill, a run continues from its
 last checkpoint, drops later rows and writes them again, on a CPU bit for bit, because the same program runs.
@@ -36,20 +36,6 @@ class Log(Protocol):
     def close(self) -> None:
         """Close the log after all metrics are written."""
         ...
-
-
-class CSVLog:
-    """The table of the run folder, with a row for each seed and evaluation."""
-
-    def __init__(self, folder: RunFolder):
-        self._folder = folder
-
-    def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Append the rows of `step` to metrics.csv; they are on the disk when this returns."""
-        self._folder.append(step, metrics)
-
-    def close(self) -> None:
-        """Do nothing, because all rows are on the disk already."""
 
 
 def scalars(seeds: Sequence[int], metrics: dict[str, np.ndarray]) -> dict[str, float]:
@@ -171,7 +157,7 @@ def check_logs(logs: Sequence[Any]) -> None:
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> list[Log]:
-    """Return the open logs of a run that continues from step `since`: its folder's, then `others`."""
+    """Return the open logs of a run that continues from step `since`: those that its folder names, then `others`."""
     named = [OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs] if folder else []
     attached = [log.attach(folder, named) if hasattr(log, "attach") else log for log in others]
-    return [*([CSVLog(folder)] if folder else []), *named, *attached]
+    return [*named, *attached]

@@ -86,7 +86,9 @@ class Run:
                 log.close()
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Write `metrics [n]` at `step` to every log and keep them, in the columns of the evaluations so far."""
+        """Write `metrics [n]` at `step` to the table and to every log and keep them, in the columns of the evaluations so far."""
+        if self.folder and first_host():
+            self.folder.append(step, metrics)
         for log in self._logs:
             log.log(step, metrics)
         self.steps.append(step)
@@ -186,7 +188,7 @@ def _train_to_end(
             if run.folder and step and (stopping or run.config.checkpoint_due(step)):
                 save(run.folder.checkpoints, state, span)
         if stopping and stop.number is not None:
-            raise Stopped(stop.number, step, [run.folder.path for run in runs if run.folder])
+            raise Stopped(stop.number, step, next((run.folder.path for run in runs if run.folder), None))
         if stopping:
             break
     return state

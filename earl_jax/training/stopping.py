@@ -6,7 +6,6 @@ After a signal it raises `Stopped`; after the end of its minutes it returns the 
 import shlex
 import signal
 import threading
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +23,15 @@ def resume_command(folder: Path) -> str:
 
 
 class Stopped(KeyboardInterrupt):
-    """Training was stopped by the signal `number` at `step`; its state is saved in `folders`."""
+    """Training was stopped by the signal `number` at `step`; its state is saved in `folder`, if there is one.
 
-    def __init__(self, number: int, step: int, folders: Sequence[Path]):
-        self.number, self.step, self.folders = number, step, list(folders)
-        name = signal.Signals(number).name
-        remedy = "".join(f"; resume with: {resume_command(folder)}" for folder in folders[:1])
-        super().__init__(f"stopped at step {step} by {name}{remedy}")
+    `exit_code` is that of a process that ends by this signal.
+    """
 
-    @property
-    def exit_code(self) -> int:
-        """The exit code of a process that ends by this signal."""
-        return 128 + self.number
+    def __init__(self, number: int, step: int, folder: Path | None):
+        self.step, self.exit_code = step, 128 + number
+        remedy = f"; resume with: {resume_command(folder)}" if folder else ""
+        super().__init__(f"stopped at step {step} by {signal.Signals(number).name}{remedy}")
 
 
 class StopRequest:

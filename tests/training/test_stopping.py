@@ -99,7 +99,7 @@ def test_handlers_of_others_stay_and_an_ignored_signal_is_ignored():
     assert (received, stop.number) == ([signal.SIGTERM], None)
 
 
-@pytest.mark.parametrize(("interrupt", "code"), [(Stopped(signal.SIGTERM, 20, []), 143), (KeyboardInterrupt(), 130)])
+@pytest.mark.parametrize(("interrupt", "code"), [(Stopped(signal.SIGTERM, 20, None), 143), (KeyboardInterrupt(), 130)])
 def test_a_command_that_is_stopped_ends_with_one_line_and_the_code_of_its_signal(monkeypatch, interrupt, code):
     def stop(*_, **__):
         raise interrupt
