@@ -41,7 +41,7 @@ class Interval(NamedTuple):
         low, high = (float(end) for end in self.text[1:-1].split(","))
         try:
             values = np.asarray(value, np.float64)
-        except OverflowError:  # an int of hundreds of digits
+        except (OverflowError, TypeError, ValueError):  # an int of hundreds of digits, or no number
             return False
         above = values > low if self.text[0] == "(" else values >= low
         below = values < high if self.text[-1] == ")" else values <= high

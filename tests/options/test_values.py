@@ -56,7 +56,7 @@ def test_unknown_options_and_wrong_types_are_refused(options, message):
     ("interval", "inside", "outside"),
     [
         ("[0, 1)", [0, 0.999, np.array([0.0, 0.5])], [1, -1e-9, np.array([0.5, 1.0]), float("nan")],),
-        ("(0, 1]", [1, 1e-30], [0, 1e308]),
+        ("(0, 1]", [1, 1e-30], [0, 1e308, "high", {}, 1j]),
         ("[1, 2147483647]", [1, 2**31 - 1], [0, 2**31, 10**400]),
     ],
 )  # fmt: skip
@@ -97,10 +97,11 @@ def test_values_outside_their_interval_are_refused_with_the_interval(build, mess
     assert len(str(raised.value)) < 300
 
 
-def test_objects_are_checked_where_they_are_trained():
+@pytest.mark.parametrize("discount", [1.0, "high"])
+def test_objects_are_checked_where_they_are_trained(discount):
     method = make_algo("naive")
-    with pytest.raises(InputError, match=r"naive: discount must lie in \[0, 1\), not 1\.0"):
-        train("tabletop_organization", method.replace(learner=method.learner.replace(discount=1.0)), steps=10)
+    with pytest.raises(InputError, match=rf"naive: discount must lie in \[0, 1\), not {discount!r}"):
+        train("tabletop_organization", method.replace(learner=method.learner.replace(discount=discount)), steps=10)
 
 
 @pytest.mark.parametrize(
