@@ -78,8 +78,11 @@ class RunConfig:
         reserved = RESERVED & {*self.env_options, *self.options}
         if reserved:
             raise InputError(f"there is no option {min(reserved)!r}")
-        object.__setattr__(self, "seeds", seed_list(self.seeds))  # JSON has a list
+        seeds = seed_list(self.seeds)
         self.schedule.check()
+        plain = {"seeds": seeds, **{name: int(getattr(self, name)) for name in FIELDS}}
+        for field, value in plain.items():
+            object.__setattr__(self, field, value)  # JSON has a list of seeds and no number of NumPy
         require_whole_windows(self.steps, self.eval_every)
 
     @classmethod
@@ -96,14 +99,13 @@ class RunConfig:
         parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
         for owner, options in parts:
             check_intervals(owner, options)
-        lengths = dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps)))
         return cls(
             env=task.name,
             env_options=_changed_options(task),
             algo=method.name,
             options=method_options(method),
             seeds=seeds,
-            **{name: int(number) for name, number in lengths.items()},
+            **dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps))),
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, env_class),
             algo_class=_unregistered_class(method, algo_class),

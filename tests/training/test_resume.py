@@ -83,7 +83,7 @@ def test_arguments_of_another_kind_are_refused(folder, options, message):
 def test_a_run_can_end_where_it_stopped(tmp_path):
     tiny_train("naive", out=tmp_path / "run")
     RunFolder.open(tmp_path / "run").record(steps=200)
-    earl_jax.resume(tmp_path / "run", steps=120)
+    earl_jax.resume(tmp_path / "run", steps=np.int64(120))
     assert RunFolder.open(tmp_path / "run").config.steps == 120
 
 
