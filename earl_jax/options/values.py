@@ -36,6 +36,7 @@ class Interval(NamedTuple):
         """Return whether every number in `value` lies in the interval; values that a trace hides are taken to."""
         import numpy as np  # without it, the commands that only read start faster
 
+        value = _known(value)
         if _is_of_jax(value):
             return True
         low, high = (float(end) for end in self.text[1:-1].split(","))
@@ -64,6 +65,7 @@ def within(interval: str | Interval) -> dict[str, Interval]:
 
 def require(name: str, value: Any, interval: Interval) -> None:
     """Raise an InputError with the option `name` and its `interval` if `value` is outside it."""
+    value = _known(value)
     if interval.whole and not _is_whole(value) and not _is_of_jax(value):
         raise InputError(f"{name} must be a whole number, not {brief(value)}")
     if not interval.contains(value):
@@ -179,10 +181,11 @@ def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
 
     if kind is str:
         return isinstance(value, str)
-    if kind is bool and isinstance(value, bool | np.bool_):
-        return True
     if kind is int:
         return _is_whole(value) and int(value) >= 0
+    value = _known(value) if has_lanes else value
+    if kind is bool and isinstance(value, bool | np.bool_):
+        return True
     if has_lanes and isinstance(value, np.ndarray):
         if kind is bool:
             return bool(np.isin(value, (0, 1)).all())
@@ -215,8 +218,21 @@ def _is_whole(value: Any) -> bool:
 
 
 def _is_of_jax(value: Any) -> bool:
-    """Return whether `value` is a jax array, whose numbers may be unknown under a trace."""
     return hasattr(value, "dtype") and type(value).__module__ != "numpy"
+
+
+def _known(value: Any) -> Any:
+    """Return a jax array as an array or number of NumPy, unless a trace hides its numbers; other values as they are."""
+    if not _is_of_jax(value):
+        return value
+    import jax
+    import numpy as np
+    from jax.core import Tracer
+
+    if isinstance(value, Tracer) or not isinstance(value, jax.Array):
+        return value
+    is_float = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
+    return np.asarray(value, np.float64 if is_float else None)[()]  # NumPy knows no bfloat16
 
 
 def _is_number(value: Any) -> bool:

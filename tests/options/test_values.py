@@ -4,6 +4,8 @@ import dataclasses
 import re
 import time
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -75,6 +77,8 @@ def test_an_interval_contains_its_numbers_only(interval, inside, outside):
         (lambda: make_algo("fbrl", layer_norm=np.array([True, False])), "layer_norm must be true or false"),
         (lambda: make_algo("fbrl", initial_temperature=-1.0), "initial_temperature must lie in (0, 1000000]"),
         (lambda: make_algo("naive", discount=1.0), "discount must lie in [0, 1), not 1.0"),
+        (lambda: make_algo("naive", discount=jnp.array([0.9, 1.5])), "discount must lie in [0, 1), not [0.89"),
+        (lambda: make_algo("naive", discount=jnp.float32(jnp.nan)), "discount must be a finite number, not nan"),
         (lambda: make_algo("naive", demo_share=1.5), "demo_share must lie in [0, 1], not 1.5"),
         (lambda: make_algo("naive", batch_size=0), "batch_size must lie in [1, 1048576], not 0"),
         (lambda: make_algo("naive", hidden_sizes=[16, 10**9]), "hidden_sizes must lie in [1, 65536]"),
@@ -95,6 +99,12 @@ def test_values_outside_their_interval_are_refused_with_the_interval(build, mess
         build()
     assert message in str(raised.value)
     assert len(str(raised.value)) < 300
+
+
+def test_a_value_that_a_trace_hides_is_accepted():
+    rates = jax.vmap(lambda rate: make_algo("naive", learning_rate=rate).learner.learning_rate)(jnp.array([1e-3, 9.0]))
+    np.testing.assert_allclose(rates, [1e-3, 9.0])
+    assert make_algo("naive", layer_norm=True, learning_rate=jnp.bfloat16(1e-3)).learner.layer_norm
 
 
 @pytest.mark.parametrize("discount", [1.0, "high"])
