@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
@@ -245,7 +245,19 @@ def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting
     task = make(env, **task_options) if isinstance(env, str) else env
     setting = with_explicit_horizon(setting_of(chosen, **setting_options), task, task_options)
     task, setting = split_setting(task, setting)
+    _require_plain(task)
+    _require_plain(setting)
     return setting.wrap(task), setting, rest
+
+
+def _require_plain(owner: Env | Setting) -> None:
+    """Raise an InputError that names a field of `owner` with an array or a list: a program is looked up by its values."""
+    for field in dataclasses.fields(owner):
+        value = getattr(owner, field.name)
+        try:
+            hash(value)
+        except TypeError:
+            raise InputError(f"{owner.name}: {field.name} must be a plain value, not {brief(value)}") from None
 
 
 def _taken(options: dict[str, Any], owner: Any) -> dict[str, Any]:

@@ -99,6 +99,12 @@ def test_options_are_split_into_task_setting_and_method():
             {"goal_change": 5},
             "goal_change is an option of the setting 'continuing', but the setting is 'deployment'",
         ),
+        (
+            "",
+            {"intervention_chance": jnp.float32(0.5)},
+            "deployment: intervention_chance must be a plain value, not 0.5",
+        ),
+        (TabletopOrganization(wide=[]), {}, r"tabletop_organization: wide must be a plain value, not \[\]"),
         ("", {"setting": Continuing(), "budget": 5}, r"object here: pass dataclasses.replace\(setting, budget=5\)"),
         (
             earl_jax.make("tabletop_organization"),
