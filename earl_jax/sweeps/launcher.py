@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
 from earl_jax.options import imports
-from earl_jax.options.values import TimeLimit
+from earl_jax.options.values import COUNT, TimeLimit, require
 from earl_jax.sweeps import slurm as slurm_arrays
 from earl_jax.sweeps.processes import Event, Task, Workers, events, start
 from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots
@@ -76,6 +76,8 @@ def _check_options(
 ) -> None:
     """Check the options of `sweep` against each other. Errors as `sweep`."""
     is_count = per_device in (None, "auto") or 1 <= per_device <= MOST
+    if devices is not None:
+        require("devices", devices, COUNT)
     for is_wrong, message in (
         (launcher not in LAUNCHERS, f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}"),
         (not is_count, f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}"),

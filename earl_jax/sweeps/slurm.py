@@ -14,6 +14,8 @@ LOGS = "slurm"
 """Name of the folder, in that of the sweep, for the tasks and the logs of arrays."""
 RETRIES = 100
 """How often a job that reaches its time limit returns to the queue."""
+OWN = "array", "open-mode", "output"
+"""Options of sbatch that the launcher sets."""
 DEFAULTS = {"job-name": "earl-jax", "signal": "B:USR1@90"}
 """Options of sbatch that others replace. The signal gives a worker 90 seconds before the time limit to save."""
 
@@ -42,14 +44,17 @@ def options_of(pairs: tuple[str, ...]) -> dict[str, str]:
     `array_parallelism` is the number of tasks that run at once.
 
     Raises:
-        ValueError: a pair is none.
+        ValueError: a pair is none, or names an option that the launcher sets.
     """
     options = dict(DEFAULTS)
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise InputError(f"--slurm takes name=value, not {pair!r}")
-        options[name.replace("_", "-")] = text
+        option = name.replace("_", "-")
+        if option in OWN:
+            raise InputError(f"--slurm {name}: the launcher sets it; array_parallelism limits the tasks that run at once")
+        options[option] = text
     return options
 
 

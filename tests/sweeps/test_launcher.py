@@ -188,13 +188,15 @@ def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers,
     ("options", "message"),
     [
         ({"per_device": 0}, "must be auto, or a number from 1 to 48, not 0"),
+        ({"devices": 0}, "devices must lie in .1, 2147483647., not 0"),
         ({"per_device": 2, "devices": 2}, "choose one of them"),
         ({"per_device": 2, "launcher": "slurm"}, "--per-device goes with --launcher local"),
         ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "time=MINUTES limits each job"),
+        ({"launcher": "slurm", "slurm": ("open_mode=truncate",)}, "--slurm open_mode: the launcher sets it"),
         ({"slurm": ("time=5",)}, "--slurm options go with --launcher slurm"),
     ],
 )
-def test_options_that_exclude_each_other_are_refused_before_anything_starts(grid, workers, tmp_path, options, message):
+def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(grid, workers, tmp_path, options, message):
     folder = workers("")
     with pytest.raises(ValueError, match=message):
         launcher.sweep(grid, tmp_path / "out", **options)
