@@ -53,7 +53,9 @@ def options_of(pairs: tuple[str, ...]) -> dict[str, str]:
             raise InputError(f"--slurm takes name=value, not {pair!r}")
         option = name.replace("_", "-")
         if option in OWN:
-            raise InputError(f"--slurm {name}: the launcher sets it; array_parallelism limits the tasks that run at once")
+            raise InputError(
+                f"--slurm {name}: the launcher sets it; array_parallelism limits the tasks that run at once"
+            )
         options[option] = text
     return options
 
