@@ -24,6 +24,8 @@ from earl_jax.report.tables import Row, csv_text, markdown_table, millions, numb
 
 SHUT = 0.99
 """The reward per step from which a door counts as shut all the time."""
+EARLY = 300_000
+"""The steps after which the doors of the two sides differ."""
 LONG = 20_000
 """Steps of the intervals of the kitchen's lives: the rows of R3L's released ones."""
 RESETS = FrankaKitchen.train_horizon
@@ -35,9 +37,10 @@ GOALS = 1 / 240
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
-def shut_share(curves: Curves) -> np.ndarray:
-    """Return the share [N] of the intervals between evaluations in which the door is shut all the time."""
-    return (_rates(curves) >= SHUT).mean(axis=1)
+def shut_share(curves: Curves, start: int = 0, end: int | None = None) -> np.ndarray:
+    """Return the share [N] of the intervals between evaluations, from `start` to `end` steps, with the door shut all the time."""
+    inside = (curves.steps[1:] > start) & (curves.steps[1:] <= (end or curves.steps[-1]))
+    return (_rates(curves)[:, inside] >= SHUT).mean(axis=1)
 
 
 def memory(curves: Curves) -> np.ndarray:
@@ -88,6 +91,8 @@ def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
 Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
+    ("sawyer_door/vaprl", "share of those up to 0.3M steps", functools.partial(shut_share, end=EARLY)),
+    ("sawyer_door/vaprl", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY)),
     ("franka_kitchen/fbrl", "correlation of successive intervals of 20,000 steps", memory),
     ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
     *(
