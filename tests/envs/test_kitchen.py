@@ -15,6 +15,7 @@ from earl_jax.envs.kitchen import franka_kitchen as task
 from earl_jax.envs.kitchen import reward as kitchen_reward
 from tests.envs.programs import first_state, program, run_actions, run_alone, starts
 
+KEY = jax.random.key(3)
 ENV = make("franka_kitchen")
 EXACT = dataclasses.replace(ENV, noise=False)
 PAPER = dataclasses.replace(EXACT, variant="paper")
@@ -53,6 +54,15 @@ def test_the_released_starts_have_two_appliances_open_and_its_time_step():
     assert ENV.simulator.timestep == pytest.approx(0.08 / 12)
     changed = {tuple(sorted(parts)) for parts in changed_parts(ENV.initial_states)}
     assert changed == {tuple(sorted(PARTS[first] | PARTS[second])) for first, second in task.PAIRS}
+
+
+def test_the_variant_that_returns_to_the_mean_start_starts_as_the_kitchen(registries):
+    from benchmarks.paper.kitchen_variants import MeanReturnKitchen
+
+    variant = MeanReturnKitchen(noise=False)
+    np.testing.assert_allclose(variant.initial_states, ENV.initial_states.mean(axis=0, keepdims=True))
+    np.testing.assert_array_equal(variant.reset(KEY).obs, EXACT.reset(KEY).obs)
+    assert variant.starts.count == 6
 
 
 def test_reset_is_the_state_after_ten_released_steps_of_no_action():
