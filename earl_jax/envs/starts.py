@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import State
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 
 STARTS = ("initial", "uniform", "wide")
 """s0 ~ rho, uniform over the workspace (figure 4 of the paper), and the starts of `deployed/success_wide`."""
@@ -32,6 +32,12 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
     return start
+
+
+def require_pairs(name: str, pairs: str) -> None:
+    """Raise an InputError with the option `name` and the choices if `pairs` is none of `EVAL_PAIRS`."""
+    if pairs not in EVAL_PAIRS:
+        raise InputError(f"{name} must be one of {', '.join(EVAL_PAIRS)}, not {brief(pairs)}")
 
 
 def balanced_starts(env: Env, key: jax.Array, episodes: int) -> State:

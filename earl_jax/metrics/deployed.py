@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from earl_jax.envs import Env, State, balanced_starts
+from earl_jax.envs.starts import require_pairs
 
 WIDE = "deployed/success_wide"
 """The metric of episodes from `Env.starts.wide`, on tasks that have it."""
@@ -48,7 +49,11 @@ def deployed(
     step, as in the released evaluations, whose values are exact multiples of 0.1, although the paper's text speaks of
     returns. With `wide(key) -> State` there is also `deployed/success_wide`, of as many episodes from such starts (ours;
     docs/formalism.md says why). They are part of the same scan, and change no other episode.
+
+    Raises:
+        ValueError: `pairs` is unknown.
     """
+    require_pairs("pairs", pairs)
     if pairs == "balanced":
         states = balanced_starts(env, key, episodes)
     else:

@@ -47,3 +47,8 @@ def test_dense_returns_are_undiscounted_sums(env):
     dense = dataclasses.replace(env, reward_type="dense")
     total, reward = jax.jit(lambda: (episode(dense, idle, dense.reset(KEY), 7)["return"], dense.reset(KEY).reward))()
     assert float(total) == pytest.approx(7 * float(reward), rel=1e-5)
+
+
+def test_an_unknown_way_to_draw_pairs_is_refused(env):
+    with pytest.raises(ValueError, match="pairs must be one of random, balanced, not 'stratified'"):
+        deployed(env, idle, KEY, 1, 4, pairs="stratified")
