@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.output import RESULTS, pages_with, write_files
+from benchmarks.output import RESULTS, pages_with, shrink, write_files
 from earl_jax.metrics.comparison import LEVEL, Sample, band, detectable_difference, holm, mean_interval, permutation
 from earl_jax.metrics.crossings import CROSSING_WINDOW, crossing, trailing_mean
 from earl_jax.metrics.deployed import WIDE
@@ -239,7 +239,9 @@ def draw() -> None:
     for axes, text in zip(grid[:, 0], (AXES[DEPLOYED], "Success of phases"), strict=True):
         axes.set_ylabel(text)
         axes.legend(loc="lower right", fontsize=8)
-    figure.savefig(OPTIONS / "curves.png", dpi=120)
+    picture = OPTIONS / "curves.png"
+    figure.savefig(picture, dpi=120)
+    shrink(picture)
 
 
 def _draw_lines(axes: Any, curves: Curves, metrics: tuple[str, ...], style: str) -> None:

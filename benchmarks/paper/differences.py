@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.output import write_files
+from benchmarks.output import shrink, write_files
 from benchmarks.paper.cells import FORMER_VAPRL, NOT_RUN, RUNS, TABLETOP, cells, paper_tests, read_runs
 from benchmarks.paper.pairs import (
     CHEETAH,
@@ -160,7 +160,7 @@ def draw() -> None:
     """Draw the return of seeds 5 to 9 of difference 2, which trained longer than the first five, over their steps."""
     folders = [RUNS / names[1] for names in RELEASED_BOOTSTRAPPED + RELEASED_BIASED]
     names = [f"Reset every {horizon:,} steps{update}" for update in ("", ", biased update") for horizon in HORIZONS]
-    plot_runs(folders, RUNS / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5)
+    shrink(plot_runs(folders, RUNS / CHEETAH / "curves.png", names, metric="deployed/return", smooth=5))
 
 
 if __name__ == "__main__":

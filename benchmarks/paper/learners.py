@@ -6,7 +6,7 @@ score of a run, with its interval over seeds and the permutation test.
 
 from pathlib import Path
 
-from benchmarks.output import RESULTS, pages_with, write_files
+from benchmarks.output import RESULTS, pages_with, shrink, write_files
 from earl_jax.metrics.comparison import permutation
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.runs import read
@@ -38,7 +38,8 @@ def files() -> dict[Path, str]:
 
 def draw() -> None:
     """Write the curves of both learners."""
-    plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=[name.upper() for name in NAMES])
+    names = [name.upper() for name in NAMES]
+    shrink(plot_runs([RUNS / name for name in NAMES], RUNS / "curves.png", smooth=3, names=names))
 
 
 if __name__ == "__main__":
