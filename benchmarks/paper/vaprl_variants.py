@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import earl_jax
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.replay import TransitionBatch
-from earl_jax.algos.method import Phase, PhaseDemos
 from earl_jax.algos.vaprl import Curriculum, VaPRL
 from earl_jax.envs import Env
 from earl_jax.envs.state import tree_where
@@ -44,10 +43,9 @@ class VaPRLReachable(VaPRL):
         method_state: Curriculum,
     ) -> Curriculum:
         solved = super().refresh(key, env, goals, agent, batch, method_state).values
-        tasks = jnp.repeat(goals.table[: goals.tasks], len(goals.candidates), axis=0)
-        candidates = jnp.tile(goals.candidates, (goals.tasks, 1))
-        reached = self.mean_value(jax.random.fold_in(key, 1), agent, jnp.concatenate([tasks, candidates], axis=-1))
-        return Curriculum(jnp.stack([solved, reached.reshape(solved.shape)]))
+        tasks = goals.table[: goals.tasks, None]
+        reached = self.pair_values(jax.random.fold_in(key, 1), agent, tasks, goals.candidates)
+        return Curriculum(jnp.stack([solved, reached]))
 
 
 class VaPRLDemoRelabelling(VaPRL):
@@ -57,11 +55,7 @@ class VaPRLDemoRelabelling(VaPRL):
     """
 
     name: ClassVar[str] = "vaprl_demo_relabelling"
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        forward, back = (PhaseDemos(direction, copies_per_step=1.0) for direction in ("forward", "backward"))
-        return Phase((forward,)), Phase((back,))
+    demo_copies: ClassVar[float] = 1.0
 
     def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum

@@ -12,10 +12,6 @@ from earl_jax.algos.method import RETURN, Method, Phase, PhaseDemos
 from earl_jax.envs import Env
 from earl_jax.options.values import COUNT, within
 
-DEMO_SHARE = 0.2
-"""1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1
-times."""
-
 
 class Curriculum(struct.PyTreeNode):
     """The agent's values [G, C] of starting at each of C demonstrated states, for each of G task goals."""
@@ -55,10 +51,15 @@ class VaPRL(Method):
     name: ClassVar[str] = "vaprl"
     needs_demos: ClassVar[bool] = True
     entropy_free_pairs: ClassVar[int] = 1
+    demo_copies: ClassVar[float] = 0.2
+    """1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1
+    times."""
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        forward, back = (PhaseDemos(direction, copies_per_step=DEMO_SHARE) for direction in ("forward", "backward"))
+        forward, back = (
+            PhaseDemos(direction, copies_per_step=self.demo_copies) for direction in ("forward", "backward")
+        )
         return Phase((forward,)), Phase((back,))
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
@@ -96,19 +97,21 @@ class VaPRL(Method):
         batch: TransitionBatch | None,
         method_state: Curriculum,
     ) -> Curriculum:
-        tasks, count = goals.table[: goals.tasks], len(goals.candidates)
-        obs = jnp.concatenate([jnp.tile(goals.candidates, (goals.tasks, 1)), jnp.repeat(tasks, count, axis=0)], axis=-1)
-        return Curriculum(self.mean_value(key, agent, obs).reshape(goals.tasks, count))
+        return Curriculum(self.pair_values(key, agent, goals.candidates, goals.table[: goals.tasks, None]))
 
-    def mean_value(self, key: jax.Array, agent: Any, obs: jax.Array) -> jax.Array:
-        """Return the values [B] of `obs [B, o]` over `value_samples` actions, in units of one reward."""
-        agent = jax.tree.map(lambda leaf: leaf[0], agent)
+    def pair_values(self, key: jax.Array, agent: Any, starts: Any, ends: Any) -> jax.Array:
+        """Return the values [...], in units of one reward, of reaching `ends [..., s]` from `starts [..., s]`.
+
+        They are means over `value_samples` actions; the leading axes of both are broadcast.
+        """
+        pairs = jnp.concatenate(jnp.broadcast_arrays(starts, ends), axis=-1)
+        agent, obs = jax.tree.map(lambda leaf: leaf[0], agent), pairs.reshape(-1, pairs.shape[-1])
 
         def value(sample_key):
             return self.learner.value(sample_key, agent, obs)
 
         values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
-        return values / self.learner.reward_scale
+        return values.reshape(pairs.shape[:-1]) / self.learner.reward_scale
 
     def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum
