@@ -38,8 +38,7 @@ class MeanReturnKitchen(FrankaKitchen):
 
     @property
     def _kitchen(self) -> FrankaKitchen:
-        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return FrankaKitchen(**fields)
+        return FrankaKitchen(**dataclasses.asdict(self))
 
 
 earl_jax.register_env(MeanReturnKitchen.name, MeanReturnKitchen)

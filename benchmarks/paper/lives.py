@@ -37,9 +37,9 @@ GOALS = 1 / 240
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
-def shut_share(curves: Curves, start: int = 0, end: int | None = None) -> np.ndarray:
+def shut_share(curves: Curves, start: float = 0, end: float = np.inf) -> np.ndarray:
     """Return the share [N] of the intervals between evaluations, from `start` to `end` steps, with the door shut all the time."""
-    inside = (curves.steps[1:] > start) & (curves.steps[1:] <= (end or curves.steps[-1]))
+    inside = (curves.steps[1:] > start) & (curves.steps[1:] <= end)
     return (_rates(curves)[:, inside] >= SHUT).mean(axis=1)
 
 

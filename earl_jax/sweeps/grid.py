@@ -126,8 +126,8 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the alternative values of each option, sorted by the names of the options."""
     alternatives = {}
     for name, value in sorted(options.items()):
-        values = [None if item == NULL else item for item in (value if isinstance(value, list) else [value])]
-        alternatives[name] = values
+        listed = value if isinstance(value, list) else [value]
+        alternatives[name] = values = [None if item == NULL else item for item in listed]
         if not values or len(set(map(_text, values))) < len(values):
             raise InputError(
                 f"option {name} = {values} must list at least one value, each once; a list holds alternatives"
