@@ -19,7 +19,7 @@ import numpy as np
 from earl_jax.errors import InputError, optional
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
-from earl_jax.options.values import TimeLimit
+from earl_jax.options.values import TimeLimit, counted
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import check_kind, locked
@@ -67,13 +67,22 @@ def search(
         devices, emit, minutes: as those of `launcher.sweep`.
 
     Raises:
-        ValueError: Optuna is not installed, the file or a number is invalid, or `out` has another search.
+        ValueError: Optuna is not installed, the file or a number is invalid, the seeds do not divide over the devices, or
+            `out` has another search.
     """
-    for name, number, least in (("trials", trials, 1), ("batch", batch, 1), ("rungs", rungs, 1), ("seed", seed, 0)):
+    sharing = 1 if devices is None else devices
+    numbers = {"trials": trials, "batch": batch, "rungs": rungs, "devices": sharing, "seed": seed}
+    for name, number in numbers.items():
+        least = 0 if name == "seed" else 1
         if number < least:
             raise InputError(f"{name} must be at least {least}, not {number}")
     optuna()
     base, spaces, sampler = read_space(space)
+    if len(base.seeds) % sharing:
+        raise InputError(
+            f"a search needs seeds that divide over its {sharing} devices, not {counted(len(base.seeds), 'seed')}, "
+            "because its programs lose trials at every rung"
+        )
     rung_steps = _rung_steps(base.schedule, rungs)
     limit = TimeLimit.of(minutes)
     out.mkdir(parents=True, exist_ok=True)

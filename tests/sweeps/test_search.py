@@ -146,6 +146,16 @@ def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("devices", "message"), [(0, "devices must be at least 1, not 0"), (3, "divide over its 3 devices, not 2 seeds")]
+)
+def test_devices_that_the_seeds_cannot_share_are_refused(space, tmp_path, batches, devices, message):
+    with pytest.raises(ValueError, match=message):
+        search(space, tmp_path / "out", devices=devices)
+    assert not batches
+    assert not (tmp_path / "out").exists()
+
+
 UNIFORM = "uniform = [0.9, 0.99]"
 
 
