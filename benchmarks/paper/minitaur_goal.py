@@ -82,7 +82,8 @@ def test_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
     assert printed is not None
     mean, low, high = mean_interval(scores)
     return {
-        "algo": rows[0]["algo"], "seeds": len(rows), "until goal": mean, "low": low, "high": high, "printed": printed.mean,
+        "algo": rows[0]["algo"], "seeds": len(rows),
+        **{name: float(np.mean([row[name] for row in rows])) for name in ("reached", "fallen at the end")}, "until goal": mean, "low": low, "high": high, "printed": printed.mean,
         "p": welch(own, printed).p, "would be found": detectable_difference(own, printed),
     }  # fmt: skip
 

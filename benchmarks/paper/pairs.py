@@ -41,6 +41,8 @@ BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 ALL_KEPT = "replay_capacity_None"
 """The variant of a cell whose replay keeps all transitions."""
+RELEASED_REPLAY = "replay_capacity_1000000"
+"""The variant with the released replay of a cell whose replay keeps all transitions."""
 RUN_AGAIN = TABLETOP, DOOR, PEG
 """Tasks whose cells have the released replay, which is the default since 2026-11-27."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
@@ -162,7 +164,7 @@ DIFFERENCES = (
         Pair((f"{TABLETOP}/vaprl", AGAIN[f"{TABLETOP}/vaprl"]), (f"{TABLETOP}/oracle",)),
         Pair((f"{DOOR}/vaprl",), (f"{DOOR}/r3l", AGAIN[f"{DOOR}/r3l"])),
     )),
-    Difference("19", "the release's replay: the other cells of tabletop, door and peg", tuple(
+    Difference("19", "the release's replay: the other cells of tabletop, door and peg; the Minitaur", (*(
         pair
         for env, algos in (
             (TABLETOP, ("naive", "vaprl", "fbrl", "r3l", "oracle")), (DOOR, ("fbrl", "r3l", "oracle")),
@@ -170,5 +172,8 @@ DIFFERENCES = (
         )
         for algo in algos
         for pair in _released_replay(f"{env}/{algo}")
-    )),
+    ), *(
+        Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",), metric)
+        for algo in ("r3l", "oracle") for metric in (None, CONTINUING)
+    ))),
 )  # fmt: skip
