@@ -1,6 +1,7 @@
 """The return types of an environment: its state and the result of a step."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -62,4 +63,4 @@ def random_row(key: jax.Array, table: Any) -> Any:
 def all_finite(tree: Any) -> jax.Array:
     """Return whether every floating-point number in `tree` is finite, bool []."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
-    return jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+    return functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in leaves])
