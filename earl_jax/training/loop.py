@@ -20,6 +20,7 @@ from earl_jax.envs import Map, State
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
+from earl_jax.training.demos import demo_rows
 from earl_jax.training.ordering import before_update, in_step_with_host, one_controller, read_before_write
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
 
@@ -77,6 +78,8 @@ def update(
     batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
     learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
     pending, lanes = in_step_with_host(started.pending, learn_lane(method, state.lanes, keys, batch))
+    if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first
+        lanes = jax.vmap(tree_where)(state.replay.counts.any(axis=1), lanes, state.lanes)
     return state.replace(lanes=lanes), started._replace(pending=pending)
 
 

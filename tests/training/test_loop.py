@@ -131,6 +131,17 @@ def test_a_batch_holds_transitions_stored_before_its_step_and_a_refresh_begins_e
     np.testing.assert_array_equal(state.lanes.method_state["row"], [CHUNK - 2] * 2)
 
 
+def test_a_life_that_starts_empty_learns_from_its_second_step_on():
+    """Its first batch was a row of zeros that nothing had written."""
+    problem = make_problem(Chain(train_horizon=0, eval_horizon=8))
+    method = per_lane(Recorder(SAC(hidden_sizes=(8,), batch_size=16, random_steps=0)), 2)
+    start = make_train_state(problem, method, [0, 1])
+    first, second = [run_whole(problem, method, start, steps) for steps in (1, 2)]
+    assert_equal_trees(first.lanes.agent, start.lanes.agent)
+    assert first.lanes.counters.diagnostics["temperature"].tolist() == [0.0, 0.0]
+    assert (np.asarray(second.lanes.agent.log_temperature) != start.lanes.agent.log_temperature).all()
+
+
 def test_a_refresh_uses_the_agent_of_its_step(problem):
     method = tiny_method("vaprl")
     start = make_train_state(problem, method, [0, 1])
