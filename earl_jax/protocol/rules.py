@@ -116,13 +116,13 @@ def count_step(
 ) -> Counters:
     """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
 
-    `earned []` is its reward for the task goal, which does not count after a fault.
+    `earned []` is its reward for the task goal, which does not count after a fault. Nothing resets a life that has ended.
     """
     phase_ended = end.phase_ended & attempt.ends_on_success
     phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, phase_ended, end.reached, step)
     return counters.replace(
         window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
-        interventions=counters.interventions + end.env_reset,
+        interventions=counters.interventions + (end.env_reset & (env_state.done == 0)),
         faults=counters.faults + end.fault,
         reached=counters.reached + (end.reached & attempt.is_task),
         phases=phases,

@@ -146,8 +146,9 @@ def test_both_scores_of_a_life_of_two_windows():
 
 def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     env, help_ = HelpBudget(OneGoal(fragile=False), budget=2.0), np.array([LEFT, RIGHT])
-    lives, results = live(env, Protocol(0, 4), np.broadcast_to(help_, (3, 1, 2)))
+    lives, results = live(env, Protocol(1, 4), np.broadcast_to(help_, (3, 1, 2)))
     np.testing.assert_array_equal(results.terminated[:, 0], [False, True, True])
+    assert lives.counters.interventions[:, 0].tolist() == [1, 1, 1], "what has ended is not reset"
     np.testing.assert_array_equal(lives.has_ended, results.terminated)
     ended = jax.tree.map(lambda leaf: leaf[-1, 0], lives)
     measure = jax.jit(lambda life: evaluate(env, Protocol(0, 4), life, lambda obs: jnp.array([RIGHT, RIGHT])))
