@@ -57,8 +57,8 @@ class View(NamedTuple):
 class ContinuingDefaults(NamedTuple):
     """The numbers of a task in the paper's continuing setting.
 
-    `goal_change`: steps between goal changes. `train_horizon`: H_T of the released lifelong configuration; None if it is
-    that of the task.
+    `goal_change`: steps between goal changes. `train_horizon`: H_T of the released lifelong configuration, 0 for never;
+    None if it is that of the task.
     """
 
     goal_change: int

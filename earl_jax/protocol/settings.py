@@ -111,8 +111,8 @@ class Continuing(Setting):
     def _horizon(self, task: Env) -> int:
         if self.train_horizon is not None:
             return self.train_horizon
-        explicit = task.train_horizon != type(task).train_horizon
-        return task.train_horizon if explicit else task.continuing.train_horizon or task.train_horizon
+        explicit, lifelong = task.train_horizon != type(task).train_horizon, task.continuing.train_horizon
+        return task.train_horizon if explicit or lifelong is None else lifelong
 
 
 SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Deployment, Continuing)}

@@ -5,7 +5,9 @@ import dataclasses
 import pytest
 
 from earl_jax.envs import HelpBudget, make
+from earl_jax.envs.features import ContinuingDefaults
 from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, split_setting, with_explicit_horizon
+from tests.envs.chain import Chain
 
 
 def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
@@ -16,6 +18,15 @@ def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
     assert Continuing(goal_change=30, intervention_chance=0.01).protocol(make("tabletop_organization")) == Protocol(
         50_000, 200, intervention_chance=0.01, goal_change=30
     )
+
+
+class Endless(Chain):
+    continuing = ContinuingDefaults(goal_change=8, train_horizon=0)
+
+
+def test_the_lifelong_h_t_of_a_task_can_be_never():
+    assert Continuing().protocol(Endless()).train_horizon == 0
+    assert Continuing().protocol(Chain()).train_horizon == Chain().train_horizon
 
 
 def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
