@@ -13,6 +13,9 @@ from earl_jax.metrics.phase_stats import PhaseStats
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
 
+HELP = ("asked", "enforced", "budget")
+"""What a state of a `HelpBudget` has in its `info`."""
+
 
 def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
     """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
@@ -79,8 +82,7 @@ def continuing(
         "faults": counters.faults,
         "reached": counters.reached,
     }
-    if isinstance(env_state.data, State):
-        info = env_state.info
-        metrics |= {f"help/{name}": info[name] for name in ("asked", "enforced", "budget")}
+    if env_state.info.keys() >= {*HELP}:
+        metrics |= {f"help/{name}": env_state.info[name] for name in HELP}
         metrics["help/over"] = env_state.done
     return counters.replace(total_reward=total, window_reward=jnp.zeros_like(total)), metrics

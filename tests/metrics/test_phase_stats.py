@@ -93,3 +93,5 @@ def test_the_reward_is_averaged_over_the_lifetime_and_the_window_and_counts_are_
     _, metrics = continuing(counters, start, jnp.asarray(20.0), jnp.asarray(10.0))
     assert float(metrics["continuing/reward"]) == pytest.approx(0.2)
     assert float(metrics["continuing/recent"]) == pytest.approx(0.1)
+    _, of_wrapped = continuing(counters, start.replace(data=start), jnp.asarray(20.0), jnp.asarray(10.0))
+    assert of_wrapped.keys() == metrics.keys(), "only a budget for help has further ones"
