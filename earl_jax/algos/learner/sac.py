@@ -111,8 +111,14 @@ class SAC(Learner):
         return agent.replace(actor=actor, averaged=None if agent.averaged is None else actor)
 
     def value(self, key: jax.Array, agent: Agent, obs: jax.Array) -> jax.Array:
-        """Return the minimum over the entropy-free critics at an action of the policy, [...] at `obs [..., o]`."""
+        """Return the minimum over the entropy-free critics at an action of the policy, [...] at `obs [..., o]`.
+
+        Raises:
+            ValueError: the method has no `entropy_free_pairs`.
+        """
         pairs = jax.tree.map(lambda leaf: leaf[self.ensemble :], agent.critics)
+        if not len(jax.tree.leaves(pairs)[0]):
+            raise InputError("a method that reads values needs critics without an entropy term: entropy_free_pairs = 1")
         return self.q_values(pairs, obs, self.act(key, agent.actor, obs)).min(axis=0)
 
     def policy(self, actor: Any, obs: jax.Array) -> jax.Array:

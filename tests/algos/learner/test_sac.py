@@ -240,6 +240,11 @@ def test_the_weight_of_the_cloning_term_follows_its_schedule():
     assert float(cloning_weight(held, jnp.asarray(10_000))) == pytest.approx(0.4)
 
 
+def test_values_need_critics_without_an_entropy_term():
+    with pytest.raises(ValueError, match="entropy_free_pairs = 1"):
+        SMALL.value(jax.random.key(0), init(SMALL, jax.random.key(0), obs_size=2, action_size=1), jnp.zeros(2))
+
+
 def test_a_subset_larger_than_the_ensemble_is_an_error():
     with pytest.raises(ValueError, match="target_subset 3 is larger than the ensemble of 2 critics"):
         make_algo("naive", target_subset=3)
