@@ -19,6 +19,7 @@ from earl_jax.errors import InputError
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
+MOST_CONTROLLERS = 2
 
 
 class PhaseDemos(NamedTuple):
@@ -174,8 +175,15 @@ FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "pr
 
 
 def controller_count(method: Method) -> int:
-    """Return the number of separate agents of `method`, each with its own part of the replay."""
-    return 1 + max(phase.controller for phase in method.phases)
+    """Return the number of separate agents of `method`, each with its own part of the replay.
+
+    Raises:
+        ValueError: there are more than the replay has parts.
+    """
+    count = 1 + max(phase.controller for phase in method.phases)
+    if count > MOST_CONTROLLERS:
+        raise InputError(f"{method.name} has {count} controllers, and the replay has parts for {MOST_CONTROLLERS}")
+    return count
 
 
 def kept_transitions(method: Method) -> int | None:

@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import pytest
 
-from earl_jax.algos import make_algo
+from earl_jax.algos import SAC, Method, Phase, make_algo
 from earl_jax.runs.files import RunWarning
 from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
 from tests.conftest import tiny_method
@@ -28,6 +28,17 @@ def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_
     problem = dataclasses.replace(problem, protocol=dataclasses.replace(problem.protocol, eval_every=every))
     plan = prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every)
     assert plan.chunk_steps == chunk_steps
+
+
+class Crowd(Method):
+    name = "crowd"
+    phases = tuple(Phase((), controller=number) for number in range(3))
+
+
+def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
+    """The transitions of a third one used to be dropped, and it learnt from those of the second one."""
+    with pytest.raises(ValueError, match="crowd has 3 controllers, and the replay has parts for 2"):
+        prepare(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
 
 
 @pytest.mark.filterwarnings("error")
