@@ -89,8 +89,20 @@ def check_intervals(owner: str, options: Any) -> None:
 
 def literals(cls: type) -> dict[str, tuple[Any, ...]]:
     """Return the valid values of the fields whose type is `Literal[...]` in `cls` or, before an override, in a base."""
-    kinds = [item for base in reversed(cls.__mro__) for item in inspect.get_annotations(base).items()]
-    return {name: typing.get_args(kind) for name, kind in kinds if typing.get_origin(kind) is typing.Literal}
+    return {
+        name: typing.get_args(kind) for name, kind in _annotations(cls) if typing.get_origin(kind) is typing.Literal
+    }
+
+
+def _annotations(cls: type) -> list[tuple[str, Any]]:
+    """Return the names and types of the fields of all bases of `cls`, then its own; text where Python cannot evaluate it."""
+    items = []
+    for base in reversed(cls.__mro__):
+        try:
+            items += inspect.get_annotations(base, eval_str=True).items()
+        except Exception:  # such as the name of a type that is imported for type checkers alone
+            items += inspect.get_annotations(base).items()
+    return items
 
 
 def check_literals(options: Any) -> None:
@@ -138,29 +150,31 @@ def unknown_option(owner: str, option: str, value: Any, known: Sequence[str], na
 
 
 def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
-    """Check that the dataclass `factory` has every option, and that each value has the type of its default.
+    """Check that the dataclass `factory` has every option, and that each value has its type, or that of its default.
 
     Raises:
         ValueError: an option is unknown or has the wrong type; the message names `owner`, the option and the valid choices.
     """
-    fields = {field.name: field for field in dataclasses.fields(factory)}
+    fields, types = {field.name: field for field in dataclasses.fields(factory)}, dict(_annotations(factory))
     for option, value in options.items():
         if option not in fields:
             raise InputError(f"{owner} has no option {option!r}; choose from {', '.join(fields)}")
-        expected = _expected(fields[option], value)
+        expected = _expected(fields[option], types[option], value)
         if expected:
             raise InputError(f"{owner}: {option} must be {expected}, not {brief(value)}")
         if "interval" in fields[option].metadata and value is not None:
             require(f"{owner}: {option}", value, fields[option].metadata["interval"])
 
 
-def _expected(field: dataclasses.Field, value: Any) -> str | None:
-    """Return the kind of value that `field` takes if `value` is of another kind, else None."""
+def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | None:
+    """Return the kind of value that `field` takes by its `annotation` if `value` is of another kind, else None."""
     default = field.default
     if isinstance(default, tuple):
-        return None if _is_sizes(value) else "whole numbers of at least 1"
-    kind = type(default) if default is not None else _type_beside_none(field.type)
-    may_be_none = default is None or type(None) in typing.get_args(field.type)
+        is_sizes = isinstance(value, tuple) and value and all(_fits(int, size) and size for size in value)
+        return None if is_sizes else "whole numbers of at least 1"
+    may_be_none = default is None or type(None) in typing.get_args(annotation)
+    declared = _type_beside_none(annotation) if may_be_none else annotation
+    kind = declared if declared in KINDS else type(default)
     has_lanes = field.metadata.get("pytree_node", True)
     fits = kind not in KINDS or _fits(kind, value, has_lanes) or (value is None and may_be_none)
     return None if fits else KINDS[kind]
@@ -169,10 +183,6 @@ def _expected(field: dataclasses.Field, value: Any) -> str | None:
 def _type_beside_none(annotation: Any) -> Any:
     """Return the type T of an annotation `T | None`, or None for any other annotation."""
     return next((kind for kind in typing.get_args(annotation) if kind is not type(None)), None)
-
-
-def _is_sizes(value: Any) -> bool:
-    return isinstance(value, tuple) and bool(value) and all(_fits(int, size) and size for size in value)
 
 
 def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:

@@ -11,8 +11,9 @@ import pytest
 
 from earl_jax import InputError, make, make_algo, train
 from earl_jax.cli.arguments import parse_minutes, parse_options
-from earl_jax.options.values import Interval, TimeLimit, check, parse_whole
+from earl_jax.options.values import Interval, TimeLimit, check, check_literals, parse_whole
 from earl_jax.protocol import setting_of
+from tests.options.postponed import Postponed
 
 
 @dataclasses.dataclass
@@ -23,6 +24,7 @@ class Example:
     word: str = "a"
     layers: tuple[int, ...] = (8,)
     limit: float | None = None
+    weight: float = 1
 
 
 @pytest.mark.parametrize(
@@ -31,6 +33,7 @@ class Example:
         {"rate": 1}, {"rate": np.array([0.1, 0.2])}, {"size": np.int64(3)}, {"fast": True}, {"fast": np.array([1.0, 0.0])},
         {"fast": np.True_},
         {"layers": (4, 4)}, {"limit": None}, {"limit": 2.0}, {"word": "b"},
+        {"weight": 0.5}, {"weight": -1},
     ],
 )  # fmt: skip
 def test_values_of_the_right_type_are_accepted(options):
@@ -40,7 +43,7 @@ def test_values_of_the_right_type_are_accepted(options):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"speed": 1}, "example has no option 'speed'; choose from rate, size, fast, word, layers, limit"),
+        ({"speed": 1}, "example has no option 'speed'; choose from rate, size, fast, word, layers, limit, weight"),
         ({"rate": "fast"}, "rate must be a finite number, not 'fast'"), ({"rate": np.nan}, "rate must be a finite number"),
         ({"rate": True}, "rate must be a finite number"), ({"limit": "much"}, "limit must be a finite number, not 'much'"),
         ({"size": 2.5}, "size must be a whole number of at least 0, not 2.5"), ({"size": -1}, "size must be a whole number"),
@@ -52,6 +55,15 @@ def test_values_of_the_right_type_are_accepted(options):
 def test_unknown_options_and_wrong_types_are_refused(options, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         check("example", Example, options)
+
+
+def test_a_module_can_postpone_the_evaluation_of_its_types():
+    """Its options used to take any value, and those of `int | None` no None."""
+    check("example", Postponed, {"limit": None, "most": None})
+    with pytest.raises(ValueError, match="limit must be a finite number, not 'much'"):
+        check("example", Postponed, {"limit": "much"})
+    with pytest.raises(ValueError, match="mode 'c' is not one of a, b"):
+        check_literals(Postponed(mode="c"))  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
