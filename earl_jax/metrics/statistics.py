@@ -67,7 +67,7 @@ def iqm(scores: Any, axis: int | None = None) -> Any:
 def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:
     """Return the 95 % percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
 
-    The scores of a single task can have the shape [seeds]. The same scores have the same interval.
+    The scores of a single task can have the shape [seeds]. The same scores have the same interval; it is nan for one seed.
     """
     xp = namespace_of(scores)
     table = xp.asarray(scores, float).reshape(len(scores), -1)
@@ -76,9 +76,13 @@ def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:
 
 
 def resampled(scores: Any, rng: np.random.Generator) -> Any:
-    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...]."""
+    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...].
+
+    A single seed gives nan, because it does not tell how seeds differ.
+    """
     picks = rng.integers(len(scores), size=(RESAMPLES, *scores.shape[:2]))
-    return scores[picks, np.arange(scores.shape[1])]
+    drawn = scores[picks, np.arange(scores.shape[1])]
+    return drawn if len(scores) > 1 else drawn * np.nan
 
 
 def summarise(scores: Any) -> Summary:
@@ -98,7 +102,8 @@ def summarise(scores: Any) -> Summary:
 def relative_drop(before: Any, after: Any) -> Estimate:
     """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
 
-    Seeds are resampled in pairs. Resamples whose mean of `before` is 0 are left out. The result is nan if `before` is 0.
+    Seeds are resampled in pairs. Resamples whose mean of `before` is not positive are left out, and the result is nan if
+    that of `before` is not.
     Source: Sharma et al. 2022, figure 4, the loss of success from starts that differ from those of training.
 
     Raises:
@@ -119,7 +124,7 @@ def relative_drop(before: Any, after: Any) -> Estimate:
 
 
 def _drop(xp: Any, before: Any, after: Any) -> Any:
-    """Return the relative drops [...] of `before [..., seeds]` and `after`, nan where `before` is 0."""
+    """Return the relative drops [...] of `before [..., seeds]` and `after`, nan where the mean of `before` is not positive."""
     mean = before.mean(axis=-1)
     return 1 - after.mean(axis=-1) / xp.where(mean > 0, mean, np.nan)
 

@@ -48,6 +48,14 @@ def test_bootstrap_is_stratified_and_reproducible():
     assert bootstrap(noisy) == bootstrap(noisy)
 
 
+def test_a_single_seed_has_no_interval():
+    one, two = np.array([[0.3]]), np.array([[0.1], [0.2]])
+    estimates = probability_of_improvement(one, two), optimality_gap(one), summarise(one[0])
+    assert [float(estimate[0]) for estimate in estimates] == pytest.approx([1.0, 0.7, 0.3])
+    assert all(math.isnan(estimate.low) and math.isnan(estimate.high) for estimate in estimates)
+    assert np.isnan(performance_profile(one, np.array([0.1]))).tolist() == [[False], [True], [True]]
+
+
 @pytest.mark.parametrize("bad", [[], [np.nan, 1.0], [[1.0], [2.0]]])
 def test_empty_or_non_finite_scores_are_refused(bad):
     with pytest.raises(ValueError, match="finite scores"):
