@@ -48,7 +48,8 @@ class GoalIndices(NamedTuple):
 def later_demonstrated(goals: Goals, row: jax.Array, draw: jax.Array) -> jax.Array:
     """Return a row [B] that follows each demonstrated `row [B]` of the replay in its demonstration, by `draw [B]` in [0, 1).
 
-    The rows count the `candidates` of `goals`, too. For rows that are not demonstrated, the result has no meaning.
+    The rows count the `candidates` of `goals`, too, unless the method samples demonstrations of the way back alone. For
+    rows that are not demonstrated, the result has no meaning.
     """
     last = jnp.asarray(goals.ends)[jnp.minimum(row, len(goals.ends) - 1)]
     return row + 1 + jnp.floor(draw * (last - row)).astype(jnp.int32)

@@ -50,10 +50,10 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
             f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
-    known = env.demonstrations.directions
-    uses = [(controller, demos) for controller, demos in _uses(method) if demos.direction in known]
-    parts, all_states, first = [], [], 0
-    for direction in dict.fromkeys(demos.direction for _, demos in uses):
+    parts, all_states, first, uses = [], [], 0, _uses(method)
+    for direction in env.demonstrations.directions:
+        if all(demos.direction != direction for _, demos in uses):
+            continue
         recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)

@@ -9,7 +9,9 @@ import pytest
 
 import earl_jax
 from earl_jax import assets
+from earl_jax.algos import Method, Phase
 from earl_jax.algos.learner import replay
+from earl_jax.algos.method import BACKWARD, FORWARD
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.training.init import demo_rows, empty_replay
@@ -52,6 +54,15 @@ def test_training_starts_at_rho_in_the_row_after_the_demonstrations(problem):
     assert first == len(problem.goals.candidates)
     np.testing.assert_array_equal(state.replay.state[first], np.tile(problem.env.initial_states, (2, 1)))
     assert int(state.step) == 0
+
+
+class Backwards(Method):
+    name = "backwards"
+    phases = Phase((BACKWARD,)), Phase((FORWARD,))
+
+
+def test_demonstrated_rows_have_the_order_of_the_goals_whatever_the_first_phase_samples(problem):
+    np.testing.assert_array_equal(demo_rows(problem, Backwards()).states, problem.goals.candidates)
 
 
 def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(problem):
