@@ -11,7 +11,7 @@ from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError
 from earl_jax.options.schedule import Schedule
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, within
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, within
 from earl_jax.protocol.rules import Protocol
 
 HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
@@ -49,6 +49,9 @@ class Setting:
     equally often."""
 
     name: ClassVar[str]
+
+    def __post_init__(self):
+        check_intervals("setting", self)
 
     def wrap(self, task: Env) -> Env:
         """Return `task`, wrapped in a `HelpBudget` if this setting has a budget."""
