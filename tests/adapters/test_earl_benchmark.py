@@ -131,7 +131,7 @@ def test_numpys_seed_makes_starts_reproducible():
     env, _ = short().get_envs()
     assert env.seed(5) == [5]
     goals = [env.reset()[6:] for _ in range(8)]
-    env.seed(5)
+    env.seed(np.int64(5))
     np.testing.assert_array_equal(goals, [env.reset()[6:] for _ in range(8)])
 
 

@@ -77,7 +77,7 @@ class TaskEnv:
 
     def seed(self, seed: int | None = None) -> list[int | None]:
         """Seed the next reset with `seed`, or from numpy's global generator; return the seed in a list."""
-        self._seed = int(np.random.randint(2**31)) if seed is None else seed
+        self._seed = int(np.random.randint(2**31) if seed is None else seed)
         return [self._seed]
 
     def render(self, mode: str = "rgb_array") -> np.ndarray | None:
