@@ -168,6 +168,14 @@ def test_an_attempt_has_at_least_one_step():
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
 
 
+def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state():
+    life = init(Chain(), Protocol(0, 4), KEYS[0])
+    with pytest.raises(ValueError, match=r"goal has shape \(2,\), this task takes \(1,\)"):
+        set_goal(Chain(), life, jnp.zeros(2))
+    assert set_goal(Chain(), life, np.array([2])).obs.tolist() == [0.0, 2.0]
+    assert set_goal(Chain(), life, np.array([2])).env_state.info["goal"].dtype == np.float32
+
+
 def test_balanced_pairs_take_the_chance_out_of_the_score_of_a_policy_if_the_protocol_balances_them(env):
     """The returns of doing nothing differ between the four goals; a balanced evaluation has each of them once."""
     dense = dataclasses.replace(env, reward_type="dense")
