@@ -62,11 +62,12 @@ def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
 
 def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:
     """Return the memory that `lanes` lanes of `steps` steps need."""
+    replay = replay_bytes(problem, method, steps)  # first, since it refuses tasks without demonstrations
     shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), steps=1)
     outputs = _layer_outputs(shape.lanes.agent) // controller_count(method)
     return MemoryEstimate(
         lanes,
-        replay=replay_bytes(problem, method, steps),
+        replay=replay,
         agent=_bytes(shape.lanes),
         work=int(4 * ACTIVATIONS * method.learner.batch_size * outputs),
     )

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import pytest
 
 from earl_jax.algos import SAC, Method, Phase, make_algo
+from earl_jax.envs import make
 from earl_jax.runs.files import RunWarning
 from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
-from tests.conftest import tiny_method
+from tests.conftest import make_problem, tiny_method
 
 
 def test_the_chunks_to_the_next_evaluation_are_warm_up_until_the_random_steps_end(problem):
@@ -39,6 +40,13 @@ def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
     """The transitions of a third one used to be dropped, and it learnt from those of the second one."""
     with pytest.raises(ValueError, match="crowd has 3 controllers, and the replay has parts for 2"):
         prepare(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
+
+
+@pytest.mark.parametrize("algo", ["medal", "vaprl"])
+def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_them(algo):
+    problem = make_problem(make("fish_swim"), eval_every=40)
+    with pytest.raises(ValueError, match=f"{algo} needs demonstrations, and fish_swim has none"):
+        prepare(problem, tiny_method(algo), lanes=2, steps=120)
 
 
 @pytest.mark.filterwarnings("error")
