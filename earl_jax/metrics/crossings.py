@@ -26,7 +26,7 @@ def trailing_mean(steps: np.ndarray, scores: np.ndarray) -> np.ndarray:
 
 
 def crossing(steps: np.ndarray, scores: np.ndarray, level: float) -> Estimate:
-    """Return the first of `steps [E]` at which the mean over seeds of the trailing mean of `scores [N, E]` reaches `level`.
+    """Return the first of `steps [E]` at which the mean over seeds of the trailing mean of rates `scores [N, E]` reaches `level`.
 
     The interval runs from the first step at which the upper end of the 95 % interval of the mean reaches the level
     to the first at which the lower end does. Each number is nan if the curve does not reach the level.
