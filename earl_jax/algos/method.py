@@ -10,7 +10,7 @@ import jax
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Batch, Learner
-from earl_jax.algos.learner.cloning import DemoSteps, pretrained
+from earl_jax.algos.learner.cloning import DemoSteps, clone
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
@@ -112,13 +112,15 @@ class Method(OptionsNode):
         Raises:
             ValueError: there are demonstrations to clone, and the task has none.
         """
-        if not self.learner.pretrain_steps:
+        learner = self.learner
+        if not learner.pretrain_steps:
             return agent
         if demos is None:
             raise InputError(
                 f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
             )
-        return pretrained(key, self.learner, agent, demos)
+        actors, _ = clone(key, learner, agent.actor, demos, learner.pretrain_steps, learner.pretrain_rate)
+        return jax.vmap(learner.with_actor)(agent, actors)
 
     def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
         """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default the learner's."""

@@ -1,6 +1,6 @@
 """Behaviour cloning of an actor: a regression of the greedy action on demonstrated actions.
 
-`pretrained` takes it before any interaction, and `cloning_term` is the same error as a term of the actor's loss.
+`clone` takes it before any interaction, and `cloning_term` is the same error as a term of the actor's loss.
 """
 
 from typing import Any, NamedTuple
@@ -24,12 +24,6 @@ class DemoSteps(NamedTuple):
         """Return the steps of `controller`, or all of them if it has none of its own."""
         own = self.controller == controller
         return DemoSteps(*[field[own] for field in self]) if own.any() else self
-
-
-def pretrained(key: jax.Array, learner: Learner, agents: Any, demos: DemoSteps) -> Any:
-    """Return `agents` (leading controller axis) with actors cloned in `Learner.pretrain_steps`."""
-    actors, _ = clone(key, learner, agents.actor, demos, learner.pretrain_steps, learner.pretrain_rate)
-    return jax.vmap(learner.with_actor)(agents, actors)
 
 
 def clone(
