@@ -100,7 +100,7 @@ class Method(OptionsNode):
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Any:
         """Return the initial state of the method itself, a pytree of learnt or remembered values; empty by default.
 
-        If it has a dict `metrics` of scalars [], these are columns `METHOD/NAME` of metrics.csv.
+        If it has a dict `metrics` of scalars [], as an attribute or a key, these are columns `METHOD/NAME` of metrics.csv.
         """
         return ()
 

@@ -37,7 +37,8 @@ def _evaluate_lane(
     count, sparse = len(method.phases), problem.env.sparse
     phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, count, sparse)
     metrics |= {**of_life, **of_phases, **counters.diagnostics}
-    own = getattr(lane.method_state, "metrics", {})
+    state = lane.method_state
+    own = state.get("metrics", {}) if isinstance(state, dict) else getattr(state, "metrics", {})
     metrics |= {f"{method.name}/{name}": value for name, value in own.items()}
     finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
     metrics[DIVERGED] = (~finite).astype(jnp.int32)

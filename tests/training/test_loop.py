@@ -211,6 +211,21 @@ def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem
     assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
 
 
+class Reporter(Method):
+    name = "reporter"
+
+    def init(self, key, env, goals):
+        return {"metrics": {"answer": jnp.asarray(42.0)}}
+
+
+def test_scalars_in_the_dict_metrics_of_a_methods_state_are_metrics():
+    """Those of a dict used to be left out without a word; tests/algos/test_methods.py has an attribute, MEDAL's."""
+    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
+    method = per_lane(Reporter(SAC(hidden_sizes=(8,))), 2)
+    metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
+    assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
+
+
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
     """A lane that stands on its task goal while the backward controller acts goes on earning."""
     method = tiny_method("fbrl")
