@@ -81,10 +81,10 @@ def test_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
     own, printed = Sample.of(scores), score and score.sample
     assert printed is not None
     mean, low, high = mean_interval(scores)
+    shares = {name: float(np.mean([row[name] for row in rows])) for name in ("reached", "fallen at the end")}
     return {
-        "algo": rows[0]["algo"], "seeds": len(rows),
-        **{name: float(np.mean([row[name] for row in rows])) for name in ("reached", "fallen at the end")}, "until goal": mean, "low": low, "high": high, "printed": printed.mean,
-        "p": welch(own, printed).p, "would be found": detectable_difference(own, printed),
+        "algo": rows[0]["algo"], "seeds": len(rows), **shares, "until goal": mean, "low": low, "high": high,
+        "printed": printed.mean, "p": welch(own, printed).p, "would be found": detectable_difference(own, printed),
     }  # fmt: skip
 
 
