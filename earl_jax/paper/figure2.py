@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.algos import SAC
+from earl_jax.algos import SAC, Learner
 from earl_jax.algos.method import TASK
 from earl_jax.envs import make
 from earl_jax.errors import InputError
@@ -39,6 +39,11 @@ FINDINGS = {
     ("fish_swim", False): "degrades",
 }
 """The paper's finding on the return as H_T grows, by task and `timeout_bootstrap`."""
+SAC_NOTE = """The learner is SAC of arXiv 1812.05905. The paper cites arXiv 1801.01290 for this figure, which learns a state \
+value and keeps its temperature: `--set fixed_temperature=true` keeps ours, and `reward_scale` sets the weight of the \
+reward against it."""
+OTHER_NOTE = "The paper's learner is SAC of arXiv 1801.01290. The list above names every other learner."
+"""What the page says of the learner, where all runs have SAC and where not."""
 MISSING = "-"
 TESTED = ("p", "adjusted p")
 
@@ -121,13 +126,17 @@ def _points(runs: Sequence[Curves]) -> list[Point]:
 
 def _run_note(run: Curves) -> str:
     """Return how long a run is, how the goal of its task changes, and with which temperature and reward scale it learns."""
-    learner = run.config.build_method().learner
+    learner = _learner(run)
     text = f"learner {learner.name}"
     if isinstance(learner, SAC):
         kind = "fixed at" if learner.fixed_temperature else "learnt from"
         text = f"temperature {kind} {_listed(learner.initial_temperature)}"
     lengths = f"{run.steps[-1]:,} steps, {_goals_text(run.config)}"
     return f"- {run.config.env}: {lengths}, {text}, reward scale {_listed(learner.reward_scale)}"
+
+
+def _learner(run: Curves) -> Learner:
+    return run.config.build_method().learner
 
 
 def _listed(values: Any) -> str:
@@ -193,6 +202,7 @@ def _parts(points: Sequence[Point]) -> dict[str, str]:
         "effects": _effects(arms),
         "missing": _missing(arms),
         "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
+        "learner": SAC_NOTE if all(isinstance(_learner(point.run), SAC) for point in points) else OTHER_NOTE,
     }
 
 

@@ -170,8 +170,9 @@ def test_each_point_of_figure_2_has_the_final_returns_of_its_lanes(files):
 def test_figure_2_says_how_the_target_changes_and_what_the_learner_is(tmp_path, learner, expected):
     tied = {"setting": Continuing(goal_change=2_000), "env_options": {"train_horizon": 2_000}}
     runs = [(FISH, "naive", constant(1.0), {**tied, **learner})]
-    text = ARTEFACTS["figure2"].report(write_runs(tmp_path, runs)).parts["runs"]
-    assert text == f"- fish_swim: 20 steps, the target stays between resets, {expected}"
+    report = ARTEFACTS["figure2"].report(write_runs(tmp_path, runs))
+    assert report.parts["runs"] == f"- fish_swim: 20 steps, the target stays between resets, {expected}"
+    assert ("The learner is SAC" in report.text("figure2")) == ("learner" not in learner)
 
 
 @pytest.mark.parametrize(
