@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from tests.attacks.test_reports import HOSTILE, write_labelled
+from tests.report.run_files import rising, write_page_run
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = [
@@ -69,6 +70,21 @@ def test_a_browser_shows_the_page_without_errors(browser, written):
     tab.evaluate("dispatchEvent(new Event('beforeprint')); dispatchEvent(new Event('afterprint'))")
     assert messages == []
     assert [url for url in requests if not url.startswith(("data:", "blob:"))] == [written.as_uri()]
+
+
+@pytest.mark.slow
+def test_a_browser_draws_seeds_with_one_evaluation(browser, tmp_path):
+    from earl_jax.report.html.writing import write_page
+
+    write_page_run(tmp_path / "run", "fbrl", rising(2, 1))
+    tab = browser.new_page()
+    tab.goto(write_page([tmp_path / "run"], tmp_path / "page.html").as_uri())
+    tab.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
+    tab.locator('#t0 [data-show="each"]').check()
+    points = [
+        tab.locator(f'#t0 [data-panel="0"] g.trace[class*="-{kind}"] path.point').count() for kind in ("mean", "each")
+    ]
+    assert points == [1, 2]
 
 
 @pytest.mark.slow

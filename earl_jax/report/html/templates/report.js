@@ -39,10 +39,12 @@
     };
   }
 
+  const mode = (x) => (x.length > 1 ? "lines" : "markers");  // a line of one point is invisible
+
   function seedsTrace(x, part, base) {
     const gaps = (rows) => rows.flatMap((row) => [...row, null]);
     return {
-      ...base, x: gaps(part.each.map(() => x)), y: gaps(part.each), mode: "lines", opacity: 0.5,
+      ...base, x: gaps(part.each.map(() => x)), y: gaps(part.each), mode: mode(x), opacity: 0.5, marker: { size: 5 },
       line: { color: base.line.color, width: 0.8 }, hoverinfo: "skip",
     };
   }
@@ -71,7 +73,7 @@
   function meanTrace(x, part, base, digits) {
     const spread = part.low ? `<br>95 % of the mean: %{customdata[0]:.${digits}~g} to %{customdata[1]:.${digits}~g}` : "";
     return {
-      ...base, x, y: part.mean, mode: x.length > 1 ? "lines" : "markers", marker: { size: 7 },
+      ...base, x, y: part.mean, mode: mode(x), marker: { size: 7 },
       customdata: part.low ? part.low.map((low, i) => [low, part.high[i]]) : undefined,
       hovertemplate: `<b>${base.name}</b> %{y:.${digits}~g} at %{x:,}${spread}<extra></extra>`,
     };
