@@ -50,25 +50,30 @@ def sweep(
         emit(plan, json, launchers.describe(plan))
         return
     lines: list[str] = []
-    outcome = launchers.sweep(
-        grid,
-        out,
-        launcher,
-        max_lanes=max_lanes,
-        slurm=tuple(itertools.chain(*slurm)),
-        devices=devices,
-        per_device=per_device,
-        emit=lines.append if json else print_line,
-        logs=tuple(itertools.chain(*log)),
-        minutes=limit,
-    )
+    try:
+        outcome = launchers.sweep(
+            grid,
+            out,
+            launcher,
+            max_lanes=max_lanes,
+            slurm=tuple(itertools.chain(*slurm)),
+            devices=devices,
+            per_device=per_device,
+            emit=lines.append if json else print_line,
+            logs=tuple(itertools.chain(*log)),
+            minutes=limit,
+        )
+    except launchers.Stopped as stopped:
+        outcome, code = stopped.outcome, stopped.code
+    else:
+        code = 1 if outcome.failed else None
     if json:
         values = {"out": str(out), "failed": outcome.failed, "lines": lines, "stopped": bool(outcome.unfinished)}
         if outcome.unfinished:
             values |= {"unfinished": outcome.unfinished, "resume": "repeat the command"}
         emit(values, json, "")
-    if outcome.failed:
-        raise SystemExit(1)
+    if code:
+        raise SystemExit(code)
 
 
 def search(

@@ -1,7 +1,6 @@
 """The launcher of sweeps: it plans a grid, starts workers and reports every run, without importing jax."""
 
 import os
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,10 +17,18 @@ EmitLine = Callable[[str], None]
 
 
 class Outcome(NamedTuple):
-    """The number of `failed` runs of a sweep, and the names of the runs that its time limit left `unfinished`."""
+    """The number of `failed` runs of a sweep, and the names of the runs that its time limit or a signal left `unfinished`."""
 
     failed: int
     unfinished: tuple[str, ...] = ()
+
+
+class Stopped(SystemExit):
+    """The signal `number` stopped a sweep, whose `outcome` so far it has."""
+
+    def __init__(self, number: int, outcome: Outcome):
+        super().__init__(128 + number)
+        self.outcome = outcome
 
 
 def sweep(
@@ -55,6 +62,7 @@ def sweep(
 
     Raises:
         ValueError: the grid, the folder or an option is invalid; nothing has started.
+        Stopped: SIGINT, SIGTERM or SIGHUP arrived (local only); the runs in progress have saved a checkpoint.
     """
     limit = TimeLimit.of(minutes)
     _check_options(launcher, slurm, devices, per_device, limit)
@@ -67,8 +75,15 @@ def sweep(
     if launcher == "slurm":
         slurm_arrays.submit(out, tasks, options, emit)
         return Outcome(failed=0)
-    states = {name: "waiting" for task in tasks for name in task["runs"]} | _run_locally(tasks, per_device, emit)
-    return _summarise(states, len(plan["finished"]), limit, emit)
+    states, stopped_by = _run_locally(tasks, per_device, emit)
+    states = {name: "waiting" for task in tasks for name in task["runs"]} | states
+    failed = sum(state == "failed" for state in states.values())
+    outcome = Outcome(failed, tuple(name for name, state in states.items() if state not in ("done", "failed")))
+    if stopped_by:
+        emit("stopped; repeat the command to continue")
+        raise Stopped(stopped_by, outcome)
+    emit(_summary(outcome, len(states), len(plan["finished"]), limit))
+    return outcome
 
 
 def _check_options(
@@ -127,8 +142,11 @@ def describe(plan: dict[str, Any]) -> str:
     return "\n".join([*lines, f"{count} runs, {finished} of them done; programs to run: {len(plan['groups'])}"])
 
 
-def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> dict[str, str]:
-    """Train the runs of `tasks`, as many tasks at a time as there are slots, and return the last state of each run by name."""
+def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> tuple[dict[str, str], int | None]:
+    """Train the runs of `tasks`, as many tasks at a time as there are slots.
+
+    Return the last state of each run that has started, by name, and the number of the signal that stopped them, if any.
+    """
     states: dict[str, str] = {}
     envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
     with open_slots(per_device, envs, emit) as slots, Workers() as workers:
@@ -137,18 +155,12 @@ def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> di
             state = "stopped" if workers.signal and event["state"] == "failed" else event["state"]
             states[event["run"]] = state
             emit(f"{state:<10} {event['run']}  {event['detail']}".rstrip())
-    if workers.signal:
-        emit("stopped; repeat the command to continue")
-        raise SystemExit(128 + workers.signal)
-    return states
+    return states, workers.signal
 
 
-def _summarise(states: dict[str, str], finished: int, limit: TimeLimit | None, emit: EmitLine) -> Outcome:
-    """Return the outcome of the runs with their last `states` by name, and emit it as one line."""
-    count = Counter(states.values())
-    line = f"{finished + len(states)} runs: {finished} done before, {count['done']} done now, {count['failed']} failed"
-    unfinished = tuple(name for name, state in states.items() if state not in ("done", "failed"))
-    if unfinished:
-        line += f", {len(unfinished)} unfinished after {limit}; repeat the command to continue"
-    emit(line)
-    return Outcome(count["failed"], unfinished)
+def _summary(outcome: Outcome, count: int, finished: int, limit: TimeLimit | None) -> str:
+    """Return the outcome of `count` runs as one line; `finished` further runs were done before."""
+    unfinished = len(outcome.unfinished)
+    done = count - unfinished - outcome.failed
+    line = f"{finished + count} runs: {finished} done before, {done} done now, {outcome.failed} failed"
+    return line + (f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else "")

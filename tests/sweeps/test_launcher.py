@@ -178,6 +178,16 @@ def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
     assert (gpus / "log").read_text() == (STARTED if per_device else "")
 
 
+def test_a_sweep_that_a_signal_stops_prints_its_json(grid, workers, tmp_path):
+    done = 'if name == "a":\n    emit("done")\n    sys.exit()\n'
+    body = SAVE.replace("HANDLER", "save_and_end").replace('emit("started")', "os.kill(os.getppid(), signal.SIGTERM)")
+    workers(done + body, "abc")
+    code, out, _ = run("sweep", grid, "--out", tmp_path / "out", "--json")
+    values = json.loads(out)
+    assert (code, values["failed"], values["stopped"]) == (128 + signal.SIGTERM, 0, True)
+    assert (values["unfinished"], values["lines"][-1]) == (["b", "c"], "stopped; repeat the command to continue")
+
+
 def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers, tmp_path, monkeypatch):
     workers("", "ab")
     with pytest.raises(FileNotFoundError, match="missing"):
