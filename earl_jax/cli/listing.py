@@ -147,7 +147,8 @@ def _options_text(title: str, options: dict[str, Any] | None) -> list[str]:
     lines = ["", f"{title} (--set NAME=VALUE):"] if options else []
     for name, option in (options or {}).items():
         among = f"; {_valid_text(option['valid'])}" if option["valid"] else ""
-        lines += _wrap(f"{name}={_cell(option['default'])}  ({option['type']}{among})", "  ")
+        default = "null" if option["default"] is None else _cell(option["default"])
+        lines += _wrap(f"{name}={default}  ({option['type']}{among})", "  ")
         lines += _wrap(option["meaning"], "      ")
     return lines
 

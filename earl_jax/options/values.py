@@ -177,7 +177,7 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
     kind = declared if declared in KINDS else type(default)
     has_lanes = field.metadata.get("pytree_node", True)
     fits = kind not in KINDS or _fits(kind, value, has_lanes) or (value is None and may_be_none)
-    return None if fits else KINDS[kind]
+    return None if fits else KINDS[kind] + " or null" * may_be_none
 
 
 def _type_beside_none(annotation: Any) -> Any:
