@@ -127,7 +127,7 @@ def _verdict_text(rows: Sequence[Row]) -> str:
     if not tested:
         return "There is no other run of the same length to compare with."
     text = f"Of {counted(len(tested), 'other')} of the same length, {len(unclear)} cannot be told from the best"
-    text += f": rank {', '.join(str(row['rank']) for row in unclear)}." if unclear else "."
+    text += f": rank {', '.join(dict.fromkeys(str(row['rank']) for row in unclear))}." if unclear else "."
     least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)
     if math.isnan(least):
         return text + " A test needs two seeds of each."

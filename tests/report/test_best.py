@@ -37,10 +37,10 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
 
 
 def test_runs_that_share_the_highest_score_are_tied(tmp_path):
-    rows = best([write_cells(tmp_path, zero=[0.0] * 3, none=[0.0] * 3, less=[-0.1] * 3)])
-    assert [(row["rank"], row["verdict"]) for row in rows[:2]] == [(1, "tied")] * 2
-    assert (rows[2]["rank"], rows[2]["verdict"]) == (3, "cannot tell")
-    assert "Of 2 others of the same length, 2 cannot be told from the best: rank 1, 3." in best_text(rows)
+    rows = best([write_cells(tmp_path, zero=[0.0] * 3, none=[0.0] * 3, nil=[0.0] * 3, less=[-0.1] * 3)])
+    assert [(row["rank"], row["verdict"]) for row in rows[:3]] == [(1, "tied")] * 3
+    assert (rows[3]["rank"], rows[3]["verdict"]) == (4, "cannot tell")
+    assert "Of 3 others of the same length, 3 cannot be told from the best: rank 1, 4." in best_text(rows)
 
 
 def test_a_window_changes_the_ranking(tmp_path):
