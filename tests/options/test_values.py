@@ -60,7 +60,7 @@ def test_unknown_options_and_wrong_types_are_refused(options, message):
 def test_a_module_can_postpone_the_evaluation_of_its_types():
     """Its options used to take any value, and those of `int | None` no None."""
     check("example", Postponed, {"limit": None, "most": None})
-    with pytest.raises(ValueError, match="limit must be a finite number, not 'much'"):
+    with pytest.raises(ValueError, match="limit must be a finite number or null, not 'much'"):
         check("example", Postponed, {"limit": "much"})
     with pytest.raises(ValueError, match="mode 'c' is not one of a, b"):
         check_literals(Postponed(mode="c"))  # pyright: ignore[reportArgumentType]
