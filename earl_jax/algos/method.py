@@ -11,7 +11,7 @@ import jax
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.cloning import DemoSteps, clone
-from earl_jax.algos.learner.replay import TransitionBatch
+from earl_jax.algos.learner.replay import CONTROLLERS, TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
@@ -19,7 +19,6 @@ from earl_jax.errors import InputError
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
-MOST_CONTROLLERS = 2
 
 
 class PhaseDemos(NamedTuple):
@@ -183,8 +182,8 @@ def controller_count(method: Method) -> int:
         ValueError: there are more than the replay has parts.
     """
     count = 1 + max(phase.controller for phase in method.phases)
-    if count > MOST_CONTROLLERS:
-        raise InputError(f"{method.name} has {count} controllers, and the replay has parts for {MOST_CONTROLLERS}")
+    if count > CONTROLLERS:
+        raise InputError(f"{method.name} has {count} controllers, and the replay has parts for {CONTROLLERS}")
     return count
 
 

@@ -52,13 +52,14 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
         )
     parts, all_states, first, uses = [], [], 0, _uses(method)
     for direction in env.demonstrations.directions:
-        if all(demos.direction != direction for _, demos in uses):
+        used = [(controller, demos) for controller, demos in uses if demos.direction == direction]
+        if not used:
             continue
         recorded = env.demonstrations.load(direction)
         states, last = trajectories(recorded)
         rows = np.flatnonzero(np.arange(len(states)) < last)
         goals, later = _goal_indices(problem, recorded.goals), last[rows] - rows
-        for controller, demos in (use for use in uses if use[1].direction == direction):
+        for controller, demos in used:
             copies = np.maximum(1, np.rint(later * demos.copies_per_step).astype(int))
             copies = copies * (len(env.goal_states) if demos.every_goal else 1)
             parts.append((first + rows, recorded.actions, goals, np.full(len(rows), controller), copies))

@@ -63,6 +63,10 @@ class TransitionBatch(NamedTuple):
     goal: jax.Array | None = None
 
 
+CONTROLLERS = 2
+"""The number of controllers, each of which has a list of its own in a replay."""
+
+
 class Replay(struct.PyTreeNode):
     """The buffer of N lanes with capacity C.
 
@@ -120,11 +124,11 @@ def create(
         flags=jnp.zeros((capacity, lanes), jnp.int32),
         reward=jnp.zeros((0 if sparse else capacity, lanes)),
         index=jnp.zeros((capacity if slots is None else slots, lanes), jnp.int32),
-        counts=jnp.zeros((lanes, 2), jnp.int32),
-        demos=jnp.zeros((2,), jnp.int32),
+        counts=jnp.zeros((lanes, CONTROLLERS), jnp.int32),
+        demos=jnp.zeros((CONTROLLERS,), jnp.int32),
         row=jnp.zeros((), jnp.int32),
         first_row=jnp.zeros((), jnp.int32),
-        oldest=jnp.zeros((lanes, 0 if slots is None else 2), jnp.int32),
+        oldest=jnp.zeros((lanes, 0 if slots is None else CONTROLLERS), jnp.int32),
     )
 
 
@@ -167,7 +171,7 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
 
 def _without_row(replay: Replay, row: jax.Array) -> Replay:
     """Return the replay without the transition in `row []`, the oldest one, whose state is about to be overwritten."""
-    lane, controller = jnp.arange(len(replay.counts))[:, None], jnp.arange(2)[None]
+    lane, controller = jnp.arange(len(replay.counts))[:, None], jnp.arange(CONTROLLERS)[None]
     own = replay.counts - replay.demos
     oldest = replay.index[replay.slot(jnp.broadcast_to(replay.demos, own.shape), lane, controller), lane]
     evicted = (own > 0) & (oldest == row)
