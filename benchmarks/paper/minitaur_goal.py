@@ -16,7 +16,8 @@ from tyro.conf import Positional
 
 from benchmarks.output import RESULTS, save_rows
 from earl_jax.envs import Env, State
-from earl_jax.metrics.comparison import Sample, detectable_difference, mean_interval, welch
+from earl_jax.metrics.comparison import mean_interval
+from earl_jax.report.comparison import comparison_columns
 from earl_jax.report.published import published_score
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy
@@ -78,13 +79,14 @@ def test_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return Welch's test of the seeds of one method, given as their `rows`, against the printed score."""
     scores = np.array([row["until goal"] for row in rows])
     score = published_score("table1", "minitaur_pen", rows[0]["algo"])
-    own, printed = Sample.of(scores), score and score.sample
+    printed = score and score.sample
     assert printed is not None
+    test = comparison_columns(scores, printed)
     mean, low, high = mean_interval(scores)
     shares = {name: float(np.mean([row[name] for row in rows])) for name in ("reached", "fallen at the end")}
     return {
         "algo": rows[0]["algo"], "seeds": len(rows), **shares, "until goal": mean, "low": low, "high": high,
-        "printed": printed.mean, "p": welch(own, printed).p, "would be found": detectable_difference(own, printed),
+        "printed": test["other_mean"], "p": test["p"], "would be found": test["detectable"],
     }  # fmt: skip
 
 

@@ -60,17 +60,20 @@ def _all_kept(cell: str) -> str:
     return f"{cell}/{ALL_KEPT}" if cell.startswith(RUN_AGAIN) else cell
 
 
+def _both_scores(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[Pair, ...]:
+    """Return the tests of two sets by the deployed score and by the reward of the life."""
+    return Pair(first, second), Pair(first, second, CONTINUING)
+
+
 def _released_replay(cell: str) -> tuple[Pair, ...]:
     """Return the tests of a cell with the released replay, against all transitions kept and against the released runs."""
     seeds = cell, f"{cell}/seeds_10_to_19"
-    sides = ((_all_kept(cell),), seeds), (seeds, PUBLISHED)
-    return tuple(Pair(*pair, metric) for pair in sides for metric in (None, CONTINUING))
+    return *_both_scores((_all_kept(cell),), seeds), *_both_scores(seeds, PUBLISHED)
 
 
 def _replays(cell: str) -> tuple[Pair, ...]:
     """Return the tests of a replay of the released size that keeps the demonstrations, and those of the released one."""
-    kept = tuple(Pair((_all_kept(cell),), (f"{cell}/keep_demos_True",), metric) for metric in (None, CONTINUING))
-    return *kept, *_released_replay(cell)
+    return *_both_scores((_all_kept(cell),), (f"{cell}/keep_demos_True",)), *_released_replay(cell)
 
 
 RELEASED_BIASED, RELEASED_BOOTSTRAPPED = (
@@ -173,7 +176,8 @@ DIFFERENCES = (
         for algo in algos
         for pair in _released_replay(f"{env}/{algo}")
     ), *(
-        Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",), metric)
-        for algo in ("r3l", "oracle") for metric in (None, CONTINUING)
+        pair
+        for algo in ("r3l", "oracle")
+        for pair in _both_scores((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",))
     ))),
 )  # fmt: skip
