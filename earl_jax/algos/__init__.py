@@ -49,6 +49,7 @@ _HOME = {
 }
 _ALGOS: Registry[Method] = Registry(
     "algo",
+    "earl_jax.algos.method:Method",
     {
         "bc": "earl_jax.algos.bc:BC",
         "fbrl": "earl_jax.algos.fbrl:FBRL",

@@ -74,6 +74,7 @@ PAPER_TASKS = (
 
 _ENVS: Registry[Env] = Registry(
     "env",
+    "earl_jax.envs.base:Env",
     {
         "cheetah_run": "earl_jax.envs.dm_control.cheetah_run:CheetahRun",
         "dhand_lightbulb": "earl_jax.envs.dhand.lightbulb:DHandLightbulb",

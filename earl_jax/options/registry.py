@@ -17,11 +17,13 @@ REGISTERED: list[type] = []
 class Registry(Generic[T]):
     """The names of one kind (`env`, `algo`) and their classes, extended by the entry-point group `earl_jax.<kind>s`.
 
+    The classes are dataclasses and subclasses of `base`, which is named as those of the `table` are: `module:class`.
+
     Listing names imports nothing. A broken package therefore raises an error only when its name is used.
     """
 
-    def __init__(self, kind: str, table: dict[str, str]):
-        self.kind = kind
+    def __init__(self, kind: str, base: str, table: dict[str, str]):
+        self.kind, self._base = kind, metadata.EntryPoint("base", base, kind)
         self._noun = NOUNS.get(kind, kind)
         self._table: dict[str, str | type[T]] = dict(table)
 
@@ -43,7 +45,7 @@ class Registry(Generic[T]):
         A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one.
 
         Raises:
-            ValueError: the name is taken, `cls` is not a dataclass, or its `name` differs.
+            ValueError: the name is taken, `cls` is of another kind or not a dataclass, or its `name` differs.
         """
         if name in self.names() and not _defined_again(self._table.get(name), cls):
             raise InputError(f"{self._noun} {name!r} exists already; choose another name")
@@ -95,9 +97,11 @@ class Registry(Generic[T]):
         return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
-        """Return `factory`, which comes from `source`, if it is a dataclass with the name `name`."""
-        if not isinstance(factory, type) or not dataclasses.is_dataclass(factory):
-            raise InputError(f"{self._noun} {name!r}: {source} must be a dataclass, not {factory!r}")
+        """Return `factory`, which comes from `source`, if it is a dataclass of this kind with the name `name`."""
+        base = self._base.load()
+        if not isinstance(factory, type) or not issubclass(factory, base) or not dataclasses.is_dataclass(factory):
+            kind = f"a dataclass and a subclass of {base.__name__}"
+            raise InputError(f"{self._noun} {name!r}: {source} must be {kind}, not {factory!r}")
         own = getattr(factory, "name", None)
         if own != name:
             raise InputError(

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from earl_jax import envs
+from earl_jax import SAC, envs
 from earl_jax.adapters.earl_benchmark import ORIGINAL_NAMES
 from earl_jax.options.registry import Registry
 from tests.conftest import write_files
@@ -35,7 +35,7 @@ def install(tmp_path, monkeypatch):
         write_files(files, tmp_path / name)
         monkeypatch.delitem(sys.modules, "theirs", raising=False)
         monkeypatch.syspath_prepend(tmp_path / name)
-        return Registry("env", {"sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor"})
+        return Registry("env", "earl_jax.envs.base:Env", {"sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor"})
 
     return install
 
@@ -55,9 +55,13 @@ def test_the_names_of_a_package_are_listed_and_built(install):
         ("1 / 0", "of Their_Package 0.1.0 cannot be loaded: ZeroDivisionError"),
         ("", "of Their_Package 0.1.0 cannot be loaded: AttributeError.*Meadow"),
         (MEADOW.replace('"meadow"', '"lawn"'), "theirs:Meadow of Their_Package 0.1.0 has the name 'lawn'"),
-        ("def Meadow(): ...", "theirs:Meadow of Their_Package 0.1.0 must be a dataclass, not <function Meadow"),
+        ("def Meadow(): ...", "theirs:Meadow of Their_Package 0.1.0 must be a dataclass.*, not <function Meadow"),
+        (
+            "from earl_jax.algos import SAC as Meadow",
+            "theirs:Meadow of Their_Package 0.1.0 must be a dataclass and a subclass of Env, not <class '.*SAC'>",
+        ),
     ],
-    ids=["import fails", "module fails", "no class", "another name", "no dataclass"],
+    ids=["import fails", "module fails", "no class", "another name", "no class but a function", "another kind"],
 )  # fmt: skip
 def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(install, source, message):
     registry = install({"meadow": "theirs:Meadow"}, source)
@@ -90,16 +94,18 @@ def test_a_name_claimed_twice_is_an_error_that_names_both_owners(install):
         registry.get("meadow")
 
 
-def test_a_class_is_registered_under_its_own_name_only():
-    registry = Registry("env", {})
+def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
+    registry = Registry("env", "earl_jax.envs.base:Env", {})
     with pytest.raises(ValueError, match="the registered class has the name 'tabletop_organization'"):
         registry.register("table", type(envs.make("tabletop_organization")))
+    with pytest.raises(ValueError, match="the registered class must be a dataclass and a subclass of Env, not <class"):
+        registry.register("sac", SAC)
     assert registry.names() == []
 
 
 def test_a_class_that_a_cell_defines_again_takes_the_place_of_the_earlier_one():
     """A name that stayed with the earlier class trained the code that the cell no longer had."""
-    registry = Registry("env", {})
+    registry = Registry("env", "earl_jax.envs.base:Env", {})
     meadows = []
     for wide in (True, False):
         cell = {"__name__": "__main__"}

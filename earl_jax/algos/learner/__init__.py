@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 DEFAULT = "sac"
 _LEARNERS: Registry[Learner] = Registry(
     "learner",
+    "earl_jax.algos.learner.base:Learner",
     {"sac": "earl_jax.algos.learner.sac:SAC", "td3": "earl_jax.algos.learner.td3:TD3"},
 )
 list_learners = _LEARNERS.names
