@@ -1,15 +1,21 @@
-"""Time engine `c`'s control step of a few lanes with its threads where the system puts them, on cores of their own, or awake.
+"""Time engine `c`'s control step of a few lanes: as it is, and with threads or cores that do not fall asleep.
 
     python -m benchmarks.physics.host_threads --lanes 5 --out benchmarks/results/physics/host_threads_h200
 
 Between two steps the caller is busy for `--pause-us`, as a GPU is. The variants take turns. `pinned`: each of MuJoCo's threads
 has every second core, so that two do not share a physical one. `awake`: the caller gives the threads an empty task before they
-fall asleep, which they do 50 us after a step. Results are equal bit for bit.
+fall asleep, which they do 50 us after a step. `busy`: a process of the lowest priority (SCHED_IDLE) runs on every core, so that
+none halts; a virtual machine takes long to wake a halted core. Results are equal bit for bit.
 """
 
+import contextlib
 import os
+import signal
 import statistics
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +32,10 @@ AWAKE_US = 30
 """Time after which an awake variant gives its threads the next empty task."""
 NO_STAGE = 0
 """MuJoCo's mjSTAGE_NONE: a forward pass up to it computes nothing."""
-VARIANTS = {"as is": (), "pinned": ("pinned",), "awake": ("awake",), "pinned and awake": ("pinned", "awake")}
+SPIN = "import os; os.sched_setaffinity(0, {%d}); os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\nwhile True: pass"
+VARIANTS = {
+    "as is": (), "pinned": ("pinned",), "awake": ("awake",), "busy": ("busy",), "pinned and busy": ("pinned", "busy"),
+}  # fmt: skip
 
 
 def threads_of_process() -> set[int]:
@@ -42,13 +51,30 @@ def first_rows(env: Any, lanes: int) -> np.ndarray:
     return np.asarray(started.payload, np.float32)
 
 
+@contextlib.contextmanager
+def spinning_processes() -> Iterator[list[subprocess.Popen]]:
+    """Yield a stopped process for each core, which spins on it at the lowest priority once it is continued."""
+    processes = [subprocess.Popen([sys.executable, "-c", SPIN % core]) for core in sorted(own_cores())]
+    time.sleep(1)
+    try:
+        signal_all(processes, signal.SIGSTOP)
+        yield processes
+    finally:
+        signal_all(processes, signal.SIGKILL)
+
+
+def signal_all(processes: list[subprocess.Popen], number: signal.Signals) -> None:
+    for process in processes:
+        process.send_signal(number)
+
+
 class Variant:
     """The simulations of one variant and their rows; `step` times a control step after a pause."""
 
     def __init__(self, env: Any, rows: np.ndarray, threads: int, how: tuple[str, ...]):
         before, host = threads_of_process(), c.host_of(env.simulator, env.reset(jax.random.key(0)).data.memory.size)
         self.simulations = c.Simulations(host.simulator, host.model, host.memory, len(rows), threads)
-        self.rows, self.awake, self.seconds = rows.copy(), "awake" in how, []
+        self.rows, self.how, self.seconds = rows.copy(), how, []
         if "pinned" in how:
             cores = sorted(own_cores())[2::2] or sorted(own_cores())
             for number, thread in enumerate(sorted(threads_of_process() - before)):
@@ -57,7 +83,7 @@ class Variant:
     def step(self, pause: float) -> None:
         began = last = time.perf_counter()
         while (now := time.perf_counter()) < began + pause:
-            if self.awake and now > last + AWAKE_US * 1e-6:
+            if "awake" in self.how and now > last + AWAKE_US * 1e-6:
                 self.simulations.batch.forward(stage=NO_STAGE)
                 last = time.perf_counter()
         began = time.perf_counter()
@@ -72,11 +98,15 @@ def measure(name: str, lanes: int, threads: int, pause_us: float, steps: int, ro
     env = make(name, engine="c")
     rows = first_rows(env, lanes)
     variants = {variant: Variant(env, rows, threads, how) for variant, how in VARIANTS.items()}
-    for number in range(rounds + 1):
-        for variant in variants.values():
-            for _ in range(steps if number else 10):
-                variant.step(pause_us * 1e-6)
-            variant.seconds = variant.seconds if number else []
+    with spinning_processes() as processes:
+        for number in range(rounds + 1):
+            for variant in variants.values():
+                busy = processes if "busy" in variant.how else []
+                signal_all(busy, signal.SIGCONT)
+                for _ in range(steps if number else 10):
+                    variant.step(pause_us * 1e-6)
+                signal_all(busy, signal.SIGSTOP)
+                variant.seconds = variant.seconds if number else []
     results = []
     for variant, own in variants.items():
         mean = statistics.fmean(own.seconds)
