@@ -7,6 +7,7 @@ permutation test at the last step that both have. A test without its runs is not
 results/paper/{pairs.csv,pairs.md}, the figure of the cheetah and the table `differences` of the pages.
 """
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -93,7 +94,10 @@ def _pair_row(root: Path, pair: Pair) -> Row | None:
 
 
 def _pooled(root: Path, names: tuple[str, ...]) -> MethodRuns | None:
-    """Return the pooled seeds of those of the folders that have a run."""
+    """Return the pooled seeds of those of the folders that have a run, as runs of the task and method of their folder.
+
+    A variant from a file has names of its own in its config.
+    """
     folders = [root / name for name in names if (root / name / "metrics.csv").is_file()]
     if not folders:
         return None
@@ -101,7 +105,8 @@ def _pooled(root: Path, names: tuple[str, ...]) -> MethodRuns | None:
     if len(groups) > 1:
         raise InputError(f"{', '.join(map(str, folders))} differ in their options, so their seeds cannot be pooled")
     env, label = folders[0].relative_to(root).as_posix().split("/", 1)
-    return MethodRuns(env, groups[0].config.algo, label, groups[0])
+    algo, curves = label.split("/")[0], groups[0]
+    return MethodRuns(env, algo, label, curves._replace(config=dataclasses.replace(curves.config, env=env, algo=algo)))
 
 
 def table(rows: list[Row], own_cells: list[Row]) -> str:

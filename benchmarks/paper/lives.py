@@ -97,7 +97,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
     *(
         (f"franka_kitchen/{algo}", name, measure)
-        for algo in ("naive", "fbrl")
+        for algo in ("naive", "fbrl", "fbrl/mean_return")
         for name, measure in (
             ("reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)),
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),

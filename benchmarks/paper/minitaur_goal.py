@@ -5,6 +5,7 @@ policies.npz, is evaluated in its task. Writes results/minitaur/until_goal.csv, 
 which tests the return until the goal, of the episodes that reach it, against the printed score.
 """
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,23 +61,28 @@ def play(env: Env, policy: Policy, key: jax.Array) -> Episode:
 
 
 def rows_of(folder: RunFolder, episodes: int) -> list[dict[str, Any]]:
-    """Return a row for each seed of a run: means over all episodes, and over those that reached their goal."""
+    """Return a row for each seed of a run: means over all episodes, and over those that reached their goal; nan for none."""
     env, policies = folder.config.build_task(), load_policies(folder)
     keys = jax.random.split(jax.random.key(0), episodes)
     played = jax.jit(jax.vmap(lambda policy: jax.vmap(lambda key: play(env, policy, key))(keys)))(policies)
     rows = []
     for seed, *values in zip(folder.config.seeds, *map(np.asarray, played), strict=True):
         of = Episode(*values)
+        some = of.reached.any()
         rows.append({
             "algo": folder.config.algo, "seed": seed, "episodes": episodes, "step": folder.table().step,
             "return": of.returns.mean(), "reached": of.reached.mean(), "fallen at the end": of.fallen.mean(),
-            "until goal": of.until_goal[of.reached].mean(), "steps to goal": np.median(of.steps[of.reached]),
+            "until goal": of.until_goal[of.reached].mean() if some else math.nan,
+            "steps to goal": np.median(of.steps[of.reached]) if some else math.nan,
         })  # fmt: skip
     return rows
 
 
 def test_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return Welch's test of the seeds of one method, given as their `rows`, against the printed score."""
+    """Return Welch's test of the seeds of one method, given as their `rows`, against the printed score.
+
+    It is nan if a seed never reached the goal.
+    """
     scores = np.array([row["until goal"] for row in rows])
     score = published_score("table1", "minitaur_pen", rows[0]["algo"])
     printed = score and score.sample

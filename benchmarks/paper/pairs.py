@@ -131,7 +131,7 @@ DIFFERENCES = (
         Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
         for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
     )),
-    Difference("13", "the kitchen's life: light's weight; reward scale 1, 0.1, 10; 10,000 random steps; float32; entropy", (
+    Difference("13", "the kitchen's life: light's weight; reward scale; random steps; float32; entropy; backward goal", (
         *(Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/unweighted_light",), CONTINUING) for algo in ("fbrl", "r3l")),
         *(
             Pair((f"{KITCHEN}/{algo}/unweighted_light",), (f"{KITCHEN}/{algo}/reward_scale_{scale}",), CONTINUING)
@@ -141,8 +141,18 @@ DIFFERENCES = (
             Pair((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/{name}",), CONTINUING)
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
         ),
+        *_both_scores((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/mean_return",)),
+        Pair((f"{KITCHEN}/fbrl/mean_return",), PUBLISHED, CONTINUING),
     )),
-    Difference("14", "VaPRL's life on the door: the release's replay", _replays(f"{DOOR}/vaprl")),
+    Difference("14", "VaPRL's life on the door: the release's replay; reachable subgoals; relabelled demonstrations alone", (
+        *_replays(f"{DOOR}/vaprl"),
+        *(
+            pair
+            for variant in (f"{DOOR}/vaprl/reachable", f"{DOOR}/vaprl/demo_relabelling")
+            for other in ((f"{DOOR}/vaprl",), PUBLISHED)
+            for pair in _both_scores((variant,), other)
+        ),
+    )),
     Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
@@ -177,7 +187,8 @@ DIFFERENCES = (
         for pair in _released_replay(f"{env}/{algo}")
     ), *(
         pair
-        for algo in ("r3l", "oracle")
+        for algo in ("naive", "fbrl", "r3l", "oracle")
         for pair in _both_scores((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",))
     ))),
+    Difference("20", "FBRL on the door on engine mjx", _both_scores((f"{DOOR}/fbrl",), (f"{DOOR}/fbrl/mjx",))),
 )  # fmt: skip
