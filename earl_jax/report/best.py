@@ -47,7 +47,7 @@ def best(folders: Sequence[Path], test: Test = "permutation", window: Window = D
     """Return a row for each method and its options, by task, the best first. Seeds of the same are pooled.
 
     `verdict` is `best`, `tied` for runs that share the highest score, `below` if the adjusted p of the difference from the best
-    is under 5 %, `cannot tell`, or `shorter`.
+    is under 5 %, `cannot tell`, or `shorter`. Runs of which a score is nan come after the others of their length.
     `least_p` is the smallest adjusted p that the test could give with these numbers of seeds.
 
     Raises:
@@ -62,7 +62,7 @@ def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
         raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
     longest = max(group.curves.steps[-1] for group in groups)
     pairs = [(group, seed_scores(group.curves)) for group in groups]
-    pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, -pair[1].mean()))
+    pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
     rows = [_row(rank, group, scores) for rank, (group, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
@@ -98,7 +98,7 @@ def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
         "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
         "other_seeds": len(scores),
-        "verdict": "shorter",
+        "verdict": CANNOT_TELL if math.isnan(interval.value) else "shorter",
     }  # fmt: skip
 
 

@@ -59,6 +59,15 @@ def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
     assert rows[1]["p_holm"] == rows[1]["p"]  # one comparison
 
 
+def test_a_run_whose_score_is_nan_is_not_the_best(tmp_path):
+    path = write_cells(tmp_path, diverged=[math.nan, *GOOD], bad=BAD, good=GOOD)
+    rows = best([path])
+    assert [row["verdict"] for row in rows] == ["best", "below", "cannot tell"]
+    assert rows[1]["p_holm"] == rows[1]["p"], "a test without a p counts for nothing"
+    assert "cannot tell: a score is nan" in best_text(rows)
+    assert best([path / "diverged"])[0]["verdict"] == "cannot tell"
+
+
 def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     few = best([write_cells(tmp_path, good=GOOD[:2], bad=BAD[:2], close=CLOSE[:2])])
     text = best_text(few)
