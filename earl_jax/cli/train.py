@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def train(
     env: Positional[str | None] = None,
-    algo: str = ALGO,
+    algo: str | None = None,
     learner: str | None = None,
     seeds: Seeds = None,
     steps: int | None = None,
@@ -45,7 +45,7 @@ def train(
     eval_every: int | None = None,
     eval_episodes: int | None = None,
     checkpoint_every: int | None = None,
-    setting: Literal["deployment", "continuing"] = "deployment",
+    setting: Literal["deployment", "continuing"] | None = None,
     engine: Engine = None,
     devices: Devices = None,
     hosts: Hosts = None,
@@ -60,7 +60,7 @@ def train(
 
     Args:
         env: Task, a name from `earl-jax list`.
-        algo: Method, a name from `earl-jax list`.
+        algo: Method, a name from `earl-jax list`. By default fbrl.
         learner: Learner of the method, a name from `earl-jax list`. By default sac.
         seeds: A number of seeds, counted from 0; a range such as 5:10, which ends before 10; or a list such as 3 5 8. By
             default 5, or those of --config or --preset.
@@ -72,7 +72,8 @@ def train(
         eval_every: Steps between evaluations. By default 10,000, or those of --preset.
         eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
         checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
-        setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md).
+        setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md). By default
+            deployment.
         videos: Number of videos of the first seed's policy, spread evenly over the evaluations, the last one at the end. They
             are in the folder videos of --out and in the logs of --log. A resumed run goes on with them. They need the extra
             render. By default none.
@@ -123,9 +124,9 @@ def refuse_options(arguments: Sequence[str]) -> None:
 
 def _by_name(
     env: str | None,
-    algo: str,
+    algo: str | None,
     learner: str | None,
-    setting: str,
+    setting: str | None,
     preset: str | None,
     steps: int | None,
     pairs: tuple[tuple[str, ...], ...],
@@ -137,15 +138,14 @@ def _by_name(
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
-    named = {"setting": setting} if learner is None else {"setting": setting, "learner": learner}
+    named = {name: given for name, given in (("setting", setting), ("learner", learner)) if given is not None}
     task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(itertools.chain(*pairs))})
-    return task, algos.method_for(task, algo, **options), rules, chosen.seeds, chosen.schedule
+    return task, algos.method_for(task, ALGO if algo is None else algo, **options), rules, chosen.seeds, chosen.schedule
 
 
 def _refuse_changes(env: str | None, **given: Any) -> None:
-    """Raise an InputError that names the task `env` or the arguments `given` that are not the defaults of `train`."""
-    defaults = inspect.signature(train).parameters
-    changed = [f"--{name.replace('_', '-')}" for name, value in given.items() if value != defaults[name].default]
+    """Raise an InputError that names the task `env` or the arguments that are `given`, neither None nor empty."""
+    changed = [f"--{name.replace('_', '-')}" for name, value in given.items() if value not in (None, ())]
     if env is not None or changed:
         named = ", ".join(changed) or f"the task {env!r}"
         raise InputError(f"--config repeats a run as it is: leave out {named}")

@@ -64,6 +64,7 @@ def test_a_list_of_seeds_ends_before_a_task(repeated):
     ("arguments", "message"),
     [
         (["--steps", "800"], "leave out --steps"),
+        (["--algo", "fbrl", "--setting", "deployment"], "leave out --algo, --setting"),
         (["--set", "wide=false", "--eval-every", "20"], "leave out --eval-every, --set"),
         (["tabletop_organization"], "leave out the task 'tabletop_organization'"),
         (["--config", "nowhere"], "nowhere does not exist"),
