@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -74,16 +75,19 @@ def join_hosts(hosts: str | None) -> None:
     from 0.
 
     Raises:
-        ValueError: `hosts` has neither form.
+        ValueError: `hosts` has neither form, NUMBER is not below HOSTS, or jax detects no cluster.
     """
     if hosts is None:
         return
     if hosts == "auto":
-        return jax.distributed.initialize()
-    parts = hosts.split(",")
-    if len(parts) != 3 or not all(part.isdecimal() for part in parts[1:]):
-        raise InputError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not {hosts!r}")
-    jax.distributed.initialize(parts[0], int(parts[1]), int(parts[2]))
+        try:
+            return jax.distributed.initialize()
+        except ValueError as error:
+            raise InputError(f"--hosts auto: no cluster ({error}); give ADDRESS:PORT,HOSTS,NUMBER") from error
+    parts = re.fullmatch(r"(.+:[0-9]+),([0-9]+),([0-9]+)", hosts)
+    if not parts or int(parts[3]) >= int(parts[2]):
+        raise InputError(f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, where NUMBER counts from 0, not {hosts!r}")
+    jax.distributed.initialize(parts[1], int(parts[2]), int(parts[3]))
 
 
 def first_host() -> bool:

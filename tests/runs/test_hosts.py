@@ -2,18 +2,24 @@
 
 import signal
 import time
+from unittest.mock import Mock
 
+import jax
 import pytest
 
+from earl_jax.errors import InputError
 from earl_jax.runs.hosts import join_hosts
 from tests.cli.process import free_port, run, start, training
 
 
-def test_hosts_take_auto_or_an_address_with_two_numbers():
+def test_hosts_take_auto_or_an_address_with_two_numbers(monkeypatch):
     join_hosts(None)
-    for hosts in ("two", "here:1,²,0"):
-        with pytest.raises(ValueError, match=f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, not '{hosts}'"):
+    for hosts in ("two", "here:1,²,0", "here,2,0", "here:1,2,2"):
+        with pytest.raises(ValueError, match=f"--hosts takes auto or ADDRESS:PORT,HOSTS,NUMBER, .*, not '{hosts}'"):
             join_hosts(hosts)
+    monkeypatch.setattr(jax.distributed, "initialize", Mock(side_effect=ValueError("no address")))
+    with pytest.raises(InputError, match=r"--hosts auto: no cluster \(no address\); give ADDRESS:PORT,HOSTS,NUMBER"):
+        join_hosts("auto")
 
 
 def start_two(*arguments):
