@@ -155,6 +155,19 @@ def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
     print(text)
 
 
+@contextlib.contextmanager
+def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
+    """A context that, when a signal stops training in it, prints `values` with the steps as one JSON object with `as_json`."""
+    from earl_jax.training.stopping import Stopped
+
+    try:
+        yield
+    except Stopped as stopped:
+        if as_json:
+            emit({**values, "steps": stopped.step, "stopped": True}, as_json, "")
+        raise
+
+
 def print_line(line: str) -> None:
     """Print `line` without buffering."""
     print(line, flush=True)

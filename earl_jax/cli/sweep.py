@@ -17,6 +17,7 @@ from earl_jax.cli.arguments import (
     parse_minutes,
     parse_options,
     print_line,
+    stopping,
 )
 
 
@@ -102,17 +103,18 @@ def search(
     from earl_jax.sweeps.search import search as run_search
 
     lines: list[str] = []
-    history = run_search(
-        space,
-        out,
-        trials,
-        batch,
-        rungs,
-        seed,
-        devices=devices,
-        emit=lines.append if json else print_line,
-        minutes=limit,
-    )
+    with stopping(json, {"out": str(out), "lines": lines, "resume": "repeat the command"}):
+        history = run_search(
+            space,
+            out,
+            trials,
+            batch,
+            rungs,
+            seed,
+            devices=devices,
+            emit=lines.append if json else print_line,
+            minutes=limit,
+        )
     done = [trial for trial in history if trial.state == "done"]
     best = max(done, key=lambda trial: trial.scores[max(trial.scores)], default=None)
     counts = {state: sum(trial.state == state for trial in history) for state in STATES.values()}

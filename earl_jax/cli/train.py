@@ -20,6 +20,7 @@ from earl_jax.cli.arguments import (
     emit,
     parse_minutes,
     parse_options,
+    stopping,
 )
 from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
@@ -82,6 +83,7 @@ def train(
     limit = parse_minutes(minutes)
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
+    from earl_jax.training.stopping import resume_command
 
     join_hosts(hosts)
     lengths = {
@@ -95,20 +97,21 @@ def train(
     else:
         _refuse_changes(env, algo=algo, learner=learner, **lengths, preset=preset, setting=setting, set=set)
         task, method, rules, known_seeds, schedule = _of_run(config)
-    result = api.train(
-        task,
-        method,
-        setting=rules,
-        engine=engine,
-        seeds=known_seeds if seeds is None else seeds,
-        **dataclasses.asdict(schedule.changed(**lengths)),
-        out=out,
-        logs=[*itertools.chain(*log), *_video_logs(videos)],
-        overwrite=overwrite,
-        progress=True,
-        devices=devices,
-        minutes=limit,
-    )
+    with stopping(json, {"out": str(out), "resume": resume_command(out)}):
+        result = api.train(
+            task,
+            method,
+            setting=rules,
+            engine=engine,
+            seeds=known_seeds if seeds is None else seeds,
+            **dataclasses.asdict(schedule.changed(**lengths)),
+            out=out,
+            logs=[*itertools.chain(*log), *_video_logs(videos)],
+            overwrite=overwrite,
+            progress=True,
+            devices=devices,
+            minutes=limit,
+        )
     _emit_result(result, out, json)
 
 
@@ -187,10 +190,12 @@ def resume(
     from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
+    from earl_jax.training.stopping import resume_command
 
     join_hosts(hosts)
     logs = _video_logs(RunFolder.open(folder).recorded().get(VIDEOS))
-    result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit, logs=logs)
+    with stopping(json, {"out": str(folder), "resume": resume_command(folder)}):
+        result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit, logs=logs)
     _emit_result(result, folder, json)
 
 

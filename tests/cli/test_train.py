@@ -1,12 +1,16 @@
 """Tests of `train --config`: it passes on what the run has, and refuses what would change it."""
 
 import dataclasses
+import json
+import signal
+from unittest.mock import Mock
 
 import pytest
 
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api
+from earl_jax.training.stopping import Stopped
 from tests.cli.process import run
 
 CONFIG = RunConfig(
@@ -74,6 +78,18 @@ def test_a_missing_config_and_options_that_change_the_run_are_refused(repeated, 
     code, config, err = repeated("--config", folder.path, *arguments)
     assert (code, config) == (2, None)
     assert message in err
+
+
+@pytest.mark.parametrize("command", ["train", "resume"])
+def test_a_signal_leaves_one_json_object(command, folder, monkeypatch):
+    stopped = Stopped(signal.SIGTERM, 80, folder.path)
+    monkeypatch.setattr(api, command, Mock(side_effect=stopped))
+    arguments = ("--config", folder.path, "--out", folder.path) if command == "train" else (folder.path,)
+    code, out, err = run(command, *arguments, "--json")
+    repeat = f"earl-jax resume {folder.path}"
+    assert (code, err) == (128 + signal.SIGTERM, f"earl-jax: {stopped}\n")
+    assert json.loads(out) == {"out": str(folder.path), "resume": repeat, "steps": 80, "stopped": True}
+    assert run(command, *arguments)[1] == ""
 
 
 def test_a_missing_task_is_named(repeated):

@@ -1,7 +1,9 @@
 """Searches: Optuna proposes, runs below the median end, and a kill changes nothing. A formula replaces the training of runs."""
 
 import json
+import signal
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module
 from earl_jax.sweeps import worker
 from earl_jax.sweeps.search import read_space, search
+from earl_jax.training.stopping import Stopped
 from tests.cli.process import one_line, run, succeed
 
 SPACE = """
@@ -114,6 +117,14 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
     history = search(space, tmp_path / "out", trials=3, batch=3, rungs=1, emit=lines.append)
     assert sorted(trial.state for trial in history) == ["done", "done", "failed"]
     assert any(line.startswith("failed") and line.endswith("OSError: no space left") for line in lines)
+
+
+def test_a_signal_leaves_one_json_object(space, tmp_path, batches, monkeypatch):
+    monkeypatch.setattr(module, "work", Mock(side_effect=Stopped(signal.SIGTERM, 40, None)))
+    code, out, err = run("search", space, "--out", tmp_path / "out", "--json")
+    assert (code, err) == (128 + signal.SIGTERM, "earl-jax: stopped at step 40; repeat the command to continue\n")
+    values = {"out": str(tmp_path / "out"), "lines": [], "resume": "repeat the command", "steps": 40, "stopped": True}
+    assert json.loads(out) == values
 
 
 def test_minutes_leave_the_trials_running(space, tmp_path, batches, monkeypatch):
