@@ -19,7 +19,7 @@ import numpy as np
 from earl_jax.errors import InputError, optional
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
-from earl_jax.options.values import TimeLimit, counted
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, counted, require
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import check_kind, locked
@@ -71,11 +71,9 @@ def search(
             `out` has another search.
     """
     sharing = 1 if devices is None else devices
-    numbers = {"trials": trials, "batch": batch, "rungs": rungs, "devices": sharing, "seed": seed}
-    for name, number in numbers.items():
-        least = 0 if name == "seed" else 1
-        if number < least:
-            raise InputError(f"{name} must be at least {least}, not {number}")
+    for name, number in {"trials": trials, "batch": batch, "rungs": rungs, "devices": sharing}.items():
+        require(name, number, COUNT)
+    require("seed", seed, COUNT_OR_NEVER)  # the number of a trial is added, and the sum is a seed of NumPy
     optuna()
     base, spaces, sampler = read_space(space)
     if len(base.seeds) % sharing:

@@ -149,7 +149,7 @@ def test_a_damaged_journal_or_a_link_is_one_line(space, tmp_path, batches, conte
 
 @pytest.mark.parametrize("missing", [True, False])
 def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_path, monkeypatch, missing):
-    message = "search needs optuna: pip install 'optuna>=5'" if missing else "trials must be at least 1, not 0"
+    message = "search needs optuna: pip install 'optuna>=5'" if missing else "trials must lie in [1, 2147483647], not 0"
     if missing:
         monkeypatch.setitem(sys.modules, "optuna", None)
     code, _, err = run("search", space, "--out", tmp_path / "out", "--trials", str(int(missing)))
@@ -158,11 +158,17 @@ def test_an_error_before_the_search_is_one_line_and_leaves_no_folder(space, tmp_
 
 
 @pytest.mark.parametrize(
-    ("devices", "message"), [(0, "devices must be at least 1, not 0"), (3, "divide over its 3 devices, not 2 seeds")]
+    ("numbers", "message"),
+    [
+        ({"devices": 0}, r"devices must lie in \[1, 2147483647\], not 0"),
+        ({"devices": 3}, "divide over its 3 devices, not 2 seeds"),
+        ({"seed": 2**32}, r"seed must lie in \[0, 2147483647\], not 4294967296"),
+        ({"batch": 2.5}, "batch must be a whole number, not 2.5"),
+    ],
 )
-def test_devices_that_the_seeds_cannot_share_are_refused(space, tmp_path, batches, devices, message):
+def test_numbers_that_no_search_can_have_are_refused(space, tmp_path, batches, numbers, message):
     with pytest.raises(ValueError, match=message):
-        search(space, tmp_path / "out", devices=devices)
+        search(space, tmp_path / "out", **numbers)
     assert not batches
     assert not (tmp_path / "out").exists()
 
