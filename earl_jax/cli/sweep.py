@@ -46,7 +46,9 @@ def sweep(
     limit = parse_minutes(minutes)
     from earl_jax.sweeps import launcher as launchers
 
+    pairs = tuple(itertools.chain(*slurm))
     if dry_run:
+        launchers.check_options(launcher, pairs, devices, per_device, limit)
         plan = launchers.plan_sweep(grid, out, max_lanes)
         emit(plan, json, launchers.describe(plan))
         return
@@ -57,7 +59,7 @@ def sweep(
             out,
             launcher,
             max_lanes=max_lanes,
-            slurm=tuple(itertools.chain(*slurm)),
+            slurm=pairs,
             devices=devices,
             per_device=per_device,
             emit=lines.append if json else print_line,

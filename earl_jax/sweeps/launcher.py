@@ -65,8 +65,7 @@ def sweep(
         Stopped: SIGINT, SIGTERM or SIGHUP arrived (local only); the runs in progress have saved a checkpoint.
     """
     limit = TimeLimit.of(minutes)
-    _check_options(launcher, slurm, devices, per_device, limit)
-    options = slurm_arrays.options_of(slurm)
+    options = check_options(launcher, slurm, devices, per_device, limit)
     plan = plan_sweep(grid, out, max_lanes)
     for name in plan["finished"]:
         emit(f"done       {name}  (before)")
@@ -86,10 +85,10 @@ def sweep(
     return outcome
 
 
-def _check_options(
+def check_options(
     launcher: str, slurm: tuple[str, ...], devices: int | None, per_device: PerDevice, limit: TimeLimit | None
-) -> None:
-    """Check the options of `sweep` against each other. Errors as `sweep`."""
+) -> dict[str, str]:
+    """Return the options of sbatch, after a check of the options of `sweep` against each other. Errors as `sweep`."""
     is_count = per_device in (None, "auto") or 1 <= per_device <= MOST
     if devices is not None:
         require("devices", devices, COUNT)
@@ -110,6 +109,7 @@ def _check_options(
     ):
         if is_wrong:
             raise InputError(message)
+    return slurm_arrays.options_of(slurm)
 
 
 def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:

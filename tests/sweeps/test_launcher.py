@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import ENVIRONMENT, run, run_process, start, succeed
+from tests.cli.process import ENVIRONMENT, one_line, run, run_process, start, succeed
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -211,3 +211,7 @@ def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(gri
     with pytest.raises(ValueError, match=message):
         launcher.sweep(grid, tmp_path / "out", **options)
     assert not list(folder.iterdir())
+
+
+def test_a_dry_run_refuses_what_the_sweep_refuses(grid, tmp_path):
+    one_line(run("sweep", grid, "--out", tmp_path / "out", "--dry-run", "--per-device", "0"), "must be auto")
