@@ -156,7 +156,7 @@ def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
     }
     merged = {**scale.options, **block.options, **options}
     sizes = merged.get("hidden_sizes")
-    if sizes and not isinstance(sizes[0], list):
+    if sizes and isinstance(sizes, list | tuple) and not isinstance(sizes[0], list):
         merged["hidden_sizes"] = [sizes]
     return ["[[runs]]", *_toml_lines(run), "[runs.options]", *_toml_lines(merged), ""]
 
@@ -169,5 +169,5 @@ def _toml_lines(table: Options) -> list[str]:
         try:
             tomllib.loads(line)
         except tomllib.TOMLDecodeError as error:
-            raise InputError(f"option {line}: the grid of the runs is in TOML, which has no such value") from error
+            raise InputError(f"option {line}: the grid of the runs is TOML, which has no such name or value") from error
     return lines

@@ -175,6 +175,8 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "options": {"rnd_clip": float("inf")}}, "option rnd_clip = Infinity: the grid .* TOML"),
+        ({"name": "table1", "options": {"hidden_sizes": 16}}, r"write it as \[\[256, 256\]\]"),
+        ({"name": "table1", "options": {"a b": 1}}, "option a b = 1: the grid .* has no such name or value"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
         ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),
