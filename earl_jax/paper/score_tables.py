@@ -4,11 +4,11 @@ Source: Sharma et al. 2022, tables 1 and 2.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import PAPER_TASKS
+from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.options.values import counted
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
@@ -19,6 +19,7 @@ from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
 from earl_jax.report.tables import markdown_table, millions
+from earl_jax.runs.config import deployed_metric
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
@@ -51,7 +52,8 @@ def report(number: int, folders: Sequence[Path]) -> Report:
         "runs": "\n".join(map(_run_note, trained)),
         "missing": _missing(rows),
     }
-    return Report(parts, _draw(number, rows), {"": rows}, "tables")
+    metrics = {(group.env, group.label): group.curves.deployed_metric for group in groups}
+    return Report(parts, _draw(number, rows, metrics), {"": rows}, "tables")
 
 
 def _table_by_task(rows: Sequence[Row]) -> str:
@@ -107,9 +109,16 @@ def _missing(rows: Sequence[Row]) -> str:
     return f"Not run, shown as `-`: {', '.join(texts)}." if texts else "Every method of the published table was run."
 
 
-def _draw(number: int, rows: Sequence[Row]) -> Any:
-    """Return a figure with a panel for each task that was run: our means with intervals beside the published ones."""
-    tasks = [of_task for of_task in grouped(rows, "env").values() if any(row["seeds"] for row in of_task)]
+def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], str]) -> Any:
+    """Return a figure with a panel for each task and kind of reward: our means with intervals beside the published ones.
+
+    `metrics` has the deployed metric of each run by its task and label; what was not run has that of the paper's task.
+    """
+    panels: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        metric = metrics.get((row["env"], row["label"])) or deployed_metric(make(row["env"]))
+        panels.setdefault((row["env"], metric), []).append(row)
+    tasks = [of_task for of_task in panels.values() if any(row["seeds"] for row in of_task)]
     columns = 2 if len(tasks) == 4 else min(3, len(tasks))
     lines = -(-len(tasks) // columns)
     figure, axes = new_figure(lines, columns, (max(4.6 * columns, 7.0), 3.3 * lines + 0.9))

@@ -119,3 +119,13 @@ def test_another_kind_of_reward_is_not_compared(tmp_path):
     runs = [(TABLETOP, "naive", constant(-5.0), rewards(env_options={"reward_type": "dense"}))]
     row = next(row for row in paper_rows(1, read_methods(write_runs(tmp_path, runs))) if row["mean"] is not None)
     assert (row["metric"], row["published_mean"], row["verdict"]) == ("deployed/return", "-", "-")
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_picture_has_a_panel_for_each_kind_of_reward(tmp_path, number):
+    runs = [(TABLETOP, algo, constant(0.5), rewards()) for algo in ("naive", "fbrl")]
+    runs += [(TABLETOP, "naive", constant(-5.0), rewards(env_options={"reward_type": "dense"}))]
+    figure = ARTEFACTS[f"table{number}"].report(write_runs(tmp_path, runs)).figure
+    panels = [[label.get_text() for label in axis.get_xticklabels()] for axis in figure.axes]
+    assert len(panels) == 2
+    assert ["Naive RL (reward_type=dense)"] in panels
