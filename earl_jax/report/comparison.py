@@ -257,7 +257,7 @@ def _draw(rows: Sequence[Row]) -> Any:
     tasks = grouped(rows, lambda row: row["env"])
     names = {env: [textwrap.fill(_difference(row), LETTERS) for row in chosen] for env, chosen in tasks.items()}
     height = 0.4 + 0.16 * max(name.count("\n") for of_task in names.values() for name in of_task)
-    figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + height * len(rows)))
+    figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + height * max(map(len, tasks.values()))))
     for (env, chosen), axis in zip(tasks.items(), axes[0], strict=True):
         for position, row in enumerate(chosen):
             colour = "C0" if row["verdict"] in ("above", "below") else "0.5"

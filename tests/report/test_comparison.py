@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from earl_jax import assets
 from earl_jax.report.comparison import compare, table_text, write_comparison
@@ -129,6 +130,13 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     few = [write_run(tmp_path / algo, KITCHEN, algo, constant(1.0, 2.0)) for algo in ("naive", "fbrl")]
     with pytest.raises(ValueError, match="no difference has an interval to draw: each side needs three seeds"):
         write_comparison(compare(few), tmp_path / "b.png")
+
+
+def test_a_picture_is_as_high_as_its_longest_panel(folders, tmp_path):
+    one = write_comparison(compare(folders[:2]), tmp_path / "one.png")
+    other = write_run(tmp_path / "other", DOOR, "naive", constant(*BAD))
+    two = write_comparison(compare([*folders, other]), tmp_path / "two.png")
+    assert [imread(two).shape[axis] / imread(one).shape[axis] for axis in (0, 1)] == [1, 2]
 
 
 def test_long_names_in_a_picture_are_wrapped(tmp_path):
