@@ -62,14 +62,18 @@ class NumpyPolicy:
 
         Raises:
             ValueError: the file is not such a policy.
+            OSError: the file cannot be read.
         """
-        with np.load(path, allow_pickle=False) as stored:
-            if "kernel_0" not in stored:  # policies.npz of a run folder has an action_size too
-                raise ValueError(f"{path} is no policy of NumpyPolicy.save: it has no kernel_0")
-            count = sum(name.startswith("kernel") for name in stored)
-            layers = tuple((stored[f"kernel_{number}"], stored[f"bias_{number}"]) for number in range(count))
-            budget_at = int(stored["budget_at"]) if "budget_at" in stored else None
-            return cls(layers, int(stored["action_size"]), budget_at, bool(stored["bf16"]))
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                count = max(1, sum(name.startswith("kernel") for name in stored))
+                layers = tuple((stored[f"kernel_{number}"], stored[f"bias_{number}"]) for number in range(count))
+                budget_at = int(stored["budget_at"]) if "budget_at" in stored else None
+                return cls(layers, int(stored["action_size"]), budget_at, bool(stored["bf16"]))
+        except OSError:
+            raise
+        except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
+            raise ValueError(f"{path} is no policy of NumpyPolicy.save, or is damaged") from error
 
 
 def _bf16(x: np.ndarray) -> np.ndarray:

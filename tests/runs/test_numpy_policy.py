@@ -61,8 +61,10 @@ def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_
     subprocess.run([sys.executable, "-c", WITHOUT_JAX, *files], check=True, cwd=Path(earl_jax.__file__).parents[1])
     np.testing.assert_array_equal(np.load(tmp_path / "obs.npy"), numpy(OBS))
     save_policies(tmp_path / "policies.npz", {"weights": OBS}, step=1, seeds=[0], obs_size=12, action_size=3)
-    with pytest.raises(ValueError, match=r"policies\.npz is no policy .* it has no kernel_0"):
-        earl_jax.NumpyPolicy.load(tmp_path / "policies.npz")
+    (tmp_path / "half").write_bytes((tmp_path / "policy").read_bytes()[:-100])
+    for other in ("policies.npz", "obs.npy", "half"):
+        with pytest.raises(ValueError, match=f"{other} is no policy of NumpyPolicy.save, or is damaged"):
+            earl_jax.NumpyPolicy.load(tmp_path / other)
 
 
 class Linear(SAC):
