@@ -49,8 +49,9 @@ def as_float(value: Any) -> Any:
 
 
 def stderr(scores: Any) -> Any:
-    """Return the standard error over the first axis: population standard deviation / sqrt(n), as in the paper."""
-    return namespace_of(scores).std(scores, axis=0) / np.sqrt(np.shape(scores)[0])
+    """Return the standard error over the first axis: population deviation / sqrt(n), as in the paper; nan of one seed."""
+    seeds = np.shape(scores)[0]
+    return namespace_of(scores).std(scores, axis=0) / (np.sqrt(seeds) if seeds > 1 else np.nan)
 
 
 def iqm(scores: Any, axis: int | None = None) -> Any:

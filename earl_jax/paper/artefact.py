@@ -16,7 +16,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report import style
 from earl_jax.report.published import published_steps
-from earl_jax.report.tables import Row, write
+from earl_jax.report.tables import Row, error_text, write
 
 PAGES = Path(__file__).parent / "pages"
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
@@ -118,6 +118,4 @@ def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
 
 def mean_text(values: np.ndarray, digits: int, style: str = "") -> str:
     """Return the mean of `values [seeds]`, of several with the standard error in brackets; `style` is "," for thousands."""
-    numbers = [values.mean(), stderr(values)] if len(values) > 1 else [values.mean()]
-    mean, *error = (f"{number:{style}.{digits}f}" for number in numbers)
-    return " ".join([mean, *(f"({text})" for text in error)])
+    return error_text(values.mean(), stderr(values), f"{style}.{digits}f")

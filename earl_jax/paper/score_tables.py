@@ -18,7 +18,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
-from earl_jax.report.tables import markdown_table, millions
+from earl_jax.report.tables import error_text, markdown_table, millions
 from earl_jax.runs.config import deployed_metric
 
 CHOSEN_RULE = (
@@ -67,8 +67,8 @@ def _table_by_task(rows: Sequence[Row]) -> str:
 
 
 def _comparison(row: Row) -> str:
-    digits = DIGITS.get(row["metric"], 4)
-    ours = "-" if row["mean"] is None else f"{row['mean']:.{digits}f} ({row['stderr']:.{digits}f})"
+    style = f".{DIGITS.get(row['metric'], 4)}f"
+    ours = "-" if row["mean"] is None else error_text(row["mean"], row["stderr"], style)
     if row["published_mean"] == "-":
         return f"{ours} / - / -"
     verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"

@@ -133,7 +133,7 @@ COLUMNS: tuple[Column, ...] = (
     ("deployed, mean [95 %]", lambda row: _interval(row, "deployed")),
     _number("seeds over 0.5", "seeds_above_half", ".0%"),
     ("published deployed", lambda row: row["published_deployed"] or "-"),
-    ("continuing (stderr)", lambda row: f"{row['continuing']:.5f} ({row['continuing_stderr']:.5f})"),
+    ("continuing (stderr)", lambda row: error_text(row["continuing"], row["continuing_stderr"], ".5f")),
     ("published continuing", lambda row: row["published_continuing"] or "-"),
     *map(_crossing, LEVELS),
     _number("steps/reward", "steps_per_reward", ".1f"),
@@ -229,6 +229,12 @@ def interval_text(value: float, low: float, high: float, style: str = ".3f") -> 
     """Return `value [low, high]`, each as `number_text` in a format, without the interval if it is nan."""
     text, *ends = (number_text(number, style) for number in (value, low, high))
     return text if math.isnan(low) else f"{text} [{', '.join(ends)}]"
+
+
+def error_text(mean: float, error: float, style: str) -> str:
+    """Return a mean with its standard error in brackets, each as `number_text` in a format, without an error that is nan."""
+    text = number_text(mean, style)
+    return text if math.isnan(error) else f"{text} ({number_text(error, style)})"
 
 
 def number_text(value: float, style: str = "", least: float = -math.inf) -> str:

@@ -24,6 +24,7 @@ def test_summary_by_hand():
     assert summary.stderr == pytest.approx(np.sqrt(((scores - 0.625) ** 2).mean()) / np.sqrt(8))
     assert summary.iqm == pytest.approx(np.mean([0.4, 0.6, 0.8, 1.0]))
     assert summary.seeds == 8
+    assert np.isnan(stderr([0.5])), "one seed says nothing of the spread"
     assert summary.low < summary.iqm < summary.high
 
 

@@ -135,6 +135,12 @@ def test_steps_are_written_in_short_without_an_exponent(steps, text):
     assert tables.steps_text(steps) == text
 
 
+def test_one_seed_has_no_standard_error(tmp_path):
+    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", [[0.0, 0.5]], metrics=REWARDS)])
+    assert np.isnan([rows[0]["deployed_stderr"], rows[0]["continuing_stderr"]]).all()
+    assert "| 0.00000 | 0.012 (0.004) |" in tables.run_table(rows).text()
+
+
 def test_numbers_are_written_in_three_digits_or_without_a_fraction():
     numbers = [0.012345, 999.4, 999.7, -2345.6, np.nan]
     assert list(map(tables.number_text, numbers)) == ["0.0123", "999", "1,000", "-2,346", "-"]

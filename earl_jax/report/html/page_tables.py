@@ -13,7 +13,7 @@ from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.tables import number_text, steps_text
+from earl_jax.report.tables import error_text, number_text, steps_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import made_by
 
@@ -44,12 +44,12 @@ def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
     published = _typeset(PublishedScore(row["published_mean"], row["published_stderr"]).text)
     if line is None:
         return None, row["label"], ["not run", "", "", published, _verdict(row)]
-    digits = {"deployed/success": 3, "deployed/return": 1}.get(row["metric"], 4)
-    names = ("mean", "stderr", "low", "high")
-    mean, error, low, high = (_typeset(number_text(row[name], f",.{digits}f")) for name in names)
+    style = {"deployed/success": ",.3f", "deployed/return": ",.1f"}.get(row["metric"], ",.4f")
+    mean = _typeset(error_text(row["mean"], row["stderr"], style))
+    low, high = (_typeset(number_text(row[end], style)) for end in ("low", "high"))
     size = f"{row['seeds']} × {steps_text(row['steps'])}{diverged_text(row['diverged'], row['seeds'])}"
     interval = "–" if low == "–" else f"[{low}, {high}]"
-    return line, row["label"], [size, f"{mean} ({error})", interval, published, _verdict(row)]
+    return line, row["label"], [size, mean, interval, published, _verdict(row)]
 
 
 def _verdict(row: dict[str, Any]) -> str:
