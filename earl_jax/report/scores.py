@@ -31,15 +31,15 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
     `step` is by default the last one, `metric` the deployed one.
 
     Raises:
-        ValueError: the run has no such metric, it has no value at some evaluation, or there is none up to `step`.
+        ValueError: the run has no such metric, it has no value at some of these evaluations, or there is none up to `step`.
     """
     until = curves.steps <= (curves.steps[-1] if step is None else step)
     if not until.any():
         raise InputError(f"{curves.config.algo} on {curves.config.env} has no evaluation in the first {step:,} steps")
-    values = curves.metrics[metric or curves.deployed_metric][:, until]
-    if metric and not np.isfinite(values).all():
-        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it cannot be compared")
-    return final_scores(curves.steps[until], values, curves.window)
+    steps, values = curves.steps[until], curves.metrics[metric or curves.deployed_metric][:, until]
+    if metric and not np.isfinite(values[:, -curves.window.count(steps) :]).all():
+        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it has no score")
+    return final_scores(steps, values, curves.window)
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:

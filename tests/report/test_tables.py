@@ -92,6 +92,14 @@ def test_columns_of_the_life_stand_beside_the_paper_s_where_a_run_has_them(tmp_p
     assert second.endswith("| - | - | - |")
     assert "wide" not in tables.run_table(tables.tabulate([old])).text()
     assert tables.tabulate([new], Window(last=1))[0]["back_success"] == 0.5
+    with pytest.raises(ValueError, match=f"{BACK} of fbrl has no value at some evaluations"):
+        tables.tabulate([new], metric=BACK)
+
+
+def test_a_metric_without_a_value_before_the_window_has_a_score(tmp_path):
+    late = {BACK: [[np.nan, 0.5, 1.0], [0.0, 0.5, 0.5]]}
+    run_folder = write_run(tmp_path, TABLETOP, "fbrl", np.ones((2, 3)), metrics={**REWARDS, **late})
+    assert tables.tabulate([run_folder], Window(last=2), metric=BACK)[0]["mean"] == 0.625
 
 
 def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
