@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError, optional
+from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import counted
 from earl_jax.report.html.content import page_content
@@ -22,7 +23,7 @@ from earl_jax.report.html.curves import lines_of
 from earl_jax.report.html.media import KINDS, PolicyVideos
 from earl_jax.report.pooling import find_runs, gather
 from earl_jax.report.runs import Curves
-from earl_jax.report.scores import row_of
+from earl_jax.report.scores import row_of, seed_scores
 from earl_jax.runs.contents import FILES
 from earl_jax.runs.files import RunWarning, write_atomically
 
@@ -78,6 +79,8 @@ def write_page(
 def _check(curves: Curves) -> None:
     """Raise an error if a number of the page cannot be computed from `curves`."""
     row_of(curves, "")
+    if WIDE in curves.metrics:
+        seed_scores(curves, metric=WIDE)
     for metric in (curves.deployed_metric, "interventions"):
         if not np.isfinite(curves.metrics[metric]).all():
             raise InputError(f"{metric} is not finite")

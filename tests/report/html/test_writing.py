@@ -79,6 +79,7 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     change_config(intact, provenance={"versions": 5, "created": 7})
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
+    write_page_run(tmp_path / "narrow", "risc", rising(2, 2), metrics={"deployed/success_wide": np.nan})
     write_page_run(tmp_path / "huge", "naive", [[1e200, -1e200], [1e308, 1e308]])
     causes = {
         "offline": {"setting": {"name": "offline"}},
@@ -93,7 +94,8 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     for name, metric in (("endless", "interventions"), ("unknown", "deployed/success")):
         assert f"left out: {tmp_path}/{name}: {metric} is not finite" in messages
     assert "2, with 4 seeds" in text
-    assert "4 runs could not be read" in text
+    assert f"left out: {tmp_path}/narrow: deployed/success_wide of risc has no value" in "\n".join(messages)
+    assert "5 runs could not be read" in text
     assert [cause for cause in causes if cause not in text] == []
     assert '<meta http-equiv="refresh" content="30.0">' in page
 
