@@ -161,7 +161,7 @@ class Search:
             raise
 
     def _conclude(self, steps: int) -> None:
-        """End the trials that have reached the last rung; at another one, prune those that score below the median.
+        """End the trials that have reached the last rung; at another one, prune those that score below the median. A nan fails.
 
         It is the median of all trials at this rung. That of Optuna's pruner is of finished trials, so a first batch
         would not be pruned.
@@ -171,10 +171,13 @@ class Search:
             if trial.last_step != steps:
                 continue
             score, state = trial.intermediate_values[steps], "continues"
-            if steps == self.rung_steps[-1]:
+            if math.isnan(score):
+                state = "failed"
+                self.study.tell(trial.number, state=optuna().trial.TrialState.FAIL)
+            elif steps == self.rung_steps[-1]:
                 state = "done"
                 self.study.tell(trial.number, score)
-            elif not score >= np.nanmedian(scores):
+            elif score < np.nanmedian(scores):
                 state = "pruned"
                 self.study.tell(trial.number, state=optuna().trial.TrialState.PRUNED)
             options = ", ".join(f"{name}={value}" for name, value in self._options(trial).items())

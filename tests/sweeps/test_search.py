@@ -3,6 +3,7 @@
 import json
 import signal
 import sys
+import warnings
 from unittest.mock import Mock
 
 import numpy as np
@@ -48,6 +49,7 @@ def batches(monkeypatch):
         done.append((next(iter(configs.values())).steps, sorted(configs)))
         for name, config in configs.items():
             score = 1 - abs(config.options.get("discount", 0.99) - 0.95)
+            score = np.nan if config.options.get("reward_scale") == 0.5 else score
             metrics = {"deployed/return": np.zeros(2), deployed_metric(config.build_env()): np.full(2, score)}
             exists = (out / name).exists()
             folder = RunFolder.open(out / name) if exists else RunFolder.create(out / name, config, "kinematic")
@@ -125,6 +127,15 @@ def test_a_signal_leaves_one_json_object(space, tmp_path, batches, monkeypatch):
     assert (code, err) == (128 + signal.SIGTERM, "earl-jax: stopped at step 40; repeat the command to continue\n")
     values = {"out": str(tmp_path / "out"), "lines": [], "resume": "repeat the command", "steps": 40, "stopped": True}
     assert json.loads(out) == values
+
+
+@pytest.mark.parametrize("rungs", [1, 3])
+def test_a_trial_whose_score_is_nan_has_failed(space, tmp_path, batches, rungs):
+    space.write_text(SPACE + "reward_scale = 0.5\n")
+    lines = []
+    with warnings.catch_warnings(action="error", category=RuntimeWarning):
+        history = search(space, tmp_path / "out", trials=2, batch=2, rungs=rungs, emit=lines.append)
+    assert [trial.state for trial in history] == [line.split()[0] for line in lines] == ["failed"] * 2
 
 
 def test_minutes_leave_the_trials_running(space, tmp_path, batches, monkeypatch):
