@@ -10,7 +10,7 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.options.values import counted
+from earl_jax.options.values import COUNT, counted, require
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
@@ -106,10 +106,9 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
     """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule.
 
     Raises:
-        ValueError: `top` is less than 1.
+        ValueError: `top` is no whole number, or less than 1.
     """
-    if top < 1:
-        raise InputError(f"top must be at least 1, not {top}")
+    require("top", top, COUNT)
     parts: list[str] = []
     for env, of_task in grouped(rows, lambda row: row["env"]).items():
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""

@@ -9,7 +9,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.options.values import counted
+from earl_jax.options.values import COUNT, counted, require
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
@@ -110,13 +110,14 @@ def plot_runs(
         published: a panel for each run, with its seeds thin over the released ones of the paper in grey, and both means.
 
     Raises:
-        ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, no run has the
+        ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, a run has no column
             `metric`, or matplotlib is not installed.
     """
     if out.suffix not in PICTURES:
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
-    if size not in SIZES or smooth < 1:
-        raise InputError(f"size must be one of {', '.join(SIZES)}, and smooth at least 1, not {size} and {smooth}")
+    if size not in SIZES:
+        raise InputError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
+    require("smooth", smooth, COUNT)
     lines = _lines(read_all(folders), names)
     tasks = task_order(line.env for line in lines)
     by_task = sorted(lines, key=lambda line: tasks.index(line.env))

@@ -117,7 +117,9 @@ def test_methods_keep_their_order_and_colours_and_unknown_tasks_their_names():
     [
         ({"names": ["one"]}, "1 labels for 2 runs; give one for each of: fbrl; naive"),
         ({"metric": "speed"}, "has no column 'speed'; it has"),
-        ({"smooth": 0}, "smooth at least 1"),
+        ({"smooth": 0}, "smooth must lie in"),
+        ({"smooth": 2.5}, "smooth must be a whole number, not 2.5"),
+        ({"size": "poster"}, "unknown size 'poster'; choose from screen, column, page"),
         ({"out": "x.bmp"}, r"\.png, \.pdf, \.svg"),
     ],
 )
