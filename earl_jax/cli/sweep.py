@@ -2,6 +2,7 @@
 
 import itertools
 from pathlib import Path
+from shlex import quote
 from typing import Literal
 
 from earl_jax.cli.arguments import (
@@ -125,7 +126,7 @@ def search(
         text += f"; best {best.scores[max(best.scores)]:.4g} with {best.options}"
     values = {"out": str(out), **counts, "lines": lines, "trials": [trial._asdict() for trial in history]}
     values |= {"best": best._asdict() if best else None, "stopped": counts["running"] > 0 or len(history) < trials}
-    emit(values, json, f"{out / TRIALS}: {text}\nrank them with intervals and tests: earl-jax best {out}")
+    emit(values, json, f"{out / TRIALS}: {text}\nrank them with intervals and tests: earl-jax best {quote(str(out))}")
 
 
 def reproduce(

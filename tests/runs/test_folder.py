@@ -235,6 +235,16 @@ def test_overwriting_a_folder_in_use_is_refused(folder):
         create(folder, overwrite=True)
 
 
+def test_a_command_that_continues_a_run_can_be_pasted(folder, tmp_path):
+    folder = RunFolder.open(folder.path.rename(tmp_path / "my run"))
+    append_rows(folder, 40)
+    with pytest.raises(ValueError, match=f"earl-jax resume '{folder.path}', or replace"):
+        create(folder)
+    folder.metrics.write_text(folder.metrics.read_text().replace("40,3", "80,3"))
+    with pytest.raises(ValueError, match=f"earl-jax resume '{folder.path}' continues"):
+        folder.table()
+
+
 def test_a_folder_that_another_process_took_over_is_not_used(folder):
     create(folder)
     with pytest.raises(ValueError, match="another process has just started another run"), folder.claimed():
