@@ -23,6 +23,7 @@ Column = tuple[str, Callable[[Row], Any]]
 """The heading of a column, and the function that gives its cell of a row."""
 LATEX = str.maketrans(
     {letter: f"\\{letter}" for letter in "%&_#${}"}
+    | {letter: f"${letter}$" for letter in "<>|"}  # LaTeX's own encoding prints < as an inverted !
     | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "−": "$-$"}
 )
 """What stands in LaTeX for the letters that have a meaning there."""

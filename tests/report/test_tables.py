@@ -143,6 +143,10 @@ def test_steps_are_written_in_short_without_an_exponent(steps, text):
     assert tables.steps_text(steps) == text
 
 
+def test_signs_that_latex_prints_as_others_are_in_mathematics():
+    assert r"$<$0.001 & a$|$b $>$ c\_d \\" in tables.latex_table(["p", "x"], [["<0.001", "a|b > c_d"]])
+
+
 def test_one_seed_has_no_standard_error(tmp_path):
     rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", [[0.0, 0.5]], metrics=REWARDS)])
     assert np.isnan([rows[0]["deployed_stderr"], rows[0]["continuing_stderr"]]).all()
