@@ -18,6 +18,7 @@ from earl_jax.cli.arguments import (
     replacing,
 )
 from earl_jax.errors import InputError
+from earl_jax.options.values import counted
 
 if TYPE_CHECKING:
     from earl_jax.metrics.scores import Window
@@ -65,7 +66,7 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
         "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
         "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
         "in Python": values["load"],
-        "metrics": f"means over {len(result.seeds)} seeds at step {result.steps[-1]:,}"
+        "metrics": f"means over {counted(len(result.seeds), 'seed')} at step {result.steps[-1]:,}"
         if len(result.steps)
         else "none",
     }

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
 from earl_jax.options import imports
-from earl_jax.options.values import COUNT, TimeLimit, require
+from earl_jax.options.values import COUNT, TimeLimit, counted, require
 from earl_jax.sweeps import slurm as slurm_arrays
 from earl_jax.sweeps.processes import Event, Task, Workers, events, start
 from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots
@@ -135,11 +135,12 @@ def describe(plan: dict[str, Any]) -> str:
     lines = []
     for number, group in enumerate(plan["groups"], 1):
         replay = f"replay {group['replay_bytes'] / 1e6:,.1f} MB"
-        lines.append(f"program {number}: {group['lanes']} lanes, steps {group['step']} to {group['steps']}, {replay}")
+        lanes = counted(group["lanes"], "lane")
+        lines.append(f"program {number}: {lanes}, steps {group['step']} to {group['steps']}, {replay}")
         lines += [f"  {plan['out']}/{name}" for name in group["runs"]]
     finished = len(plan["finished"])
-    count = finished + sum(len(group["runs"]) for group in plan["groups"])
-    return "\n".join([*lines, f"{count} runs, {finished} of them done; programs to run: {len(plan['groups'])}"])
+    runs = counted(finished + sum(len(group["runs"]) for group in plan["groups"]), "run")
+    return "\n".join([*lines, f"{runs}, {finished} of them done; programs to run: {len(plan['groups'])}"])
 
 
 def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> tuple[dict[str, str], int | None]:
@@ -162,5 +163,5 @@ def _summary(outcome: Outcome, count: int, finished: int, limit: TimeLimit | Non
     """Return the outcome of `count` runs as one line; `finished` further runs were done before."""
     unfinished = len(outcome.unfinished)
     done = count - unfinished - outcome.failed
-    line = f"{finished + count} runs: {finished} done before, {done} done now, {outcome.failed} failed"
+    line = f"{counted(finished + count, 'run')}: {finished} done before, {done} done now, {outcome.failed} failed"
     return line + (f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else "")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from earl_jax.errors import InputError
+from earl_jax.options.values import counted
 from earl_jax.sweeps.processes import WORKER, Task
 
 LOGS = "slurm"
@@ -35,7 +36,7 @@ def submit(out: Path, tasks: list[Task], options: dict[str, str], emit: Callable
         for number, task in enumerate(tasks):
             for name in task["runs"]:
                 emit(f"submitted  {name}  job {job}_{number}")
-    emit(f"{len(tasks)} jobs; logs in {folder}; repeat the command later to submit unfinished runs")
+    emit(f"{counted(len(tasks), 'job')}; logs in {folder}; repeat the command later to submit unfinished runs")
 
 
 def options_of(pairs: tuple[str, ...]) -> dict[str, str]:

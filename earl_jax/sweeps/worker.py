@@ -15,7 +15,7 @@ from earl_jax.errors import InputError, is_input_error
 from earl_jax.options import imports
 from earl_jax.options.environment import start_failure
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import TimeLimit
+from earl_jax.options.values import TimeLimit, counted
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
@@ -74,7 +74,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
             continue
         if max_lanes is not None and entry.lanes > max_lanes:
             raise InputError(
-                f"{entry.name} has {entry.lanes} seeds, more than {max_lanes} lanes; a run is never split, "
+                f"{entry.name} has {counted(entry.lanes, 'seed')}, more than {counted(max_lanes, 'lane')}; a run is never split, "
                 "so raise max_lanes or give it fewer seeds"
             )
         groups = by_key.setdefault(entry.group_key(), [[]])

@@ -72,7 +72,7 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
         ("eval_every = 40", "eval_every = 0", "eval_every must lie in"),
         ("seeds = 2", "seeds = 0", "seeds must name at least one, not 0"),
         ('tabletop_organization"]\nalgos = ["oracle', 'fish_swim"]\nalgos = ["vaprl', "vaprl needs demonstrations"),
-        ("", "", "has 2 seeds, more than 1 lanes"),
+        ("", "", "has 2 seeds, more than 1 lane;"),
     ],
 )
 def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid, old, new, message, capsys):

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from earl_jax.options.values import counted
 from earl_jax.report.comparison import RULE
 from earl_jax.report.html.curves import POINTS, Line, panels
 from earl_jax.report.html.media import PolicyVideos, Video, maps, videos
@@ -49,7 +50,7 @@ def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str,
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
     return {
-        "Runs": f"{sum(len(line.runs) for line in lines)}, with {seeds} seeds and {steps_text(steps)} steps in total",
+        "Runs": f"{sum(len(line.runs) for line in lines)}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
         "Methods": ", ".join(dict.fromkeys(line.group.algo for line in lines)),
         "Written": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
         "Hardware": ", ".join(versions["device"]),
