@@ -217,19 +217,6 @@ def test_vaprl_draws_its_next_task_when_it_returns(env):
     assert set(back.task.tolist()) == ANY
 
 
-def test_a_variant_of_vaprl_takes_subgoals_that_the_last_task_phase_leads_to(env, problem, registries):
-    from benchmarks.paper.vaprl_variants import VaPRLReachable
-
-    method, goals = VaPRLReachable(), goal_table(env)
-    values = jnp.zeros((2, goals.tasks, len(goals.candidates))).at[0, :, jnp.array([77, 500])].set(1.0)
-    far = next_goals(method, goals, RETURN, Curriculum(values.at[(1, CURRENT.task, 500)].set(1.0)))
-    assert (far.goal == 5 + 500).all()
-    lane = take_lane(make_train_state(problem, tiny_method("vaprl", 1), [0]).lanes, 0)
-    refreshed = method.refresh(KEYS[0], problem.env, problem.goals, lane.agent, None, method.init(KEYS[0], env, goals))
-    assert refreshed.values.shape == values.shape
-    np.testing.assert_array_less(0.0, abs(refreshed.values[0] - refreshed.values[1]).max(axis=1))
-
-
 def test_vaprl_values_come_from_the_entropy_free_pair(problem):
     method = take_lane(tiny_method("vaprl", 1, reward_scale=10.0), 0)
     lane = take_lane(make_train_state(problem, tiny_method("vaprl", 1), [0]).lanes, 0)
@@ -289,16 +276,6 @@ def test_vaprl_relabels_demonstrations_with_their_own_later_states(env, relabel)
     assert (later > row).all()
     assert (later <= goals.ends[row]).all()
     assert len(set(later[row == 60].tolist())) > 20
-
-
-def test_a_variant_of_vaprl_relabels_demonstrations_alone(env, relabel, batch, registries):
-    from benchmarks.paper.vaprl_variants import VaPRLDemoRelabelling
-
-    variant = VaPRLDemoRelabelling()
-    demonstrated = batch._replace(row=np.arange(4000) % 100)
-    np.testing.assert_array_equal(relabel(variant, batch).flags.goal, batch.flags.goal)
-    assert (np.asarray(relabel(variant, demonstrated).flags.goal) != np.asarray(batch.flags.goal)).mean() > 0.5
-    assert (relabel(make_algo("vaprl"), batch).flags.goal != batch.flags.goal).any()
 
 
 def test_time_outs_are_terminal_unless_bootstrapped(problem):
