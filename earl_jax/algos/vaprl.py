@@ -51,15 +51,11 @@ class VaPRL(Method):
     name: ClassVar[str] = "vaprl"
     needs_demos: ClassVar[bool] = True
     entropy_free_pairs: ClassVar[int] = 1
-    demo_copies: ClassVar[float] = 0.2
-    """1 / (N + 1): weight of a relabelled copy of a demonstration relative to an own transition, which is stored N + 1
-    times."""
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        forward, back = (
-            PhaseDemos(direction, copies_per_step=self.demo_copies) for direction in ("forward", "backward")
-        )
+        """An own transition is stored 1 + 4 times, so a relabelled copy of a demonstration has a fifth of its weight."""
+        forward, back = (PhaseDemos(direction, copies_per_step=0.2) for direction in ("forward", "backward"))
         return Phase((forward,)), Phase((back,))
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Curriculum:
@@ -97,21 +93,16 @@ class VaPRL(Method):
         batch: TransitionBatch | None,
         method_state: Curriculum,
     ) -> Curriculum:
-        return Curriculum(self.pair_values(key, agent, goals.candidates, goals.table[: goals.tasks, None]))
-
-    def pair_values(self, key: jax.Array, agent: Any, starts: Any, ends: Any) -> jax.Array:
-        """Return the values [...], in units of one reward, of reaching `ends [..., s]` from `starts [..., s]`.
-
-        They are means over `value_samples` actions; the leading axes of both are broadcast.
-        """
-        pairs = jnp.concatenate(jnp.broadcast_arrays(starts, ends), axis=-1)
+        """Return the values, in units of one reward, of each task goal from each candidate: means of `value_samples` actions."""
+        tasks = goals.table[: goals.tasks, None]
+        pairs = jnp.concatenate(jnp.broadcast_arrays(goals.candidates, tasks), axis=-1)
         agent, obs = jax.tree.map(lambda leaf: leaf[0], agent), pairs.reshape(-1, pairs.shape[-1])
 
         def value(sample_key):
             return self.learner.value(sample_key, agent, obs)
 
         values = jax.lax.map(value, jax.random.split(key, self.value_samples)).mean(axis=0)
-        return values.reshape(pairs.shape[:-1]) / self.learner.reward_scale
+        return Curriculum(values.reshape(pairs.shape[:-1]) / self.learner.reward_scale)
 
     def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Curriculum

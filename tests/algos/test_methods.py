@@ -12,7 +12,6 @@ from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.algos.method import FUNCTIONS, RETURN, TASK, Moment, controller_count
-from earl_jax.algos.vaprl import Curriculum
 from earl_jax.training import loop
 from earl_jax.training.demos import demo_rows
 from tests.algos.lives import OPTIONS, lived
