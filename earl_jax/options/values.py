@@ -41,7 +41,10 @@ class Interval(NamedTuple):
             return True
         low, high = (float(end) for end in self.text[1:-1].split(","))
         try:
-            values = np.asarray(value, np.float64)
+            given = np.asarray(value)
+            if given.dtype.kind in "bcSU":  # flags and text of digits, which NumPy would convert
+                return False
+            values = given.astype(np.float64)
         except (OverflowError, TypeError, ValueError):  # an int of hundreds of digits, or no number
             return False
         above = values > low if self.text[0] == "(" else values >= low

@@ -70,7 +70,7 @@ def test_a_module_can_postpone_the_evaluation_of_its_types():
     ("interval", "inside", "outside"),
     [
         ("[0, 1)", [0, 0.999, np.array([0.0, 0.5])], [1, -1e-9, np.array([0.5, 1.0]), float("nan")],),
-        ("(0, 1]", [1, 1e-30], [0, 1e308, "high", {}, 1j]),
+        ("(0, 1]", [1, 1e-30], [0, 1e308, "high", "0.5", ["0.5"], True, {}, 0.5 + 1j]),
         ("[1, 2147483647]", [1, 2**31 - 1], [0, 2**31, 10**400]),
     ],
 )  # fmt: skip
@@ -119,7 +119,7 @@ def test_a_value_that_a_trace_hides_is_accepted():
     assert make_algo("naive", layer_norm=True, learning_rate=jnp.bfloat16(1e-3)).learner.layer_norm
 
 
-@pytest.mark.parametrize("discount", [1.0, "high"])
+@pytest.mark.parametrize("discount", [1.0, "high", "0.9"])
 def test_objects_are_checked_where_they_are_trained(discount):
     method = make_algo("naive")
     with pytest.raises(InputError, match=rf"naive: discount must lie in \[0, 1\), not {discount!r}"):

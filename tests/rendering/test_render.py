@@ -105,6 +105,7 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ],
         ({"steps": 0}, "steps must lie in"),
         ({"fps": float("nan")}, "fps must lie in"),
+        ({"fps": "5"}, "fps must lie in"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
     ],
 )

@@ -146,6 +146,7 @@ def test_with_a_budget_a_simulated_task_moves_as_without():
     [
         ({"budget": 0.0}, r"budget must lie in \(0, 1000000000\], not 0\.0"),
         ({"budget": np.inf}, "budget must lie in"),
+        ({"budget": "5"}, "budget must lie in .*, not '5'"),
         ({"help_cost": -1.0}, "help_cost must lie in"),
         ({"enforced_cost": np.nan}, "enforced_cost must lie in"),
         ({"help_above": 1.0}, r"help_above must lie in \[-1, 1\)"),
