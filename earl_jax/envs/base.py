@@ -226,7 +226,14 @@ class Env(abc.ABC):
         return random_row(key, self.goal_states)
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
-        """Return `state` with the goal `goal [g]`; reward and metrics still describe the last transition."""
+        """Return `state` with the goal `goal [g]`; reward and metrics still describe the last transition.
+
+        Raises:
+            ValueError: the goal has another shape.
+        """
+        if jnp.shape(goal) != (self.goal_size,):
+            raise InputError(f"goal has shape {jnp.shape(goal)}, this task takes {(self.goal_size,)}")
+        goal = jnp.asarray(goal, jnp.float32)
         obs = jnp.concatenate([state.obs[: self.state_size], goal])
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import State
 from earl_jax.errors import InputError, brief
+from earl_jax.options.jax_settings import package_types
 
 STARTS = ("initial", "uniform", "wide")
 """s0 ~ rho, uniform over the workspace (figure 4 of the paper), and the starts of `deployed/success_wide`."""
@@ -31,7 +32,7 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
     if start is None:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
-    return start
+    return package_types()(start)
 
 
 def require_pairs(name: str, pairs: str) -> None:
@@ -40,6 +41,7 @@ def require_pairs(name: str, pairs: str) -> None:
         raise InputError(f"{name} must be one of {', '.join(EVAL_PAIRS)}, not {brief(pairs)}")
 
 
+@package_types()
 def balanced_starts(env: Env, key: jax.Array, episodes: int) -> State:
     """Return starts of `episodes` episodes, leaves [episodes, ...], with every pair of start and task goal equally often.
 

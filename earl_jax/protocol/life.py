@@ -14,7 +14,6 @@ from flax import struct
 
 from earl_jax.envs import Env, State
 from earl_jax.envs.wrappers.help_budget import without_help
-from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import init_phase_stats, phase_metrics
 from earl_jax.options.jax_settings import package_types
@@ -167,9 +166,7 @@ def set_goal(env: Env, state: ProtocolState, goal: jax.Array | None = None) -> P
         ValueError: the goal has another shape.
     """
     if goal is not None:
-        if jnp.shape(goal) != (env.goal_size,):
-            raise InputError(f"goal has shape {jnp.shape(goal)}, this task takes {(env.goal_size,)}")
-        return _with_goal(env, state, jnp.asarray(goal, jnp.float32), is_set=True)
+        return _with_goal(env, state, goal, is_set=True)
     key, goal_key = jax.random.split(state.key)
     return _with_task_goal(env, state.replace(key=key), goal_key)
 

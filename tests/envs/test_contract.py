@@ -138,8 +138,11 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
 def test_reset_and_step_are_the_same_program_where_a_user_computes_in_float64(name, engine):
     env = with_engine(make(name), engine)
 
+    def moved(key):
+        return env.step(env.with_goal(env.reset(key), np.ones(env.goal_size)), np.zeros(env.action_size))
+
     def traced():
-        return str(jax.make_jaxpr(lambda key: env.step(env.reset(key), np.zeros(env.action_size)))(jax.random.key(0)))
+        return str(jax.make_jaxpr(moved)(jax.random.key(0)))
 
     expected = traced()
     with jax.enable_x64(True):
@@ -228,6 +231,12 @@ def test_bad_actions_are_refused(name):
         action[-1] = bad
         with pytest.raises(ValueError, match=message):
             env.step(first_state(env), action)
+
+
+def test_a_goal_of_another_shape_is_refused(env):
+    """It used to be a state whose next step failed in the arithmetic of the task."""
+    with pytest.raises(ValueError, match=r"goal has shape \(5,\), this task takes \(6,\)"):
+        env.with_goal(first_state(env), np.zeros(5))
 
 
 @EVERY_TASK
