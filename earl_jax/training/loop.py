@@ -267,10 +267,11 @@ def _next_goals(
 
 
 def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
+    """Return `visits` with the position in `obs [o]`, unless a fault has left none."""
     low, high = task_map.bounds
-    share = (task_map.position(obs) - low) / (high - low)
-    x, y = jnp.clip(jnp.floor(share * MAP_BINS), 0, MAP_BINS - 1).astype(jnp.int32)
-    return visits.at[x, y].add(1)
+    bins = jnp.floor((task_map.position(obs) - low) / (high - low) * MAP_BINS)
+    x, y = jnp.where(jnp.isfinite(bins), jnp.clip(bins, 0, MAP_BINS - 1), MAP_BINS).astype(jnp.int32)
+    return visits.at[x, y].add(1, mode="drop")
 
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:

@@ -62,7 +62,8 @@ def test_the_step_into_the_absorbing_end_is_rewarded_for_all_later_steps(problem
     assert np.asarray(state.lanes.counters.window_reward).tolist() == [-6.0, -6.0]
 
 
-def test_the_map_counts_every_step(problem):
+def test_the_map_counts_every_step_with_a_position(problem):
+    """A step to NaN used to count in a corner."""
     method = tiny_method("fbrl")
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), 40, warmup=True)
     visits = np.asarray(state.lanes.visits)
@@ -71,6 +72,11 @@ def test_the_map_counts_every_step(problem):
     position = np.asarray(state.replay.state[int(state.replay.row), :, :2])
     bins = np.floor((position - low) / (high - low) * MAP_BINS).astype(int)
     assert all(visits[lane, x, y] > 0 for lane, (x, y) in enumerate(bins))
+    env_state = state.lanes.env_state
+    data = env_state.data.replace(qpos=env_state.data.qpos.at[1].set(jnp.nan))
+    broken = state.replace(lanes=state.lanes.replace(env_state=env_state.replace(data=data)))
+    after = advance(problem, method, broken, 1, warmup=True)
+    assert after.lanes.visits.sum(axis=(1, 2)).tolist() == [41, 40]
 
 
 @pytest.mark.parametrize(("field", "value"), [("qvel", np.nan), ("qpos", 3.0)], ids=["nan", "outside"])
