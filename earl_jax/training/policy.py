@@ -66,7 +66,8 @@ class Policy(struct.PyTreeNode, eq=False):
         Raises:
             ValueError: `obs` has another size.
         """
-        if obs.shape[-1] != self.obs_size:
+        obs = jnp.asarray(obs, jnp.float32)
+        if obs.shape[-1:] != (self.obs_size,):
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)

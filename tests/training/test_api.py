@@ -52,8 +52,12 @@ def test_a_seed_is_selected_and_its_policy_can_be_called(env):
     traced = []
     jax.eval_shape(lambda lane: traced.append(repr(lane)), lane)
     assert traced == [repr(lane)]
-    with pytest.raises(ValueError, match=r"takes \(\.\.\., 12\)"):
-        policy(obs[:6])
+    for wrong in (obs[:6], obs[0]):
+        with pytest.raises(ValueError, match=r"takes \(\.\.\., 12\)"):
+            policy(wrong)
+    np.testing.assert_array_equal(policy(obs.tolist()), action)
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(policy(np.array(obs, float)), action, strict=True)
 
 
 def test_options_of_task_and_setting_go_by_name_and_a_list_gives_each_lane_its_own_hyper_parameter():
