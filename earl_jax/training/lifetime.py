@@ -33,12 +33,12 @@ def lifetime(
             it is a static argument.
 
     Raises:
-        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, `keys` is a single
-            key, or as `prepare`.
+        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, `keys` has not one
+            axis, or as `prepare`.
     """
     steps = _static_steps(problem, steps)
-    if not keys.shape:
-        raise InputError("keys must have a lane axis, one key for each seed: jax.random.split(key, number)")
+    if jax.random.key_data(keys).ndim != 2:
+        raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
     plan = prepare(problem, method, lanes, steps)

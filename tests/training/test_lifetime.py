@@ -40,7 +40,7 @@ def test_a_lifetime_and_its_metrics_under_a_bare_jit_equal_training(problem):
     np.testing.assert_allclose(spread["entropy"], [measure(lane)["entropy"] for lane in visits], rtol=1e-5)
 
 
-def test_steps_that_are_missing_or_traced_and_a_single_key_are_refused(problem):
+def test_steps_that_are_missing_or_traced_and_keys_without_one_axis_are_refused(problem):
     method, keys = make_algo("naive"), seed_keys(range(2))
     with pytest.raises(ValueError, match="needs a number of steps"):
         lifetime(problem, method, keys)
@@ -48,8 +48,9 @@ def test_steps_that_are_missing_or_traced_and_a_single_key_are_refused(problem):
         jax.jit(lifetime)(problem, method, keys, 120)
     with pytest.raises(ValueError, match=r"steps must lie in \[1, "):
         lifetime(problem, method, keys, 2**31)
-    with pytest.raises(ValueError, match="keys must have a lane axis"):
-        lifetime(problem, method, keys[0], 120)
+    for wrong in (keys[0], keys[None], jax.random.PRNGKey(0)):
+        with pytest.raises(ValueError, match="keys must have one axis, a key for each seed"):
+            lifetime(problem, method, wrong, 120)
 
 
 @pytest.mark.parametrize("random_steps", [0, 20, RUN_STEPS])
