@@ -136,6 +136,8 @@ def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
     try:
         return mujoco.Renderer(model, height, width)
     except (*NO_BACKEND, mujoco.FatalError) as error:
+        if "framebuffer" in str(error):
+            raise InputError(f"this machine draws no pictures of {height} by {width} pixels ({error})") from error
         raise _no_graphics(error) from error
 
 
