@@ -50,7 +50,7 @@ def test_starts_lie_near_the_listed_positions_of_the_map(name, options):
     assert (env.map.goals <= env.map.bounds[1]).all()
     if env.goal_size == env.state_size:
         goals = np.asarray(env.map.position(jnp.asarray(np.tile(env.goal_states, 2))))
-        assert options.get("reset_at_goal") or nearest(goals, env.map.goals).max() < 1e-6
+        assert nearest(goals, env.map.goals).max() < 1e-6
 
 
 def test_tasks_without_a_map_uniform_or_wide_starts_say_so():
