@@ -54,7 +54,8 @@ def _require_script(env: Env) -> DemoScript:
     """Return the task's demonstration script. Errors as `record`."""
     if env.demonstrations.script is None:
         scripted = [name for name in envs.list_envs() if envs.make(name).demonstrations.script]
-        raise InputError(f"{env.name} has no demonstration script; choose from {', '.join(scripted)}")
+        variant = " with these options" if env.name in scripted else ""
+        raise InputError(f"{env.name} has no demonstration script{variant}; choose from {', '.join(scripted)}")
     return env.demonstrations.script
 
 

@@ -52,6 +52,8 @@ def test_a_task_without_a_script_names_the_tasks_with_one():
     choices = "choose from dhand_lightbulb, sawyer_door, sawyer_peg, tabletop_organization"
     with pytest.raises(ValueError, match=f"fish_swim has no demonstration script; {choices}"):
         demos.make(make("fish_swim"))
+    with pytest.raises(ValueError, match=f"sawyer_peg has no demonstration script with these options; {choices}"):
+        demos.make(make("sawyer_peg", variant="paper"))
 
 
 @pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_door", "sawyer_peg"])
