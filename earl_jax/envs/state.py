@@ -63,4 +63,4 @@ def random_row(key: jax.Array, table: Any) -> Any:
 def all_finite(tree: Any) -> jax.Array:
     """Return whether every floating-point number in `tree` is finite, bool []."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
-    return functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in leaves])
+    return functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in leaves], jnp.ones((), bool))

@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
-from earl_jax.algos import SAC, Method
+from earl_jax.algos import SAC, Learner, Method
 from earl_jax.algos.method import RETURN
+from earl_jax.algos.naive import Naive
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
@@ -224,6 +226,35 @@ def test_scalars_in_the_dict_metrics_of_a_methods_state_are_metrics():
     method = per_lane(Reporter(SAC(hidden_sizes=(8,))), 2)
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
     assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
+
+
+class Idle(struct.PyTreeNode):
+    actor: tuple = ()
+
+
+class Rest(Learner):
+    """A baseline without parameters, which does not move."""
+
+    name = "rest"
+
+    def init(self, key, obs_size, action_size, entropy_free_pairs=0):
+        return Idle()
+
+    def act(self, key, actor, obs):
+        return jnp.zeros(1)
+
+    greedy = functools.partialmethod(act, None)
+
+    def update(self, key, agent, batch):
+        return agent, {}
+
+
+def test_a_learner_without_parameters_is_finite():
+    """Its evaluation used to be a TypeError."""
+    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
+    method = per_lane(Naive(Rest()), 2)
+    metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
+    assert metrics["diverged"].tolist() == [0, 0]
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
