@@ -43,9 +43,9 @@ class TaskDemos:
     """The demonstrations of a task: those in `file`, or those that ship with `task`."""
 
     task: str
-    file: str | None = None
-    sizes: tuple[int, int, int] | None = None
-    """The lengths of a state, a goal and an action, which recorded demonstrations must have; None for any."""
+    file: str | None
+    sizes: tuple[int, int, int]
+    """The lengths of a state, a goal and an action, which recorded demonstrations must have."""
     layout: Callable[[assets.Demos], assets.Demos] = lambda demos: demos
     """Converts recorded demonstrations to the layout of the task."""
     expert: Callable[[jax.Array], jax.Array] | None = None
@@ -74,7 +74,7 @@ class TaskDemos:
         """
         source = self.file or self.task
         demos = self.layout(assets.demos(source, direction))
-        for name, size in zip(("states", "goals", "actions"), self.sizes or (), strict=False):
+        for name, size in zip(("states", "goals", "actions"), self.sizes, strict=True):
             own = getattr(demos, name).shape[1]
             if own != size:
                 raise InputError(

@@ -41,7 +41,7 @@ def train_step(
     method: Method,
     state: TrainState,
     keys: StepKeys,
-    warmup: Warmup = False,
+    warmup: Warmup,
     batch: TransitionBatch | None = None,
 ) -> TrainState:
     """Return all lanes one step later: act, store and, unless `warmup`, take a gradient step on earlier transitions.

@@ -123,7 +123,7 @@ def _evaluate(
     return mapped(evaluate, mesh, (LANES, TRAIN_STATE), (TRAIN_STATE, LANES))(method, state)
 
 
-def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
+def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
@@ -134,7 +134,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None = None) -> Plan:
     return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
-def run_program(plan: Plan, runs: Sequence[Run], progress: bool = False, limit: TimeLimit | None = None) -> TrainState:
+def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimit | None) -> TrainState:
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
     Each run's metrics are added to its `evaluations` and to its folder, which also receives checkpoints of the run's lanes.

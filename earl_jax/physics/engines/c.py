@@ -157,7 +157,7 @@ class Host:
         self.worker_pools: dict[int, WorkerPool] = {}
         self.lock = threading.Lock()
 
-    def __call__(self, rows: np.ndarray, stream: int = 0) -> np.ndarray:
+    def __call__(self, rows: np.ndarray, stream: int) -> np.ndarray:
         """Return the output rows [n, m] for the input `rows [n, k]`, float32.
 
         Input: state, warm start, memory, the fields `CONSTANT`, command. Output: state, warm start, memory, sensors.
