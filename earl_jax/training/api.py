@@ -160,11 +160,15 @@ def resume(
 
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
-    """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if it has more."""
+    """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if these do not fit."""
     require("steps", steps, COUNT)
-    reached = max(step, newest(folder.checkpoints))
+    reached, every = max(step, newest(folder.checkpoints)), folder.config.eval_every
     if steps < reached:
         raise InputError(f"{folder.path} has {reached} steps already, more than {steps}")
+    if steps % every:
+        raise InputError(
+            f"steps {steps} is not a multiple of {every}, the run's eval_every; take {-(-steps // every) * every}"
+        )
     return dataclasses.replace(folder.config, steps=steps)
 
 

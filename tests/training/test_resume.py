@@ -73,6 +73,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
         ({"env": "meadow"}, "the task must be an object, not 'meadow'"),
         ({"algo": Patient}, r"the method must be an object, not .*; did you mean Patient\(\)\?"),
         ({"steps": "160"}, "steps must be a whole number, not '160'"),
+        ({"steps": 90}, "steps 90 is not a multiple of 40, the run's eval_every; take 120"),
     ],
 )
 def test_arguments_of_another_kind_are_refused(folder, options, message):
