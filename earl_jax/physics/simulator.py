@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.errors import InputError
 from earl_jax.physics.engines import c, mjx
 from earl_jax.physics.models import load_model
 from earl_jax.physics.state import Actuator, PendingStep, PhysicsState
@@ -44,7 +45,11 @@ class Simulator:
         """Start a control step from `state` with `command` and return it for `finish_step`.
 
         With `c` and a GPU, the host simulates it while the program continues up to `finish_step`.
+
+        Raises:
+            ValueError: a field of `state` or the controls have another shape than those of the model.
         """
+        self._require_shapes(state, command)
         return c.start_step(self, state, command) if self.engine == "c" else PendingStep(command)
 
     def finish_step(self, state: PhysicsState, pending: PendingStep) -> tuple[PhysicsState, jax.Array]:
@@ -52,6 +57,20 @@ class Simulator:
         if self.engine == "c":
             return c.finish_step(self, state, pending)
         return mjx.step(self, state, pending.payload)
+
+    def _require_shapes(self, state: PhysicsState, command: jax.Array) -> None:
+        """Raise an InputError that names what does not have the shape of the model. Only an actuator knows its command."""
+        model = self.mujoco_model()
+        shapes = {
+            "qpos": (model.nq,), "qvel": (model.nv,), "act": (model.na,), "qacc_warmstart": (model.nv,),
+            "mocap_pos": (model.nmocap, 3), "mocap_quat": (model.nmocap, 4),
+        }  # fmt: skip
+        given = {name: jnp.shape(getattr(state, name)) for name in shapes}
+        if self.actuator is None:
+            given["ctrl"], shapes["ctrl"] = jnp.shape(command), (model.nu,)
+        for name, shape in given.items():
+            if shape != shapes[name]:
+                raise InputError(f"{name} has shape {shape}, the model {self.model} takes {shapes[name]}")
 
     def mujoco_model(self) -> Any:
         """Return the compiled `mujoco.MjModel` with this simulator's time step."""

@@ -28,7 +28,10 @@ class PhysicsState(struct.PyTreeNode):
 
     @classmethod
     def at(cls, qpos: jax.Array, qvel: jax.Array | None = None, **others: jax.Array) -> "PhysicsState":
-        """Return the state at `qpos [nq]` with `qvel [nv]` (0 by default) and the fields `others`; the rest is 0."""
+        """Return the state at `qpos [nq]` with `qvel [nv]` and the fields `others`; the rest is 0.
+
+        By default `qvel` is 0 [nq], for a model without ball and free joints, which have more coordinates than speeds.
+        """
         speed = jnp.zeros_like(qpos) if qvel is None else qvel
         none = jnp.zeros((0,), jnp.float32)
         fields = {

@@ -123,6 +123,20 @@ def test_the_sensors_lag_the_state_by_one_substep():
     assert np.abs(np.asarray(after.data.qpos[:9] - state.data.qpos[:9])).max() > 1e-4
 
 
+@pytest.mark.parametrize("engine", ["c", "mjx"])
+def test_states_and_controls_of_other_shapes_are_refused_by_name(engine):
+    """One control used to drive all actuators on `c`; the rest was an error inside XLA without a name."""
+    env = make("fish_swim", engine=engine)
+    data = first_state(env).data
+    for change, size, message in (
+        ({}, 1, r"ctrl has shape \(1,\), the model fish_swim takes \(5,\)"),
+        ({"qvel": jnp.zeros(14)}, 5, r"qvel has shape \(14,\), .* takes \(13,\)"),
+        ({"mocap_pos": jnp.zeros((0, 3))}, 5, r"mocap_pos has shape \(0, 3\), .* takes \(1, 3\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.simulator.step(data.replace(**change), jnp.zeros(size))
+
+
 def test_a_broken_lane_on_c_does_not_change_the_others():
     env = make("sawyer_peg", engine="c")
     states = starts(env, count=3)
