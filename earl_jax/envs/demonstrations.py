@@ -10,6 +10,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.envs.state import State
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 
 
 class DemoStart(NamedTuple):
@@ -54,6 +55,12 @@ class TaskDemos:
     state_at: Callable[[jax.Array, jax.Array], State] | None = None
     """Returns a state with the state vector [s] and the goal [g], to replay a demonstration from; None if the task can
     only start from `reset`."""
+
+    def __post_init__(self):
+        """Give `expert` and `state_at` the package's types, as `Env.reset` and `Env.step` have them."""
+        for name in ("expert", "state_at"):
+            function = getattr(self, name)
+            object.__setattr__(self, name, function and package_types()(function))
 
     @property
     def recorded(self) -> bool:
