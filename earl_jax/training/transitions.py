@@ -25,7 +25,7 @@ def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndar
     its state is repeated as the next one.
 
     Raises:
-        ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint.
+        ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint, or no transition is left.
     """
     opened = RunFolder.open(Path(folder))
     seeds = list(opened.config.seeds)
@@ -35,7 +35,13 @@ def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndar
     state = restore(opened.checkpoints, shapes)
     if state is None:
         raise InputError(f"{folder} has no checkpoint, which holds the replay")
-    return env, *attempts(env, state.replay, seeds.index(seed), int(state.step))
+    transitions, terminal = attempts(env, state.replay, seeds.index(seed), int(state.step))
+    if not len(terminal):
+        raise InputError(
+            f"{folder} has no transition of seed {seed}: its life ended before those that the replay still has, or an "
+            "intervention followed each of them"
+        )
+    return env, transitions, terminal
 
 
 def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np.ndarray]:
@@ -44,6 +50,8 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
     count = min(steps, size - 1) if replay.evicts else steps
     rows = first + (int(replay.row) - first - count + np.arange(count)) % size
     goal, reached, timeout, reset, absorbed = map(np.asarray, unpack(replay.flags[rows, lane]))
+    before = steps > count and unpack(replay.flags[int(replay.row), lane]).absorbed  # the step that was evicted last
+    had_ended = np.append(before, absorbed[:-1])
     goals, states = goal_table(env).table[goal], replay.state[rows, lane]
     following = np.where(reset[:, None], states, replay.state[np.asarray(replay.successor(jnp.asarray(rows))), lane])
     rewards = reached.astype(np.float32) if env.sparse else replay.reward[rows, lane]
@@ -53,7 +61,7 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
         rewards[recomputed] = env.reward(jnp.asarray(obs))
     number = np.cumsum(reached | timeout | absorbed)
     attempt = np.append(0, number[:-1])
-    kept = ~(reset & ~reached) & ~(absorbed & np.append(False, absorbed[:-1]))
-    ends = np.append(np.diff(attempt[kept]) > 0, True)
+    kept = ~(reset & ~reached) & ~had_ended
+    ends = np.diff(attempt[kept], append=np.inf) > 0
     fields = (states, goals, replay.action[rows, lane], following, rewards)
     return Demos._make([*(field[kept] for field in fields), ends]), (reached | absorbed)[kept]

@@ -8,7 +8,9 @@ from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import TransitionFlags
 from earl_jax.envs import HelpBudget, make
+from earl_jax.training import transitions
 from earl_jax.training.transitions import attempts
+from tests.conftest import tiny_train
 
 STEPS = 10
 FIRST = 3
@@ -68,3 +70,21 @@ def test_a_life_ends_at_its_absorbing_state_with_the_reward_of_one_step(rewards)
     assert (np.flatnonzero(steps.ends).tolist(), np.flatnonzero(terminal).tolist()) == ([6], [6])
     stored = [] if rewards == "sparse" else [FIRST + step for step in range(6)]
     assert steps.rewards.tolist() == [*(stored or [0] * 6), env.absorbed_reward]
+
+
+@pytest.mark.parametrize(
+    ("row", "steps", "flags"),
+    [(FIRST + 4, 50, {"absorbed": range(STEPS)}), (FIRST + STEPS, STEPS, {"no_successor": range(STEPS)})],
+)
+def test_no_transition_is_left_after_the_end_of_a_life_or_with_a_reset_at_every_step(row, steps, flags):
+    """A ring used to begin with a step from the absorbing state to itself, and no transition used to have an end."""
+    env = HelpBudget(make("tabletop_organization"), budget=5.0)
+    left, terminal = attempts(env, replay_of(env, row, steps > STEPS, **flags), 1, steps)
+    assert {len(field) for field in (*left, terminal)} == {0}
+
+
+def test_a_run_of_which_no_transition_is_left_says_so(tmp_path, monkeypatch):
+    tiny_train("naive", out=tmp_path / "run")
+    monkeypatch.setattr(transitions, "attempts", lambda *_: (None, np.zeros(0, bool)))
+    with pytest.raises(ValueError, match="run has no transition of seed 1: its life ended before those"):
+        transitions.load_transitions(tmp_path / "run", 1)
