@@ -23,7 +23,7 @@ from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score
-from earl_jax.report.runs import MethodRuns
+from earl_jax.report.runs import Curves
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 
@@ -44,7 +44,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def read_runs(root: Path = RUNS) -> list[MethodRuns]:
+def read_runs(root: Path = RUNS) -> list[Curves]:
     """Return the run of each of the paper's cells that has one: of VaPRL where it has no other, that with its former defaults."""
     cells = [root / env / algo for env in PAPER_TASKS for algo in methods_on(env)]
     choices = [
@@ -53,12 +53,12 @@ def read_runs(root: Path = RUNS) -> list[MethodRuns]:
     return read_methods([folders[0] for folders in choices if folders])
 
 
-def paper_tests(runs: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
+def paper_tests(runs: Sequence[Curves], metric: str | None = None) -> list[Row]:
     """Return the tests of `runs` against the paper at all ages, by the deployed score or another `metric`."""
     return with_verdicts(published_rows(runs, metric))
 
 
-def cells(runs: Sequence[MethodRuns], tested: Sequence[Row]) -> list[Row]:
+def cells(runs: Sequence[Curves], tested: Sequence[Row]) -> list[Row]:
     """Return a row for each of the paper's cells, of which those without one of `runs` have a verdict only.
 
     `tested` are the `paper_tests` the runs.
@@ -69,16 +69,16 @@ def cells(runs: Sequence[MethodRuns], tested: Sequence[Row]) -> list[Row]:
     return [_cell(*name, measured.get(name, {"verdict": NOT_RUN})) for name in names]
 
 
-def _measured(run: MethodRuns, test: Row) -> Row:
+def _measured(run: Curves, test: Row) -> Row:
     """Return what the row of a cell has of its run and of the test of it."""
     ends = {"low": "mean_low", "high": "mean_high", "difference_low": "low", "difference_high": "high"}
     return {
         **test,
         **{name: test[end] for name, end in ends.items()},
-        "run": run.curves.runs[0].path.as_posix().rpartition(f"/{run.env}/")[2],
-        "chosen": chosen_words(run.curves),
-        "largest_critic_loss": float(run.curves.metrics["critic_loss"].max()),
-        "commit": short_commit(commit_of(run.curves)),
+        "run": run.runs[0].path.as_posix().rpartition(f"/{run.env}/")[2],
+        "chosen": chosen_words(run),
+        "largest_critic_loss": float(run.metrics["critic_loss"].max()),
+        "commit": short_commit(commit_of(run)),
     }
 
 
@@ -134,11 +134,11 @@ def draw() -> None:
     grid.draw(runs, RUNS / "cells.png")
     for env, own in itertools.groupby(runs, lambda run: run.env):
         of_task = list(own)
-        pictures = {"curves": of_task[0].curves.deployed_metric}
+        pictures = {"curves": of_task[0].deployed_metric}
         if env in LIVES:
             pictures["lives"] = CONTINUING
         for name, metric in pictures.items():
-            folders = [folder.path for run in of_task for folder in run.curves.runs]
+            folders = [folder.path for run in of_task for folder in run.runs]
             picture = RUNS / env / f"{name}.png"
             shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=10, published=True))
 

@@ -34,7 +34,7 @@ from earl_jax.report.comparison import comparison_columns, pair_row, published_r
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_all
-from earl_jax.report.runs import MethodRuns
+from earl_jax.report.runs import Curves
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions, number_text
 
 HEADER = ("#", "ours, and what may differ", "first", "second", "steps", "first, mean [95 %]", "second, mean",
@@ -93,7 +93,7 @@ def _pair_row(root: Path, pair: Pair) -> Row | None:
     return pair_row(first, second, pair.metric) if first and second else None
 
 
-def _pooled(root: Path, names: tuple[str, ...]) -> MethodRuns | None:
+def _pooled(root: Path, names: tuple[str, ...]) -> Curves | None:
     """Return the pooled seeds of those of the folders that have a run, as runs of the task and method of their folder.
 
     A variant from a file has names of its own in its config.
@@ -101,12 +101,12 @@ def _pooled(root: Path, names: tuple[str, ...]) -> MethodRuns | None:
     folders = [root / name for name in names if (root / name / "metrics.csv").is_file()]
     if not folders:
         return None
-    groups = read_all(folders)
-    if len(groups) > 1:
+    runs = read_all(folders)
+    if len(runs) > 1:
         raise InputError(f"{', '.join(map(str, folders))} differ in their options, so their seeds cannot be pooled")
     env, label = folders[0].relative_to(root).as_posix().split("/", 1)
-    algo, curves = label.split("/")[0], groups[0]
-    return MethodRuns(env, algo, label, curves._replace(config=dataclasses.replace(curves.config, env=env, algo=algo)))
+    config = dataclasses.replace(runs[0].config, env=env, algo=label.split("/")[0])
+    return runs[0]._replace(config=config, label=label)
 
 
 def table(rows: list[Row], own_cells: list[Row]) -> str:

@@ -11,7 +11,7 @@ from earl_jax.metrics.comparison import CANNOT_TELL
 from earl_jax.paper.artefact import METHODS, methods_on, training_steps
 from earl_jax.report.plots import AXES, RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, published_beside, released_beside, share_text
-from earl_jax.report.runs import MethodRuns
+from earl_jax.report.runs import Curves
 from earl_jax.report.style import legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table
 
@@ -100,7 +100,7 @@ def _parts(row: Row) -> Iterator[str]:
         yield f"not compared{share}"
 
 
-def draw(groups: Sequence[MethodRuns], path: Path) -> None:
+def draw(groups: Sequence[Curves], path: Path) -> None:
     """Draw the deployed scores of all cells, a row for each task: seeds thin, means, and the published ones in grey.
 
     Where nothing was released, a diamond is the printed score.
@@ -114,7 +114,7 @@ def draw(groups: Sequence[MethodRuns], path: Path) -> None:
                     _draw_cell(axis, runs.get((env, algo)))
                 else:
                     axis.set_axis_off()
-            metric = next(group.curves.deployed_metric for group in groups if group.env == env)
+            metric = next(group.deployed_metric for group in groups if group.env == env)
             line[0].set_ylabel(f"{task_title(env)}\n{AXES[metric].split()[0]}")
             line[0].set_xlim(0, training_steps(env))
         for algo, axis in zip(METHODS, axes[0], strict=True):
@@ -124,13 +124,13 @@ def draw(groups: Sequence[MethodRuns], path: Path) -> None:
         shrink(save(figure, path))
 
 
-def _draw_cell(axis: Any, group: MethodRuns | None) -> None:
-    if group:
-        curves, metric = group.curves, group.curves.deployed_metric
+def _draw_cell(axis: Any, curves: Curves | None) -> None:
+    if curves:
+        metric = curves.deployed_metric
         if released := released_beside(curves):
             draw_curves(axis, released, metric, SMOOTH, RELEASED, each=True)
         elif printed := published_beside("table1", curves):
-            axis.plot(training_steps(group.env), printed.value, **PRINTED, clip_on=False)
+            axis.plot(training_steps(curves.env), printed.value, **PRINTED, clip_on=False)
         draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)
     step_axis(axis, label=False)
     axis.grid(alpha=0.3)

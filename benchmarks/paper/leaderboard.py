@@ -35,7 +35,7 @@ from earl_jax.report.published import (
     published_steps,
     released_curves,
 )
-from earl_jax.report.runs import MethodRuns, by_method, options_text, read
+from earl_jax.report.runs import Curves, by_method, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
 from earl_jax.report.tables import csv_text, markdown_table, millions, number_text, step_interval
 from earl_jax.runs.folder import RunFolder
@@ -63,7 +63,7 @@ def folders(root: Path = RESULTS) -> list[Path]:
     return sorted(file.parent for pattern in FOLDERS for file in root.glob(f"{pattern}/metrics.csv"))
 
 
-def entries(root: Path = RESULTS) -> list[MethodRuns]:
+def entries(root: Path = RESULTS) -> list[Curves]:
     """Return the runs of the leaderboard by task and method, without those whose method is in a file of their own.
 
     Folders with the same task, method and options would be one method with more seeds; they are kept apart here,
@@ -74,17 +74,17 @@ def entries(root: Path = RESULTS) -> list[MethodRuns]:
     return [_named(group, groups) for group in groups]
 
 
-def _named(group: MethodRuns, groups: list[MethodRuns]) -> MethodRuns:
+def _named(group: Curves, groups: list[Curves]) -> Curves:
     """Return `group` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
-    cell, own = (group.algo, group.env), group.curves.options
-    peers = [other.curves.options for other in groups if (other.algo, other.env) == cell]
+    cell, own = (group.algo, group.env), group.options
+    peers = [other.options for other in groups if (other.algo, other.env) == cell]
     named = {name: own[name] for name in own if any(other.get(name) != own[name] for other in peers)}
     marks = [SCRIPTED] if cell == CORRECTED[:2] and own.get(CORRECTED[2]) != 0 else []
     text = "; ".join([*marks, options_text(named)] if named else marks)
     return group._replace(label=f"{group.algo} ({text})" if text else group.algo)
 
 
-def rows_of(runs: list[MethodRuns]) -> list[Row]:
+def rows_of(runs: list[Curves]) -> list[Row]:
     """Return the rows of our runs and the published ones, by task and deployed mean."""
     by_task = ranked([*map(run_row, runs), *published_rows()])
     return [row for env in PAPER_TASKS for row in by_task.get(env, [])]
@@ -160,7 +160,7 @@ def _shown(texts: Sequence[str]) -> list[str]:
     return [named[name] if name in WHOLE else named[name].partition(" [")[0] for name in PAGE]
 
 
-def tests(runs: list[MethodRuns]) -> list[dict[str, Any]]:
+def tests(runs: list[Curves]) -> list[dict[str, Any]]:
     """Return the tests of two questions a task, each a family of Holm's adjustment.
 
     Which methods differ from naive RL, by the longest run of each (of equal ones, that with the fewest options), and which
@@ -169,15 +169,15 @@ def tests(runs: list[MethodRuns]) -> list[dict[str, Any]]:
     rows = []
     for first, second in _pairs(runs):
         question = "methods" if first.algo != second.algo else f"runs of {first.algo}"
-        if min(first.curves.seeds, second.curves.seeds) >= FEWEST_SEEDS:
+        if min(first.seeds, second.seeds) >= FEWEST_SEEDS:
             rows.append({"question": question, **pair_row(first, second)})
     return with_verdicts([row for row in rows if row["steps"] >= CROSSING_WINDOW], family=("env", "question"))
 
 
-def _pairs(groups: list[MethodRuns]) -> Iterator[tuple[MethodRuns, MethodRuns]]:
+def _pairs(groups: list[Curves]) -> Iterator[tuple[Curves, Curves]]:
     """Yield the pairs of runs that the questions compare."""
-    longest: dict[tuple[str, str], MethodRuns] = {}
-    for group in sorted(groups, key=lambda group: (-group.curves.steps[-1], len(group.curves.options))):
+    longest: dict[tuple[str, str], Curves] = {}
+    for group in sorted(groups, key=lambda group: (-group.steps[-1], len(group.options))):
         longest.setdefault((group.env, group.algo), group)
     for group in groups:
         own, naive = longest[group.env, group.algo], longest.get((group.env, "naive"))

@@ -16,8 +16,7 @@ from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import is_comparable, published_score, released_curves
-from earl_jax.report.runs import Curves, MethodRuns, common_steps
-from earl_jax.report.scores import seed_scores
+from earl_jax.report.runs import Curves, common_steps
 from earl_jax.report.style import method_title, task_order, task_title
 from earl_jax.report.tables import markdown_table, millions
 
@@ -73,30 +72,27 @@ CLAIM_RULE = (
 )
 
 
-def claims_text(number: int, groups: Sequence[MethodRuns]) -> str:
+def claims_text(number: int, runs: Sequence[Curves]) -> str:
     """Return a table of the tests of the claims about table `number`, and for table 2 what can be counted."""
-    published, ours = claim_rows(number), claim_rows(number, groups)
+    published, ours = claim_rows(number), claim_rows(number, runs)
     pairs = zip(published, ours, strict=True)
     lines = [[*_names(first), *_tests(first), *_tests(second, steps=True)] for first, second in pairs]
     for previous, line in reversed(list(itertools.pairwise(lines))):
         line[0] = "the same" if previous[0] == line[0] else line[0]
     table = f"Claims of the paper's text:\n\n{markdown_table(HEADER, lines)}\n\n{CLAIM_RULE}"
-    return f"{table}\n\n{counted(groups)}" if number == 2 else table
+    return f"{table}\n\n{counted(runs)}" if number == 2 else table
 
 
-def claim_rows(number: int, groups: Sequence[MethodRuns] | None = None) -> list[Row]:
+def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
     """Return a row for each of `CLAIMS` about a table, tested with the first runs of each method, or with the published ones."""
-    curves: dict[tuple[str, str], Curves] = {}
-    for group in groups or ():
-        if is_comparable(group.curves):
-            curves.setdefault((group.env, group.algo), group.curves)
+    first = {(curves.env, curves.algo): curves for curves in reversed(runs or ()) if is_comparable(curves)}
     rows = []
     for claim in (claim for claim in CLAIMS if claim.number == number):
         names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
-        if groups is None:
+        if runs is None:
             tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
         else:
-            tested = _test(claim, [curves.get(name) for name in names])
+            tested = _test(claim, [first.get(name) for name in names])
         rows.append({**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": NOT_RUN, **tested})
     return with_verdicts(rows, family=("text", "env"))
 
@@ -145,11 +141,11 @@ def word(row: Row) -> str:
     return verdict_text(row, words=WORDS if row["second"] else PROGRESS)
 
 
-def counted(groups: Sequence[MethodRuns]) -> str:
-    """Return the claims that count tasks of table 2, and whether they hold for the published scores and for the runs `groups`."""
+def counted(runs: Sequence[Curves]) -> str:
+    """Return the claims that count tasks of table 2, and whether they hold for the published scores and for our `runs`."""
     return (
         f"Two more claims count tasks: naive RL is the best method on {NAIVE_BEST} tasks of table 2, and the ranks of the two "
-        f"settings disagree. In the published tables {_counts(_published())}. In our runs {_counts(_ours(groups))}. "
+        f"settings disagree. In the published tables {_counts(_published())}. In our runs {_counts(_ours(runs))}. "
         "The oracle is left out; a task counts if at least two methods have both scores. These are counts of means, without a "
         "test."
     )
@@ -194,9 +190,9 @@ def _published() -> Iterator[tuple[str, str, float, float]]:
             yield row["env"], row["algo"], scores[0].value, scores[1].value
 
 
-def _ours(groups: Sequence[MethodRuns]) -> Iterator[tuple[str, str, float, float]]:
+def _ours(runs: Sequence[Curves]) -> Iterator[tuple[str, str, float, float]]:
     """Yield the mean scores of the runs that can be compared with the paper's."""
-    for group in groups:
-        if is_comparable(group.curves):
-            continuing = float(table_scores(2, group.curves).mean())
-            yield group.env, group.algo, float(seed_scores(group.curves).mean()), continuing
+    for curves in runs:
+        if is_comparable(curves):
+            deployed, continuing = (float(table_scores(number, curves).mean()) for number in (1, 2))
+            yield curves.env, curves.algo, deployed, continuing

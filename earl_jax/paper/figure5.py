@@ -15,7 +15,7 @@ from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_col
 from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside, released_beside
-from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
+from earl_jax.report.runs import Curves, common_steps, options_text
 from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
     AXES,
@@ -43,34 +43,33 @@ def report(folders: Sequence[Path]) -> Report:
     Raises:
         ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
     """
-    groups = read_methods(folders)
-    options = [f"- {group.env}, {group.label}: {options_text(group.curves.options)}" for group in groups]
-    parts = {"scores": _scores_table(groups), "options": "\n".join(options)}
-    return Report(parts, _draw(groups), {"": list(_points(groups))})
+    runs = read_methods(folders)
+    options = [f"- {curves.env}, {curves.label}: {options_text(curves.options)}" for curves in runs]
+    parts = {"scores": _scores_table(runs), "options": "\n".join(options)}
+    return Report(parts, _draw(runs), {"": list(_points(runs))})
 
 
-def _points(groups: Sequence[MethodRuns]) -> Iterator[Row]:
-    for group in groups:
-        metrics, deployed = group.curves.metrics, group.curves.deployed_metric
+def _points(runs: Sequence[Curves]) -> Iterator[Row]:
+    for curves in runs:
+        metrics, deployed = curves.metrics, curves.deployed_metric
         series = {
             deployed: metrics[deployed], deployed + SMOOTH: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]
         }  # fmt: skip
         for metric, values in series.items():
-            band = interval_of(group.curves, values, metric.removesuffix(SMOOTH))
-            for step, *ends in zip(group.curves.steps.tolist(), *band, strict=True):
-                key = {"env": group.env, "algo": group.label, "step": step, "metric": metric}
-                yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": group.curves.seeds}
+            band = interval_of(curves, values, metric.removesuffix(SMOOTH))
+            for step, *ends in zip(curves.steps.tolist(), *band, strict=True):
+                key = {"env": curves.env, "algo": curves.label, "step": step, "metric": metric}
+                yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": curves.seeds}
 
 
-def _scores_table(groups: Sequence[MethodRuns]) -> str:
+def _scores_table(runs: Sequence[Curves]) -> str:
     header = ["task", "method", "seeds", "steps"]
     header += [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]
     header += ["D(A)", "C(A)", "published C(A)", "J_D", "published J_D"]
-    return markdown_table(header, [_line(group) for group in groups])
+    return markdown_table(header, [_line(curves) for curves in runs])
 
 
-def _line(group: MethodRuns) -> list[str]:
-    curves = group.curves
+def _line(curves: Curves) -> list[str]:
     scores, rewards = curves.metrics[curves.deployed_metric], curves.metrics[CONTINUING]
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():
@@ -78,8 +77,8 @@ def _line(group: MethodRuns) -> list[str]:
     released, digits = released_beside(curves), 3 if curves.deployed_metric == SUCCESS else 1
     texts = [_released_text(number, curves, released, places) for number, places in ((1, digits), (2, 4))]
     return [
-        group.env,
-        group.label,
+        curves.env,
+        curves.label,
         str(curves.seeds),
         f"{curves.steps[-1]:,}",
         *crossings,
@@ -99,28 +98,27 @@ def _released_text(number: int, curves: Curves, released: Curves | None, digits:
     return f"{table_scores(number, released, step).mean():.{digits}f}"
 
 
-def _draw(groups: Sequence[MethodRuns]) -> Any:
-    tasks = grouped(groups, lambda group: (group.env, group.curves.deployed_metric))
+def _draw(runs: Sequence[Curves]) -> Any:
+    tasks = grouped(runs, lambda curves: (curves.env, curves.deployed_metric))
     figure, axes = new_figure(2, len(tasks), (max(4.4 * len(tasks), 7.0), 6.6), sharex="col")
-    palette = colours(group.algo for group in groups)
+    palette = colours(curves.algo for curves in runs)
     for of_task, column in zip(tasks.values(), axes.T, strict=True):
-        for group in of_task:
-            peers = [other.label for other in of_task if other.algo == group.algo]
-            line_style = LINE_STYLES[peers.index(group.label) % len(LINE_STYLES)]
-            _draw_group(column, group, palette[group.algo], line_style)
+        for curves in of_task:
+            peers = [other.label for other in of_task if other.algo == curves.algo]
+            line_style = LINE_STYLES[peers.index(curves.label) % len(LINE_STYLES)]
+            _draw_method(column, curves, palette[curves.algo], line_style)
         _format_column(column, of_task)
     _add_legend(figure, axes)
     return figure
 
 
-def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) -> None:
+def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> None:
     """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
-    curves = group.curves
     drawn = {
         curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
         CONTINUING: curves.metrics[CONTINUING],
     }
-    label = method_title(group.label)
+    label = method_title(curves.label)
     for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
         draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label)
         if final := published_beside(table, curves):
@@ -130,13 +128,13 @@ def _draw_group(column: Any, group: MethodRuns, colour: str, line_style: str) ->
         column[0].plot(step, level, "X", color=colour, markersize=8, markeredgecolor="white", zorder=5)
 
 
-def _format_column(column: Any, of_task: Sequence[MethodRuns]) -> None:
-    rates = of_task[0].curves.deployed_metric == SUCCESS
-    column[0].set(title=task_title(of_task[0].env), ylabel=AXES[of_task[0].curves.deployed_metric])
-    if rates:
+def _format_column(column: Any, of_task: Sequence[Curves]) -> None:
+    metric = of_task[0].deployed_metric
+    column[0].set(title=task_title(of_task[0].env), ylabel=AXES[metric])
+    if metric == SUCCESS:
         column[0].set_ylim(-0.04, 1.04)
     column[1].set_ylabel(AXES[CONTINUING])
-    column[0].set_xlim(0, max(group.curves.steps[-1] for group in of_task))
+    column[0].set_xlim(0, max(curves.steps[-1] for curves in of_task))
     step_axis(column[1])
     for axis in column:
         axis.grid(alpha=0.3)

@@ -38,21 +38,21 @@ def report(number: int, folders: Sequence[Path]) -> Report:
     Raises:
         ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
     """
-    groups = read_methods(folders)
-    rows = paper_rows(number, groups)
+    runs = read_methods(folders)
+    rows = paper_rows(number, runs)
     trained = [row for row in rows if row["seeds"] is not None]
     parts = {
         "heading": HEADINGS[number],
         "description": DESCRIPTIONS[number],
         "cells": _table_by_task(rows),
-        "claims": claims_text(number, groups),
+        "claims": claims_text(number, runs),
         "tests": _tests([row for row in rows if row["p"] is not None]),
         "rule": INTERVAL_RULE,
         "faults": _faults(number, trained),
         "runs": "\n".join(map(_run_note, trained)),
         "missing": _missing(rows),
     }
-    metrics = {(group.env, group.label): group.curves.deployed_metric for group in groups}
+    metrics = {(curves.env, curves.label): curves.deployed_metric for curves in runs}
     return Report(parts, _draw(number, rows, metrics), {"": rows}, "tables")
 
 

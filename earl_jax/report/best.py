@@ -14,7 +14,7 @@ from earl_jax.options.values import COUNT, counted, require
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
-from earl_jax.report.runs import MethodRuns, options_text
+from earl_jax.report.runs import Curves, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import grouped
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
@@ -53,17 +53,17 @@ def best(folders: Sequence[Path], test: Test = "permutation", window: Window = D
     Raises:
         ValueError: a folder holds no run that can be read, or runs of a task are scored by different metrics.
     """
-    tasks = grouped(read_methods(folders, window), lambda group: group.env)
-    return [row for groups in tasks.values() for row in _ranked(groups, test)]
+    tasks = grouped(read_methods(folders, window), lambda curves: curves.env)
+    return [row for runs in tasks.values() for row in _ranked(runs, test)]
 
 
-def _ranked(groups: Sequence[MethodRuns], test: Test) -> list[Row]:
-    if len({group.curves.deployed_metric for group in groups}) > 1:
-        raise InputError(f"runs of {groups[0].env} are scored by success and by return; rank them apart")
-    longest = max(group.curves.steps[-1] for group in groups)
-    pairs = [(group, seed_scores(group.curves)) for group in groups]
-    pairs.sort(key=lambda pair: (pair[0].curves.steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
-    rows = [_row(rank, group, scores) for rank, (group, scores) in enumerate(pairs, 1)]
+def _ranked(runs: Sequence[Curves], test: Test) -> list[Row]:
+    if len({curves.deployed_metric for curves in runs}) > 1:
+        raise InputError(f"runs of {runs[0].env} are scored by success and by return; rank them apart")
+    longest = max(curves.steps[-1] for curves in runs)
+    pairs = [(curves, seed_scores(curves)) for curves in runs]
+    pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
+    rows = [_row(rank, curves, scores) for rank, (curves, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
     for row, scores in tested:
@@ -89,11 +89,11 @@ def _least_p(first: int, second: int, test: Test) -> float:
     return smallest_p(first, second) if test == "permutation" else 0.0
 
 
-def _row(rank: int, group: MethodRuns, scores: np.ndarray) -> Row:
+def _row(rank: int, curves: Curves, scores: np.ndarray) -> Row:
     """Return the row of a run that is not compared."""
-    interval, curves = interval_of(group.curves, scores), group.curves
+    interval = interval_of(curves, scores)
     return {
-        "env": group.env, "rank": rank, "method": group.algo, "label": group.label, "options": options_text(curves.options),
+        "env": curves.env, "rank": rank, "method": curves.algo, "label": curves.label, "options": options_text(curves.options),
         "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
         "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),

@@ -26,7 +26,7 @@ from earl_jax.report.published import (
     released_beside,
     share_text,
 )
-from earl_jax.report.runs import MethodRuns, common_steps
+from earl_jax.report.runs import Curves, common_steps
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, millions, number_text, write
@@ -72,11 +72,11 @@ def compare(
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
-    groups = read_methods(folders, window)
+    runs = read_methods(folders, window)
     if against == "published":
-        rows = published_rows(groups, metric)
+        rows = published_rows(runs, metric)
     else:
-        pairs = [pair for pair in itertools.combinations(groups, 2) if pair[0].env == pair[1].env]
+        pairs = [pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env]
         for first, second in (pair for pair in pairs if not overlap(*pair)):
             apart = f"{first.label} and {second.label} on {first.env} are not compared"
             warnings.warn(f"{apart}: one ends before the other's first evaluation", RunWarning, stacklevel=2)
@@ -89,9 +89,9 @@ def compare(
     return with_verdicts(rows)
 
 
-def overlap(first: MethodRuns, second: MethodRuns) -> bool:
+def overlap(first: Curves, second: Curves) -> bool:
     """Return whether both methods have evaluations up to a common step."""
-    start, end = common_steps(first.curves, second.curves)
+    start, end = common_steps(first, second)
     return start <= end
 
 
@@ -107,50 +107,49 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> li
     return rows
 
 
-def pair_row(first: MethodRuns, second: MethodRuns, metric: str | None = None, age: float = 1.0) -> Row:
+def pair_row(first: Curves, second: Curves, metric: str | None = None, age: float = 1.0) -> Row:
     """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
 
     Raises:
         ValueError: one is scored by success and the other by return.
     """
-    if metric is None and first.curves.deployed_metric != second.curves.deployed_metric:
+    if metric is None and first.deployed_metric != second.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
-    step = int(age * common_steps(first.curves, second.curves)[1])
-    scores, others = (seed_scores(runs.curves, step, metric) for runs in (first, second))
+    step = int(age * common_steps(first, second)[1])
+    scores, others = (seed_scores(curves, step, metric) for curves in (first, second))
     return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
 
-def published_rows(groups: Sequence[MethodRuns], metric: str | None = None) -> list[Row]:
-    """Return the comparisons of each of `groups` with the paper, without an adjusted p; none where the paper has nothing.
+def published_rows(runs: Sequence[Curves], metric: str | None = None) -> list[Row]:
+    """Return the comparisons of each of `runs` with the paper, without an adjusted p; none where the paper has nothing.
 
     They are with the released runs at each of `AGES`, by the deployed score or another `metric`, or with the printed score of
     a task without such runs.
     """
     return [
-        row for group in groups for row in _released_rows(group, metric) or ([] if metric else _printed_rows(group))
+        row for curves in runs for row in _released_rows(curves, metric) or ([] if metric else _printed_rows(curves))
     ]
 
 
-def _released_rows(group: MethodRuns, metric: str | None) -> list[Row]:
+def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
     """Return the comparisons with the released runs at each age that both sides have reached."""
-    released = released_beside(group.curves)
-    if released is None or (metric or group.curves.deployed_metric) not in released.metrics:
+    released = released_beside(curves)
+    if released is None or (metric or curves.deployed_metric) not in released.metrics:
         return []
-    published = MethodRuns(group.env, group.algo, "published", released)
-    first, common = common_steps(group.curves, released)
-    return [pair_row(group, published, metric, age) for age in AGES if first <= age * common]
+    first, common = common_steps(curves, released)
+    published = released._replace(label="published")
+    return [pair_row(curves, published, metric, age) for age in AGES if first <= age * common]
 
 
-def _printed_rows(group: MethodRuns) -> list[Row]:
+def _printed_rows(curves: Curves) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
-    score = published_score("table1", group.env, group.algo) if group.curves.comparable else None
-    sample, length = score and score.sample, (published_steps(group.env) or (0, 0))[0]
+    score = published_score("table1", curves.env, curves.algo) if curves.comparable else None
+    sample, length = score and score.sample, (published_steps(curves.env) or (0, 0))[0]
     if not score or not sample:
         return []
-    step = int(group.curves.steps[-1])
-    scores = seed_scores(group.curves)
-    row = _row(group, step, scores, f"published {score.text}", sample)
-    if group.env in RECONSTRUCTED:
+    step = int(curves.steps[-1])
+    row = _row(curves, step, seed_scores(curves), f"published {score.text}", sample)
+    if curves.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
     elif step < length:
         row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
@@ -158,18 +157,18 @@ def _printed_rows(group: MethodRuns) -> list[Row]:
 
 
 def _row(
-    first: MethodRuns,
+    first: Curves,
     step: int,
     scores: np.ndarray,
     name: str,
     other: np.ndarray | Sample,
     metric: str | None = None,
 ) -> Row:
-    own, test = interval_of(first.curves, scores, metric), comparison_columns(scores, other)
+    own, test = interval_of(first, scores, metric), comparison_columns(scores, other)
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores),
         "other_seeds": test["other_seeds"], "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        **test, "age": 1.0, "mean_over": first.curves.window.text,
+        **test, "age": 1.0, "mean_over": first.window.text,
     }  # fmt: skip
 
 

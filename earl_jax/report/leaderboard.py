@@ -15,7 +15,7 @@ from earl_jax.metrics.phase_stats import ALIVE
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import chosen_words
-from earl_jax.report.runs import Curves, MethodRuns
+from earl_jax.report.runs import Curves
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
 from earl_jax.report.style import grouped
 from earl_jax.report.tables import interval_text, millions, step_interval
@@ -84,14 +84,14 @@ def ranked(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return {env: sorted(members, key=lambda row: -row.score) for env, members in by_task.items()}
 
 
-def run_row(group: MethodRuns, source: str = OURS) -> Row:
+def run_row(curves: Curves, source: str = OURS) -> Row:
     """Return the row of a run: scores by the default `Window`, each with its 95 % interval over seeds."""
-    curves = group.curves._replace(window=DEFAULT)
+    curves = curves._replace(window=DEFAULT)
     deployed, wide = (_score(curves, metric) for metric in (curves.deployed_metric, WIDE))
     alive = curves.metrics[ALIVE][:, -1].mean() if ALIVE in curves.metrics else None
     return Row(
-        env=group.env,
-        method=group.label,
+        env=curves.env,
+        method=curves.label,
         source=source,
         seeds=curves.seeds,
         steps=int(curves.steps[-1]),
@@ -120,4 +120,4 @@ def score_text(env: str, value: float, low: float, high: float) -> str:
 def _score(curves: Curves, metric: str) -> str:
     if metric not in curves.metrics:
         return "-"
-    return score_text(curves.config.env, *interval_of(curves, seed_scores(curves, metric=metric), metric))
+    return score_text(curves.env, *interval_of(curves, seed_scores(curves, metric=metric), metric))

@@ -20,7 +20,7 @@ from earl_jax.report.published import (
     released_beside,
     share_text,
 )
-from earl_jax.report.runs import Curves, MethodRuns, common_steps, options_text
+from earl_jax.report.runs import Curves, common_steps, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import method_order, task_order
 from earl_jax.report.tables import Row
@@ -42,31 +42,31 @@ TESTED = (
 """The columns of the test, which are None without one."""
 
 
-def paper_rows(number: int, groups: Sequence[MethodRuns]) -> list[Row]:
-    """Return the rows of table `number` in the paper's order: those of `groups`, and published ones not run."""
+def paper_rows(number: int, runs: Sequence[Curves]) -> list[Row]:
+    """Return the rows of table `number` in the paper's order: those of `runs`, and published ones not run."""
     names = [(row["env"], row["algo"]) for row in assets.published(f"table{number}")]
-    names += [(group.env, group.algo) for group in groups]
+    names += [(curves.env, curves.algo) for curves in runs]
     rows = []
     for env in task_order(env for env, _ in names):
         for algo in method_order(algo for name, algo in names if name == env):
-            runs = [group for group in groups if (group.env, group.algo) == (env, algo)]
-            rows += [_row(number, env, algo, group) for group in runs or [None]]
+            own = [curves for curves in runs if (curves.env, curves.algo) == (env, algo)]
+            rows += [_row(number, env, algo, curves) for curves in own or [None]]
     with_verdicts([row for row in rows if row["p"] is not None])
     return rows
 
 
-def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> Row:
+def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     table = f"table{number}"
-    score = published_beside(table, group.curves) if group else published_score(table, env, algo)
+    score = published_beside(table, curves) if curves else published_score(table, env, algo)
     low, high = (score and score.interval) or (None, None)
     steps_low, steps_high = published_steps(env) or (None, None)
     row = {
         "env": env,
         "algo": algo,
-        "label": group.label if group else algo,
-        "options": options_text(group.curves.options) if group else None,
-        "chosen": chosen_words(group.curves) if group else None,
-        **_measured(number, group),
+        "label": curves.label if curves else algo,
+        "options": options_text(curves.options) if curves else None,
+        "chosen": chosen_words(curves) if curves else None,
+        **_measured(number, curves),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",
         "published_low": low,
@@ -76,17 +76,17 @@ def _row(number: int, env: str, algo: str, group: MethodRuns | None) -> Row:
         **dict.fromkeys(TESTED),
         "verdict": "-",
     }
-    if group:
-        row |= _test(number, group, score)
+    if curves:
+        row |= _test(number, curves, score)
     return row
 
 
-def _test(number: int, group: MethodRuns, score: PublishedScore | None) -> Row:
+def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
-    curves, released = group.curves, released_beside(group.curves)
+    released = released_beside(curves)
     if released is None:
         step, other = int(curves.steps[-1]), score and score.sample
-        if not other or step < (published_steps(group.env) or (0, 0))[0]:
+        if not other or step < (published_steps(curves.env) or (0, 0))[0]:
             return {}
     else:
         first, step = common_steps(curves, released)
@@ -105,12 +105,11 @@ def table_scores(number: int, curves: Curves, step: int | None = None) -> np.nda
     return curves.metrics[CONTINUING][:, until][:, -1]
 
 
-def _measured(number: int, group: MethodRuns | None) -> Row:
-    """Return the scores of the seeds of `group`, all of them None without a run."""
+def _measured(number: int, curves: Curves | None) -> Row:
+    """Return the scores of the seeds of `curves`, all of them None without a run."""
     names = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
-    if group is None:
+    if curves is None:
         return dict.fromkeys(names)
-    curves = group.curves
     metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
     scores = table_scores(number, curves, step)
     mean, low, high = interval_of(curves, scores, metric)

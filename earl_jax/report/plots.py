@@ -69,11 +69,6 @@ class Line(NamedTuple):
     number: int
 
     @property
-    def env(self) -> str:
-        """The name of its task."""
-        return self.curves.config.env
-
-    @property
     def style(self) -> dict[str, Any]:
         """The colour, and dashes for those beyond ten colours."""
         dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
@@ -119,9 +114,9 @@ def plot_runs(
         raise InputError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
     require("smooth", smooth, COUNT)
     lines = _lines(read_all(folders), names)
-    tasks = task_order(line.env for line in lines)
-    by_task = sorted(lines, key=lambda line: tasks.index(line.env))
-    of_tasks = grouped(by_task, lambda line: (line.env, metric or line.curves.deployed_metric)).values()
+    tasks = task_order(line.curves.env for line in lines)
+    by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
+    of_tasks = grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
     cells = [(group, panel) for group in groups for panel in (PANELS if metric is None else [metric])]
     layout = SIZES[size]
@@ -132,7 +127,7 @@ def plot_runs(
         released = False
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
             released |= _draw_panel(axis, group, panel, smooth, published)
-            names = [task_title(group[0].env)] * (len(tasks) > 1) + [group[0].name] * published
+            names = [task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
             title = layout.wrapped(", ".join(names), columns, TITLE)
             axis.set_title("\n".join(filter(None, (title, PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:

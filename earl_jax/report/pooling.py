@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.report.runs import Columns, Curves, MethodRuns, by_method, read
+from earl_jax.report.runs import Columns, Curves, by_method, read
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
@@ -152,6 +152,6 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 
 
-def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[MethodRuns]:
+def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
     """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
     return by_method(read_all(folders, window))

@@ -143,18 +143,18 @@ def released_curves(env: str, algo: str) -> Curves | None:
 
 def released_beside(curves: Curves) -> Curves | None:
     """Return the released runs of the paper to set beside a run; None if there are none, or it is not comparable."""
-    released = released_curves(curves.config.env, curves.config.algo) if is_comparable(curves) else None
+    released = released_curves(curves.env, curves.algo) if is_comparable(curves) else None
     return released and released._replace(window=curves.window)
 
 
 def is_comparable(curves: Curves) -> bool:
     """Return whether published numbers may stand beside a run: its task, kind of reward and setting are the paper's."""
-    return curves.config.env not in RECONSTRUCTED and curves.comparable
+    return curves.env not in RECONSTRUCTED and curves.comparable
 
 
 def published_beside(table: str, curves: Curves) -> PublishedScore | None:
     """Return the score to set beside a run in `table1` or `table2`, None if there is none or it is not comparable."""
-    return published_score(table, curves.config.env, curves.config.algo) if is_comparable(curves) else None
+    return published_score(table, curves.env, curves.algo) if is_comparable(curves) else None
 
 
 def published_steps(env: str) -> tuple[int, int] | None:

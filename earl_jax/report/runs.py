@@ -25,7 +25,8 @@ SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
 class Curves(NamedTuple):
     """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E].
 
-    `runs` are the folders of the runs that the seeds come from, and `window` has the evaluations that score them.
+    `runs` are the folders of the runs that the seeds come from, and `window` has the evaluations that score them. `label`
+    is their method with the options that tell it from others on the task, where `by_method` has compared them.
     """
 
     config: RunConfig
@@ -33,6 +34,17 @@ class Curves(NamedTuple):
     metrics: dict[str, np.ndarray]
     runs: tuple[RunFolder, ...] = ()
     window: Window = DEFAULT
+    label: str = ""
+
+    @property
+    def env(self) -> str:
+        """The name of the task."""
+        return self.config.env
+
+    @property
+    def algo(self) -> str:
+        """The name of the method."""
+        return self.config.algo
 
     @property
     def deployed_metric(self) -> str:
@@ -89,15 +101,6 @@ class Columns(dict[str, np.ndarray]):
         raise InputError(f"{self._path / METRICS} has no column {name!r}; it has {', '.join(self)}")
 
 
-class MethodRuns(NamedTuple):
-    """The runs of one method on one task; `label` is its name with the options that tell it from others there."""
-
-    env: str
-    algo: str
-    label: str
-    curves: Curves
-
-
 def read(path: Path, window: Window = DEFAULT) -> Curves:
     """Return the curves of one run folder, up to its last complete evaluation.
 
@@ -128,10 +131,10 @@ def labels(runs: Sequence[Curves]) -> list[str]:
     without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
     is not known here.
     """
-    tasks = grouped(runs, lambda curves: curves.config.env)
+    tasks = grouped(runs, lambda curves: curves.env)
     on_task = {env: _differing(members, [curves.task_options for curves in members]) for env, members in tasks.items()}
     found: dict[int, str] = {}
-    for (env, algo), members in grouped(runs, lambda curves: (curves.config.env, curves.config.algo)).items():
+    for (env, algo), members in grouped(runs, lambda curves: (curves.env, curves.algo)).items():
         differing = (on_task[env] - SAME_TASK) | _differing(members, [curves.options for curves in members])
         found |= {id(curves): label(algo, _values(curves, differing)) for curves in members}
     return [found[id(curves)] for curves in runs]
@@ -186,12 +189,11 @@ def _plain(text: str) -> str:
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
-def by_method(runs: Sequence[Curves]) -> list[MethodRuns]:
+def by_method(runs: Sequence[Curves]) -> list[Curves]:
     """Return `runs` with their `labels`, by task and method in the paper's order."""
-    named = zip(runs, labels(runs), strict=True)
-    groups = [MethodRuns(curves.config.env, curves.config.algo, name, curves) for curves, name in named]
-    envs, algos = task_order(group.env for group in groups), method_order(group.algo for group in groups)
-    return sorted(groups, key=lambda group: (envs.index(group.env), algos.index(group.algo)))
+    named = [curves._replace(label=name) for curves, name in zip(runs, labels(runs), strict=True)]
+    envs, algos = task_order(curves.env for curves in runs), method_order(curves.algo for curves in runs)
+    return sorted(named, key=lambda curves: (envs.index(curves.env), algos.index(curves.algo)))
 
 
 def options_text(options: dict[str, Any]) -> str:

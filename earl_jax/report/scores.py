@@ -35,10 +35,10 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
     """
     until = curves.steps <= (curves.steps[-1] if step is None else step)
     if not until.any():
-        raise InputError(f"{curves.config.algo} on {curves.config.env} has no evaluation in the first {step:,} steps")
+        raise InputError(f"{curves.algo} on {curves.env} has no evaluation in the first {step:,} steps")
     steps, values = curves.steps[until], curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(values[:, -curves.window.count(steps) :]).all():
-        raise InputError(f"{metric} of {curves.config.algo} has no value at some evaluations, so it has no score")
+        raise InputError(f"{metric} of {curves.algo} has no value at some evaluations, so it has no score")
     return final_scores(steps, values, curves.window)
 
 
@@ -80,14 +80,14 @@ def crossings_beside(curves: Curves) -> dict[float, int]:
     return {level: int(step.value) for level, step in found.items() if not math.isnan(step.value)}
 
 
-def row_of(curves: Curves, name: str) -> dict[str, Any]:
-    """Return the row of one method under `name`, as `tabulate` describes it."""
+def row_of(curves: Curves) -> dict[str, Any]:
+    """Return the row of one method under its label, as `tabulate` describes it."""
     deployed, continuing = seed_scores(curves), curves.metrics["continuing/reward"][:, -1]
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
     table1, table2 = (published_beside(table, curves) for table in ("table1", "table2"))
     return {
-        "env": curves.config.env,
-        "algo": name,
+        "env": curves.env,
+        "algo": curves.label,
         "options": options_text(curves.options),
         "seeds": len(deployed),
         "diverged": curves.diverged,

@@ -84,13 +84,14 @@ def tabulate(
     """
     runs = read_all(folders, window)
     named = zip(runs, checked_labels(names, labels(runs)), strict=True)
-    return [_metric_row(curves, metric, name) if metric else row_of(curves, name) for curves, name in named]
+    runs = [curves._replace(label=name) for curves, name in named]
+    return [_metric_row(curves, metric) if metric else row_of(curves) for curves in runs]
 
 
-def _metric_row(curves: Curves, metric: str, name: str) -> Row:
+def _metric_row(curves: Curves, metric: str) -> Row:
     interval = interval_of(curves, seed_scores(curves, metric=metric), metric)
     return {
-        "env": curves.config.env, "algo": name, "options": options_text(curves.options), "seeds": curves.seeds,
+        "env": curves.env, "algo": curves.label, "options": options_text(curves.options), "seeds": curves.seeds,
         "steps": int(curves.steps[-1]), "metric": metric, "mean_over": curves.window.text, "mean": interval.value,
         "low": interval.low, "high": interval.high,
     }  # fmt: skip

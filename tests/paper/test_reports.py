@@ -116,7 +116,7 @@ def test_curves_hold_means_and_intervals(files):
 )
 def test_published_crossings_are_drawn_only_beside_the_papers_task_and_setting(tmp_path, changed):
     runs = [(TABLETOP, "fbrl", SCORES, rewards(0.004, **options)) for options in ({"layer_norm": True}, changed)]
-    marks = [crossings_beside(read_methods([path])[0].curves) for path in write_runs(tmp_path, runs)]
+    marks = [crossings_beside(read_methods([path])[0]) for path in write_runs(tmp_path, runs)]
     assert marks == [{0.5: 880_000, 0.9: 2_090_000}, {}]
 
 

@@ -25,12 +25,12 @@ CROWD = 6
 
 def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) -> dict[str, Any]:
     """Return the variables of the template for `lines`, with videos of their `policies`."""
-    titles = [task_title(env) for env in task_order(line.group.env for line in lines)]
+    titles = [task_title(env) for env in task_order(line.curves.env for line in lines)]
     origins = [provenance(run) for line in lines for run in line.runs]
     names = dict.fromkeys(name for origin in origins for name in origin)
     versions = {name: list(dict.fromkeys(origin.get(name, UNKNOWN) for origin in origins)) for name in names}
     shown = videos(lines, policies)
-    tasks = grouped(lines, lambda line: (line.group.env, line.curves.deployed_metric))
+    tasks = grouped(lines, lambda line: (line.curves.env, line.curves.deployed_metric))
     return {
         "heading": ", ".join(titles[:3]) + (f" and {len(titles) - 3} more" if len(titles) > 3 else ""),
         "tasks": [_task_section(f"t{number}", members, shown) for number, members in enumerate(tasks.values())],
@@ -51,7 +51,7 @@ def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str,
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
     return {
         "Runs": f"{sum(len(line.runs) for line in lines)}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
-        "Methods": ", ".join(dict.fromkeys(line.group.algo for line in lines)),
+        "Methods": ", ".join(dict.fromkeys(line.curves.algo for line in lines)),
         "Written": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
         "Hardware": ", ".join(versions["device"]),
         "Commit": ", ".join(map(short_commit, versions["commit"])),
@@ -65,8 +65,8 @@ def _task_section(key: str, lines: Sequence[Line], shown: Sequence[Video]) -> di
     of_task = [video for video in shown if video.line.key in keys]
     return {
         "id": key,
-        "env": lines[0].group.env,
-        "title": task_title(lines[0].group.env),
+        "env": lines[0].curves.env,
+        "title": task_title(lines[0].curves.env),
         "metric": lines[0].curves.deployed_metric,
         "lines": lines,
         "notes": _notes(lines),
@@ -89,10 +89,10 @@ def _notes(lines: Sequence[Line]) -> list[str]:
     for line in lines:
         trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.runs)
         if trained < planned:
-            notes.append(f"{line.group.label}: {trained:,} of {planned:,} steps trained.")
+            notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
         repeated = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)
         if repeated:
-            notes.append(f"{line.group.label}: seed {repeated} was trained in several runs, and each of them counts.")
+            notes.append(f"{line.curves.label}: seed {repeated} was trained in several runs, and each of them counts.")
     return notes
 
 

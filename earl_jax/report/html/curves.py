@@ -12,7 +12,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES
 from earl_jax.report.published import published_beside, published_steps
-from earl_jax.report.runs import Curves, MethodRuns, by_method
+from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
 from earl_jax.report.style import colours, lightened, shaded
 from earl_jax.runs.folder import RunFolder
@@ -31,15 +31,10 @@ class Line(NamedTuple):
     """
 
     key: str
-    group: MethodRuns
+    curves: Curves
     light: str
     dark: str
     dash: str
-
-    @property
-    def curves(self) -> Curves:
-        """The curves of its seeds."""
-        return self.group.curves
 
     @property
     def runs(self) -> tuple[RunFolder, ...]:
@@ -58,12 +53,12 @@ def lines_of(runs: Sequence[Curves]) -> list[Line]:
     Variants of a method have shades of its colour.
     """
     lines: list[Line] = []
-    palette = colours(curves.config.algo for curves in runs)
-    for (_, algo), variants in itertools.groupby(by_method(runs), lambda group: (group.env, group.algo)):
+    palette = colours(curves.algo for curves in runs)
+    for (_, algo), variants in itertools.groupby(by_method(runs), lambda curves: (curves.env, curves.algo)):
         peers = list(variants)
-        for number, group in enumerate(peers):
+        for number, curves in enumerate(peers):
             light = shaded(palette[algo], number, len(peers))
-            lines.append(Line(f"c{len(lines)}", group, light, lightened(light), DASHES[number % len(DASHES)]))
+            lines.append(Line(f"c{len(lines)}", curves, light, lightened(light), DASHES[number % len(DASHES)]))
     return lines
 
 
@@ -128,7 +123,7 @@ def _curve(line: Line, metric: str) -> dict[str, Any]:
     smooth = metric == curves.deployed_metric and count >= 2 * SMOOTH
     return {
         "line": line.key,
-        "label": line.group.label,
+        "label": curves.label,
         "dash": line.dash,
         "x": curves.steps[indices].tolist(),
         "plain": _banded(curves, values[:, indices], metric),
@@ -160,6 +155,6 @@ def _published(line: Line, metric: str) -> dict[str, Any] | None:
     score = published_beside(tables[metric], line.curves)
     if score is None or score.interval is None:
         return {"final": None, "crossings": crossings} if crossings else None
-    steps = published_steps(line.group.env)
+    steps = published_steps(line.curves.env)
     text = score.text + (f" after {steps[0]:,} steps" if steps else "")
     return {"final": [score.value, *score.interval, text], "crossings": crossings}

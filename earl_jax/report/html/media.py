@@ -38,7 +38,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
     try:
         task_map = lines[0].runs[0].config.build_env().map
     except InputError as error:
-        return [], [f"No maps of {lines[0].group.env}: {_cause(error)}."]
+        return [], [f"No maps of {lines[0].curves.env}: {_cause(error)}."]
     if task_map is None:
         return [], []
     drawn, sentences = [], []
@@ -53,7 +53,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
                     )
                 visits.append(counts)
             except Exception as error:  # the files are data: any error in them is reported and affects nothing else
-                sentences.append(f"No map of {line.group.label}: {_cause(error)}.")
+                sentences.append(f"No map of {line.curves.label}: {_cause(error)}.")
         if visits:
             drawn.append(_map(line, task_map, np.concatenate(visits)))
     shares = [share for visit_map in drawn for row in visit_map["plot"]["shares"] for share in row if share]

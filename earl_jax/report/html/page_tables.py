@@ -31,8 +31,8 @@ HEAD = ("seeds × steps", "mean (s.e.)", "95 % of the mean", "published", "verdi
 
 def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
     """Return table `number` of the paper for one task's `lines`, with methods not run and known faults of the published."""
-    env, known = lines[0].group.env, {line.group.label: line for line in lines}
-    rows = [row for row in paper_rows(number, [line.group for line in lines]) if row["env"] == env]
+    env, known = lines[0].curves.env, {line.curves.label: line for line in lines}
+    rows = [row for row in paper_rows(number, [line.curves for line in lines]) if row["env"] == env]
     lead, _, text = HEADINGS[number].partition(": ")
     fault = published_fault(f"table{number}", env)
     note = DESCRIPTIONS[number] + (f" A known fault of the published scores: {fault}" if fault else "")
@@ -66,20 +66,20 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     It takes the paper's tasks, with their own options and in the deployment setting. A row of ours that ships and has the
     method, the numbers and the commit of a line of the page is that run, and is shown once.
     """
-    env = lines[0].group.env
+    env = lines[0].curves.env
     shipped = [row for row in shipped_rows() if row.env == env]
     own = {_board_row(line): line for line in lines if shipped and line.curves.comparable}
     shown = {_identity(row) for row in own}
     rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
     table_rows = [(own.get(row), row.method, row.texts[1:]) for row in rows.get(env, ())]
-    left_out = [line.group.label for line in lines if not line.curves.comparable]
+    left_out = [line.curves.label for line in lines if not line.curves.comparable]
     return {"head": HEADER[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
 
 
 def _board_row(line: Line) -> Row:
     """Return the row of a line, under the name of its method with all of its changed options."""
-    group = line.group
-    return run_row(group._replace(label=label(group.algo, line.curves.options)), HERE)
+    curves = line.curves
+    return run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)
 
 
 def _identity(row: Row) -> tuple[object, ...]:
@@ -92,11 +92,11 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
 
     A pair of which one run ends before the other's first evaluation is left out.
     """
-    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap(*(line.group for line in pair))]
-    tested = with_verdicts([pair_row(first.group, second.group) for first, second in pairs])
+    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap(*(line.curves for line in pair))]
+    tested = with_verdicts([pair_row(first.curves, second.curves) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
     rows = [
-        (line, line.group.label, [cell(row) for _, cell in columns])
+        (line, line.curves.label, [cell(row) for _, cell in columns])
         for (line, _), row in zip(pairs, tested, strict=True)
     ]
     return {"head": [name for name, _ in columns], "rows": rows}
@@ -116,7 +116,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
             values = [scores[lane]]
             values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
             texts = [_typeset(number_text(value, ".4g")) for value in values]
-            rows.append((line, line.group.label, [str(seed), *texts]))
+            rows.append((line, line.curves.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
     return {"head": head, "rows": rows}

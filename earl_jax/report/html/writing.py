@@ -78,7 +78,7 @@ def write_page(
 
 def _check(curves: Curves) -> None:
     """Raise an error if a number of the page cannot be computed from `curves`."""
-    row_of(curves, "")
+    row_of(curves)
     if WIDE in curves.metrics:
         seed_scores(curves, metric=WIDE)
     for metric in (curves.deployed_metric, "interventions"):

@@ -28,7 +28,7 @@ def lines(folders):
 
 
 def test_the_paper_table_has_our_scores_beside_the_published(lines):
-    tabletop, door = ([line for line in lines if line.group.env == env] for env in (TABLETOP, DOOR))
+    tabletop, door = ([line for line in lines if line.curves.env == env] for env in (TABLETOP, DOOR))
     rows = {row["method"]: row for row in cells(paper_table(1, tabletop))}
     fbrl = rows["fbrl"]
     assert (fbrl["mean (s.e.)"], fbrl["seeds × steps"], fbrl["published"]) == (
@@ -52,7 +52,7 @@ def test_the_paper_table_has_the_verdict_on_a_whole_run(tmp_path):
 
 
 def test_the_seed_table_has_the_final_values_of_every_seed(lines):
-    seeds = cells(seed_table([line for line in lines if line.group.label == "fbrl"]))
+    seeds = cells(seed_table([line for line in lines if line.curves.label == "fbrl"]))
     assert (seeds[2]["seed"], seeds[2]["score (success)"]) == ("2", "0.7448")
     assert (seeds[2]["Continuing"], seeds[2]["Requested help"]) == ("0.008", "30")
 
@@ -80,7 +80,7 @@ def test_long_curves_are_thinned_with_both_ends_kept_and_a_band_needs_three_seed
 def test_variants_of_a_method_have_names_shades_and_dashes_of_their_own(tmp_path):
     runs = [write_page_run(tmp_path / str(scale), "fbrl", rising(1, 1), reward_scale=scale) for scale in (3.0, 20.0)]
     lines = read_lines(*runs)
-    assert [line.group.label for line in lines] == ["fbrl (reward_scale=3)", "fbrl (reward_scale=20)"]
+    assert [line.curves.label for line in lines] == ["fbrl (reward_scale=3)", "fbrl (reward_scale=20)"]
     assert [line.dash for line in lines] == ["solid", "dash"]
     assert lines[0].light != lines[1].light
 
