@@ -35,6 +35,8 @@ DESCRIPTIONS = {
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
 CONTINUING = "continuing/reward"
+MEASURED = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
+"""The columns of our scores, which are None without a run."""
 TESTED = (
     "tested_steps", "tested_mean", "other_mean", "other_seeds", "difference", "difference_low", "difference_high", "detectable",
     "p", "p_holm",
@@ -63,10 +65,8 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     row = {
         "env": env,
         "algo": algo,
-        "label": curves.label if curves else algo,
-        "options": options_text(curves.options) if curves else None,
-        "chosen": chosen_words(curves) if curves else None,
-        **_measured(number, curves),
+        "label": algo,
+        **dict.fromkeys(("options", "chosen", *MEASURED)),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",
         "published_low": low,
@@ -77,7 +77,8 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
         "verdict": "-",
     }
     if curves:
-        row |= _test(number, curves, score)
+        row |= {"label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves)}
+        row |= _measured(number, curves) | _test(number, curves, score)
     return row
 
 
@@ -105,16 +106,13 @@ def table_scores(number: int, curves: Curves, step: int | None = None) -> np.nda
     return curves.metrics[CONTINUING][:, until][:, -1]
 
 
-def _measured(number: int, curves: Curves | None) -> Row:
-    """Return the scores of the seeds of `curves`, all of them None without a run."""
-    names = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
-    if curves is None:
-        return dict.fromkeys(names)
+def _measured(number: int, curves: Curves) -> Row:
+    """Return the columns of the scores of the seeds of `curves`."""
     metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
     scores = table_scores(number, curves, step)
     mean, low, high = interval_of(curves, scores, metric)
     values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
-    return dict(zip(names, values, strict=True))
+    return dict(zip(MEASURED, values, strict=True))
 
 
 def share_of_steps(row: Row) -> str:

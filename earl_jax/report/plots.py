@@ -38,8 +38,6 @@ COLOUR_COUNT = 10
 """Colours of matplotlib's cycle."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
-TITLE = 1.2
-"""Size of the text of a title, relative to that of other text."""
 POINTS = 2000
 """Most evaluations drawn of a line, more than a panel has pixels."""
 
@@ -128,7 +126,7 @@ def plot_runs(
         for axis, (group, panel) in zip(axes.flat, cells, strict=False):
             released |= _draw_panel(axis, group, panel, smooth, published)
             names = [task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
-            title = layout.wrapped(", ".join(names), columns, TITLE)
+            title = layout.wrapped(", ".join(names), columns, 1.2)  # as matplotlib enlarges titles
             axis.set_title("\n".join(filter(None, (title, PANELS.get(panel, "")))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
@@ -181,21 +179,15 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict
 
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
-    """Name the lines below the panels, with as many lines of text as their names need there."""
-    entries = {name: line.style for name, line in _legend_entries(lines).items()}
+    """Name the lines below the panels in as many lines of text as needed, with their seeds where all tasks have as many."""
+    entries: dict[str, dict[str, Any]] = {}
+    for line in lines:
+        counts = {other.curves.seeds for other in lines if other.number == line.number}
+        seeds = f", {counted(line.curves.seeds, 'seed')}" if len(counts) == 1 else ""
+        entries.setdefault(line.name + seeds, line.style)
     entries |= {"Published, five seeds": RELEASED} if released else {}
     columns = min(layout.columns, len(entries))
     filled = {layout.wrapped(name, columns): style for name, style in entries.items()}
     height = max(sum(name.count("\n") + 1 for name in list(filled)[i::columns]) for i in range(columns))
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
     legend_below(figure, filled, columns)
-
-
-def _legend_entries(lines: Sequence[Line]) -> dict[str, Line]:
-    """Return a line for each text of the legend: names, with the number of seeds where it is the same on all tasks."""
-    entries: dict[str, Line] = {}
-    for line in lines:
-        counts = {other.curves.seeds for other in lines if other.number == line.number}
-        name = f"{line.name}, {counted(line.curves.seeds, 'seed')}" if len(counts) == 1 else line.name
-        entries.setdefault(name, line)
-    return entries

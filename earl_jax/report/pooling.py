@@ -81,11 +81,7 @@ def gather(
 
 
 def _check_repeated(parts: Sequence[Curves]) -> None:
-    """Check that the last of `parts` has no seed whose numbers another one has too, such as those of a copied folder.
-
-    Raises:
-        ValueError: it has one; the message names the other folder.
-    """
+    """Raise an InputError if the last of `parts` has a seed whose numbers another one has too, as a copied folder would."""
     *others, last = parts
     for other in others:
         for seed in last.config.seeds:

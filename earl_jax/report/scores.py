@@ -19,8 +19,6 @@ LEVELS = (0.5, 0.9)
 """Success rates for which reports give the first step that reaches them."""
 SMOOTH = 10
 """Evaluations in the trailing mean of drawn curves."""
-CONVERGED = 0.25
-"""Share of a run, at its end, over which the converged reward rate is measured."""
 MEANS = {"forward_success": FORWARD, "back_success": BACK, "alive": ALIVE, "still_steps": STILL}
 """By the name of a row's value: the metric of which it is the mean over seeds."""
 
@@ -133,5 +131,5 @@ def _crossing_columns(curves: Curves) -> dict[str, int | None]:
 def steps_per_reward(curves: Curves) -> float | None:
     """Return steps per +1 of task reward in the last quarter of the run, the median over seeds that earn there."""
     recent = curves.metrics["continuing/recent"]
-    rate = recent[:, -max(1, round(CONVERGED * recent.shape[1])) :].mean(axis=1)
+    rate = recent[:, -max(1, round(0.25 * recent.shape[1])) :].mean(axis=1)
     return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None

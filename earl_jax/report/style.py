@@ -36,11 +36,7 @@ PICTURES = (".png", ".pdf", ".svg")
 
 
 def matplotlib() -> Any:
-    """Return the module `matplotlib`.
-
-    Raises:
-        ValueError: it is not installed.
-    """
+    """Return the module `matplotlib`; a ValueError if it is not installed."""
     optional("matplotlib.figure", "plots need", "plot")
     return importlib.import_module("matplotlib")
 

@@ -54,18 +54,10 @@ class Table(NamedTuple):
         notes = "\n".join(wrapped(note, width) for note in self.notes)
         return f"{shown_table(self.header, self.lines, width)}\n\n{notes}"
 
-    def write(self, path: Path) -> None:
-        """Write the table to `path`: LaTeX with the notes as comments (.tex), or markdown above them."""
-        if path.suffix != ".tex":
-            _write(path, f"{self.text()}\n")
-            return
+    def latex(self) -> str:
+        """Return the table in LaTeX, with the notes above it as comments."""
         notes = [f"% {line}" for note in self.notes for line in textwrap.wrap(note, 100)]
-        _write(path, "\n".join([*notes, latex_table(self.header, self.lines), ""]))
-
-
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
+        return "\n".join([*notes, latex_table(self.header, self.lines)])
 
 
 def tabulate(
@@ -160,12 +152,15 @@ def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Tabl
     Raises:
         ValueError: `path` has another suffix.
     """
-    if path.suffix in (".md", ".tex"):
-        table(rows).write(path)
-    elif path.suffix == ".csv":
-        _write(path, csv_text(rows))
-    else:
+    texts = {
+        ".md": lambda: f"{table(rows).text()}\n",
+        ".tex": lambda: f"{table(rows).latex()}\n",
+        ".csv": lambda: csv_text(rows),
+    }
+    if path.suffix not in texts:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(texts[path.suffix]())
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -167,11 +167,7 @@ def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, st
 
 
 def _content(film: Film, room: int) -> tuple[str, bytes]:
-    """Return the type and the content of a video.
-
-    Raises:
-        ValueError: there is no file, it is a link, too large, or more than the `room` that is left on the page.
-    """
+    """Return the type and the content of a video; an InputError if it is no file, or larger than allowed or than `room`."""
     if film.file is None or film.file.is_symlink() or not film.file.is_file():
         raise InputError(film.problem)
     size = film.file.stat().st_size

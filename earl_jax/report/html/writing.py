@@ -87,11 +87,7 @@ def _check(curves: Curves) -> None:
 
 
 def _libraries(out: Path) -> tuple[Any, str]:
-    """Return the environment of templates and plotly.js, with which a page can be written to `out`.
-
-    Raises:
-        ValueError: `out` is not an .html file, or a library is missing.
-    """
+    """Return the environment of templates and plotly.js, with which a page can be written to `out`. Errors as `write_page`."""
     if out.suffix != ".html" or out.is_dir():
         raise InputError(f"{out}: a report is written as an .html file")
     jinja2, plotly = (optional(module, "reports need", "report") for module in ("jinja2", "plotly.offline"))
