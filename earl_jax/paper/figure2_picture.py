@@ -19,8 +19,6 @@ from earl_jax.report.tables import steps_text
 
 PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
 """Colour and line of each TD update by `timeout_bootstrap`."""
-COLOUR_MAP = "viridis"
-"""The colours of the horizons, from the shortest to the longest."""
 
 
 def draw(points: Sequence[Row], curves: Sequence[Row], updates: Mapping[bool, str]) -> Any:
@@ -43,10 +41,10 @@ def draw(points: Sequence[Row], curves: Sequence[Row], updates: Mapping[bool, st
             axis.sharey(line[0])
             axis.grid(alpha=0.3)
             step_axis(axis)
-        for update, name in updates.items():
-            _draw_final(line[-1], _chosen(points, env=env, timeout_bootstrap=update), update, name)
-        _format_final(line[-1], _chosen(points, env=env))
-    _add_legend(figure, axes, horizons)
+        _draw_final(line[-1], _chosen(points, env=env), updates)
+    lines = {f"Reset every {steps_text(horizon)}": {"color": _colour(horizon, horizons)} for horizon in horizons}
+    names = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
+    legend_below(figure, lines | names, -(-(len(horizons) + 2) // 2))
     return figure
 
 
@@ -59,30 +57,21 @@ def _estimates(rows: Sequence[Row]) -> Estimate:
 
 
 def _colour(horizon: int, horizons: Sequence[int]) -> Any:
+    """Return the colour of a horizon, from the darkest of the shortest to the brightest of the longest."""
     from matplotlib import colormaps
 
-    return colormaps[COLOUR_MAP](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
+    return colormaps["viridis"](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
 
 
-def _draw_final(axis: Any, rows: Sequence[Row], update: bool, name: str) -> None:
-    """Draw one update's final returns, moved sideways a little so that the intervals of both updates can be seen."""
-    colour, style = PLOT_STYLES[update]
-    estimate = _estimates(rows)
-    horizons = [row["train_horizon"] * (1.03 if update else 0.97) for row in rows]
-    options = {"color": colour, "label": name, "capsize": 3, "markersize": 5}
-    axis.errorbar(horizons, estimate.value, reach(estimate), fmt=style, **options)
-
-
-def _format_final(axis: Any, rows: Sequence[Row]) -> None:
+def _draw_final(axis: Any, rows: Sequence[Row], updates: Mapping[bool, str]) -> None:
+    """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
+    for update, name in updates.items():
+        part, (colour, style) = _chosen(rows, timeout_bootstrap=update), PLOT_STYLES[update]
+        estimate, x = _estimates(part), column(part, "train_horizon") * (1.03 if update else 0.97)
+        axis.errorbar(x, estimate.value, reach(estimate), fmt=style, color=colour, label=name, capsize=3, markersize=5)
     title = f"{task_title(rows[0]['env'])}, final"
     axis.set(title=title, xscale="log", xlabel="Steps between resets", ylabel="Final return")
     ticks = sorted({row["train_horizon"] for row in rows})
     axis.set_xticks(ticks, [steps_text(horizon) for horizon in ticks])
     axis.set_xticks([], minor=True)
     axis.grid(alpha=0.3)
-
-
-def _add_legend(figure: Any, axes: Any, horizons: Sequence[int]) -> None:
-    lines = {f"Reset every {steps_text(horizon)}": {"color": _colour(horizon, horizons)} for horizon in horizons}
-    updates = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
-    legend_below(figure, lines | updates, -(-(len(horizons) + 2) // 2))

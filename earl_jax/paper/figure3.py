@@ -84,12 +84,15 @@ def report_of(maps: Sequence[VisitMap]) -> Report:
     envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
     maps = [by_name[name] for env in envs for algo in algos if (name := (env, algo)) in by_name]
     rows = [row for part in maps for row in seed_rows(part)]
+    missing = {env: [algo for algo in METHODS if (env, algo) not in by_name] for env in envs}
     parts = {
         "radii": ", ".join(f"{radius} m ({env})" for env, radius in GOAL_RADIUS.items()),
         "measures": _measures_table(rows),
         "level": str(LEVEL),
         "verdicts": _verdicts_table(verdicts(rows)),
-        "missing": "\n\n".join(filter(None, (_missing(rows, env) for env in envs))),
+        "missing": "\n\n".join(
+            f"No test on {env}: no map of {' or '.join(names)}." for env, names in missing.items() if names
+        ),
         "threshold": str(THRESHOLD),
     }
     return Report(parts, _draw(maps), {"": rows, "_visits": [row for part in maps for row in _visit_rows(part)]})
@@ -156,18 +159,11 @@ def _verdicts_table(results: Sequence[Row]) -> str:
     return markdown_table(header, lines)
 
 
-def _missing(rows: Sequence[Row], env: str) -> str:
-    missing = [algo for algo in METHODS if (env, algo) not in grouped(rows, "env", "algo")]
-    return f"No test on {env}: no map of {' or '.join(missing)}." if missing else ""
-
-
 def _draw(maps: Sequence[VisitMap]) -> Any:
-    """Return a figure with a row per task and a column per method, one logarithmic colour scale per row.
-
-    The last column is the difference of `PAIR`.
-    """
+    """Return a figure with a row per task, a column per method and one of the difference of `PAIR`; each row has a scale."""
     algos, tasks = method_order(part.algo for part in maps), {part.env: part.map for part in maps}
-    heights = [_relative_height(task_map) for task_map in tasks.values()]
+    sizes = [np.ptp(task_map.bounds, axis=0) for task_map in tasks.values()]
+    heights = [float(np.clip(height / width, 0.4, 1.6)) for width, height in sizes]
     size = (3.4 * (len(algos) + 1) + 1.4, sum(3.1 * height + 0.7 for height in heights))
     figure, axes = new_figure(len(tasks), len(algos) + 1, size, gridspec_kw={"height_ratios": heights})
     from matplotlib.cm import ScalarMappable
@@ -195,12 +191,6 @@ def difference(oracle: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return in which bins [B, B] the shares of visits of a method are larger: 1 `oracle`, -1 `other`, 0 below the threshold."""
     change = oracle - other
     return np.sign(change) * (np.abs(change) > THRESHOLD / change.size)
-
-
-def _relative_height(task_map: Map) -> float:
-    low, high = np.asarray(task_map.bounds)
-    width, height = high - low
-    return float(np.clip(height / width, 0.4, 1.6))
 
 
 def _colour_norm(maps: Sequence[np.ndarray]) -> Any:

@@ -23,8 +23,6 @@ from earl_jax.training import evaluate
 
 METHODS = ("fbrl", "vaprl", "oracle")
 EPISODES = 100
-FEW = 10
-"""Fewer seeds than this make a bootstrap interval unreliable."""
 FEW_SEEDS = "The interval of a drop, by the bootstrap, is too narrow with fewer than ten seeds."
 COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 
@@ -102,7 +100,7 @@ def _parts(methods: Sequence[Row]) -> dict[str, str]:
     return {
         "drops": markdown_table(header, lines),
         "missing": f"Published, but not run: {', '.join(missing)}." if missing else "",
-        "few_seeds": FEW_SEEDS if any(row["seeds"] < FEW for row in methods) else "",
+        "few_seeds": FEW_SEEDS if any(row["seeds"] < 10 for row in methods) else "",
     }
 
 

@@ -45,7 +45,9 @@ def report(folders: Sequence[Path]) -> Report:
     """
     runs = read_methods(folders)
     options = [f"- {curves.env}, {curves.label}: {options_text(curves.options)}" for curves in runs]
-    parts = {"scores": _scores_table(runs), "options": "\n".join(options)}
+    crossings = [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]
+    header = ["task", "method", "seeds", "steps", *crossings, "D(A)", "C(A)", "published C(A)", "J_D", "published J_D"]
+    parts = {"scores": markdown_table(header, [_line(curves) for curves in runs]), "options": "\n".join(options)}
     return Report(parts, _draw(runs), {"": list(_points(runs))})
 
 
@@ -62,14 +64,8 @@ def _points(runs: Sequence[Curves]) -> Iterator[Row]:
                 yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": curves.seeds}
 
 
-def _scores_table(runs: Sequence[Curves]) -> str:
-    header = ["task", "method", "seeds", "steps"]
-    header += [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]
-    header += ["D(A)", "C(A)", "published C(A)", "J_D", "published J_D"]
-    return markdown_table(header, [_line(curves) for curves in runs])
-
-
 def _line(curves: Curves) -> list[str]:
+    """Return the line of a run in the table of scores."""
     scores, rewards = curves.metrics[curves.deployed_metric], curves.metrics[CONTINUING]
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():

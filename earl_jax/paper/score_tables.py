@@ -128,7 +128,11 @@ def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], st
     for of_task, axis in zip(tasks, axes.flat, strict=False):
         _draw_task(axis, of_task, palette)
     figure.suptitle(HEADINGS[number])
-    _add_legend(figure)
+    from matplotlib.patches import Patch
+
+    ours, published = {"marker": "o", "color": "black", "linewidth": 1.8}, Patch(color="0.6", alpha=0.45)
+    entries = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
+    legend_below(figure, entries, 2, fontsize="small")
     return figure
 
 
@@ -155,15 +159,6 @@ def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
     if row["mean"] is not None:
         interval = reach(estimate_of(row, "mean"))
         axis.errorbar(position, row["mean"], interval, fmt="o", color=colour, capsize=4, linewidth=1.8, markersize=6)
-
-
-def _add_legend(figure: Any) -> None:
-    from matplotlib.patches import Patch
-
-    ours = {"marker": "o", "color": "black", "linewidth": 1.8}
-    published = Patch(color="0.6", alpha=0.45)
-    entries = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
-    legend_below(figure, entries, 2, fontsize="small")
 
 
 TABLE1, TABLE2 = (

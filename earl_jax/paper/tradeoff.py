@@ -52,8 +52,6 @@ NAMES = {"epsilon": "at random", "budget": "on request"}
 """What the picture calls them."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
-LEAST = 0.001
-"""The least p that is printed as a number."""
 WORDS = {"above": "help", "below": "hurt"}
 """What more interventions do, by the verdict on the correlation."""
 Lines = dict[tuple[Any, ...], list[list[Row]]]
@@ -159,7 +157,7 @@ def _findings_table(lines: Lines) -> str:
             " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
             for score, style in (("interventions", ",.0f"), ("final", ".3f"))
         ]
-        p_texts = [number_text(test[p], ".3f", LEAST) for p in ("p", "p_holm")]
+        p_texts = [number_text(test[p], ".3f", 0.001) for p in ("p", "p_holm")]
         seeds = sum(map(len, line))
         found = CANNOT_TELL + (f"; {_detectable(seeds):.2f} would be found" if seeds > 3 else ": fewer than four seeds")
         rows.append([*name, *ends, number_text(test["difference"], ".3f"), *p_texts, WORDS.get(test["verdict"], found)])
