@@ -95,7 +95,8 @@ def block_specs(block: dict[str, Any]) -> Iterator[RunSpec]:
         schedule = preset.schedule.changed(**{key: block[key] for key in FIELDS if key in block})
         schedule.check()
         seeds = seed_list(block.get("seeds", preset.seeds))
-        alternatives = _alternatives({**_as_toml(preset.options), **options_of(block)})
+        own = {name: [list(value)] if isinstance(value, tuple) else value for name, value in preset.options.items()}
+        alternatives = _alternatives({**own, **options_of(block)})  # a list in it holds alternatives
         for algo, *values in itertools.product(algos, *alternatives.values()):
             options = dict(zip(alternatives, values, strict=True))
             yield RunSpec(env=env, algo=algo, options=options, seeds=seeds, schedule=schedule)
@@ -107,11 +108,6 @@ def options_of(block: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(options, dict):
         raise InputError("options must be a table: [options]")
     return options
-
-
-def _as_toml(options: dict[str, Any]) -> dict[str, Any]:
-    """Return `options` as a grid has them: a list holds alternatives, of which each value is one."""
-    return {name: [list(value)] if isinstance(value, tuple) else value for name, value in options.items()}
 
 
 def _names(block: dict[str, Any], key: str) -> list[str]:

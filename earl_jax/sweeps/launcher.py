@@ -81,7 +81,10 @@ def sweep(
     if stopped_by:
         emit("stopped; repeat the command to continue")
         raise Stopped(stopped_by, outcome)
-    emit(_summary(outcome, len(states), len(plan["finished"]), limit))
+    before, unfinished = len(plan["finished"]), len(outcome.unfinished)
+    done = f"{before} done before, {len(states) - unfinished - failed} done now, {failed} failed"
+    rest = f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else ""
+    emit(f"{counted(before + len(states), 'run')}: {done}{rest}")
     return outcome
 
 
@@ -157,11 +160,3 @@ def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> tu
             states[event["run"]] = state
             emit(f"{state:<10} {event['run']}  {event['detail']}".rstrip())
     return states, workers.signal
-
-
-def _summary(outcome: Outcome, count: int, finished: int, limit: TimeLimit | None) -> str:
-    """Return the outcome of `count` runs as one line; `finished` further runs were done before."""
-    unfinished = len(outcome.unfinished)
-    done = count - unfinished - outcome.failed
-    line = f"{counted(finished + count, 'run')}: {finished} done before, {done} done now, {outcome.failed} failed"
-    return line + (f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else "")

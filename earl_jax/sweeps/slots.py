@@ -19,9 +19,7 @@ MOST = 48
 """The number of programs that MPS serves on a GPU."""
 SHARED_FRACTION = 0.92
 """The part of a GPU's memory that several programs share; their CUDA contexts and MPS take some of the rest."""
-CUDA_PLUGIN = "xla_cuda*"
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/gpus")
-SMI_SECONDS = 30
 GAINS: dict[str, dict[tuple[int, int], float]] = {
     "tabletop_organization": {(2, 8): 1.302, (4, 4): 1.573},
     "sawyer_door": {(2, 8): 1.4, (4, 4): 1.71},
@@ -134,7 +132,7 @@ def cuda_plugin() -> Path | None:
     """Return the folder of jax's installed CUDA plugin, without importing jax; None if there is none."""
     spec = importlib.util.find_spec("jax_plugins")
     parents = spec.submodule_search_locations if spec is not None else None
-    return next((folder for parent in parents or [] for folder in sorted(Path(parent).glob(CUDA_PLUGIN))), None)
+    return next((folder for parent in parents or [] for folder in sorted(Path(parent).glob("xla_cuda*"))), None)
 
 
 def visible_gpus(environment: Mapping[str, str]) -> list[str]:
@@ -155,7 +153,7 @@ def visible_gpus(environment: Mapping[str, str]) -> list[str]:
 def _count_gpus() -> int:
     """Return the number of GPUs that nvidia-smi lists, or the driver where there is no nvidia-smi."""
     try:
-        listing = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=SMI_SECONDS)
+        listing = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=30)
     except (OSError, subprocess.SubprocessError):
         return len(list(NVIDIA_DRIVER.iterdir())) if NVIDIA_DRIVER.is_dir() else 0
     return sum(line.startswith("GPU ") for line in listing.stdout.splitlines()) if listing.returncode == 0 else 0
