@@ -136,11 +136,7 @@ def replacing(path: Path) -> Iterator[None]:
 
 
 def parse_minutes(text: str | None) -> TimeLimit | None:
-    """Return the time limit of `--minutes`, from now on.
-
-    Raises:
-        ValueError: `text` is not a positive finite number.
-    """
+    """Return the time limit of `--minutes`, from now on; a ValueError if `text` is not a positive finite number."""
     try:
         minutes = None if text is None else float(text)
     except ValueError:

@@ -91,18 +91,15 @@ def _options(cls: type) -> dict[str, dict[str, Any]]:
     options = {}
     for field in dataclasses.fields(cls):
         about = (sentence for sentence in sentences if re.search(rf"`{field.name}[`=]", sentence))
+        kind = field.type if isinstance(field.type, str) else inspect.formatannotation(field.type)
         interval, choices = field.metadata.get("interval"), list(literals(cls).get(field.name, []))
         options[field.name] = {
-            "type": "str" if choices else _type_text(field.type),
+            "type": "str" if choices else kind,
             "default": None if field.default is dataclasses.MISSING else np.asarray(field.default).tolist(),
             "valid": interval.text if interval else choices or None,
             "meaning": meanings.get(field.name) or next(about, ""),
         }
     return options
-
-
-def _type_text(kind: Any) -> str:
-    return kind if isinstance(kind, str) else inspect.formatannotation(kind)
 
 
 def _summary_and_details(cls: type) -> tuple[str, list[str]]:

@@ -100,18 +100,14 @@ def _overview(everything: dict[str, Any]) -> str:
     for kind in ("tasks", "methods"):
         size = min(max(10, *map(len, everything[kind])), LONGEST)
         for number, described in enumerate(everything[kind].values()):
+            package = described.get("package", "earl_jax")
+            summary = described.get("error") or described["summary"] + f" From {package}." * (package != "earl_jax")
             start = f"{kind if number == 0 else '':<9}{described['name']:<{size}}  "
             room = max(WIDTH - len(start), WIDTH // 4)
-            lines.append(start + textwrap.shorten(_summary(described), room, placeholder="..."))
+            lines.append(start + textwrap.shorten(summary, room, placeholder="..."))
         lines.append("")
     lines += [f"{kind:<9}{', '.join(everything[kind])}" for kind in ("learners", "presets")]
     return "\n".join([*lines, MORE])
-
-
-def _summary(described: dict[str, Any]) -> str:
-    """Return what a name stands for in a sentence, with the package that brings it, or the error of its class."""
-    package = described.get("package", "earl_jax")
-    return described.get("error") or described["summary"] + (f" From {package}." if package != "earl_jax" else "")
 
 
 def _details(described: dict[str, Any]) -> str:

@@ -25,7 +25,6 @@ from earl_jax.runs.files import opened
 Arrays = dict[str, Any]
 """NumPy arrays by their names."""
 FILE, STEP = "arrays.npz", "step"
-KEPT = 2
 LONGEST_READ = 1 << 20
 
 
@@ -115,7 +114,7 @@ def _manager(folder: Path) -> Iterator[ocp.CheckpointManager]:
     host = jax.process_index()
     one_host = {"primary_host": host, "active_processes": {host}, "barrier_sync_key_prefix": f"host{host}"}
     options = ocp.CheckpointManagerOptions(
-        max_to_keep=KEPT,
+        max_to_keep=2,
         step_format_fixed_length=9,
         create=False,
         save_root_metadata=False,

@@ -213,11 +213,7 @@ class RunConfig:
         return self.build_setting().protocol(env, self.eval_every, self.eval_episodes)
 
     def checkpoint_due(self, step: int) -> bool:
-        """Return whether a checkpoint follows the evaluation at `step`.
-
-        It does if a multiple of `checkpoint_every` has been passed since the previous evaluation, and at the end of the
-        run.
-        """
+        """Return whether a run ends at `step`, or has passed a multiple of `checkpoint_every` since the last evaluation."""
         passed = step // self.checkpoint_every > (step - self.eval_every) // self.checkpoint_every
         return passed or step == self.steps
 

@@ -52,11 +52,7 @@ def check_local(path: Path) -> None:
 
 @contextlib.contextmanager
 def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> Iterator[BinaryIO]:
-    """Open the regular file at `path`.
-
-    Raises:
-        ValueError: a link, a pipe or a folder is there.
-    """
+    """Open the regular file at `path`; a ValueError if a link, a pipe or a folder is there."""
     with contextlib.ExitStack() as stack:
         try:
             handle = stack.enter_context(open(path, mode, opener=_open_unfollowed))
@@ -160,11 +156,7 @@ def _lock(number: int, path: Path) -> None:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return `folder/name`, which need not exist.
-
-    Raises:
-        ValueError: the path is outside `folder`, or a link in it leads to itself.
-    """
+    """Return `folder/name`, which need not exist; a ValueError if it is outside `folder`, or a link in it leads to itself."""
     path = folder / name
     try:
         is_outside = not path.resolve().is_relative_to(folder.resolve())

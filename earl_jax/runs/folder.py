@@ -97,11 +97,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
-        """Return the run folder at `path`.
-
-        Raises:
-            ValueError: its config is missing or invalid; the message names runs in it.
-        """
+        """Return the run folder at `path`; a ValueError if its config is missing or invalid, which names runs in it."""
         file = path / CONFIG
         if not os.path.lexists(file):
             inside = sorted(str(found.parent) for found in path.glob(f"*/{CONFIG}"))[:3]
@@ -186,11 +182,7 @@ class RunFolder:
         return table
 
     def table_until(self, step: int) -> Table:
-        """Drop the rows after `step`, which a resumed run writes again, and return the table of the remaining ones.
-
-        Raises:
-            ValueError: a row up to `step` is damaged or missing.
-        """
+        """Drop the rows after `step`, which a resumed run writes again, and return the table of the others. Errors as `table`."""
         table = self._table(step).until(step)
         count = len(table.steps) * len(self.config.seeds)
         if self.metrics.exists():
@@ -245,11 +237,7 @@ def _require_free(path: Path, overwrite: bool) -> None:
 
 
 def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
-    """Return the config in `file`, a config.json, and the names of the run's logs.
-
-    Raises:
-        ValueError: the file is invalid; the message gives the cause.
-    """
+    """Return the config in `file`, a config.json, and the names of the run's logs; a ValueError says what is invalid."""
     try:
         values = json.loads(read_bytes(file, LARGEST_CONFIG))
         if values.get("format", ...) not in (2, FORMAT):

@@ -29,11 +29,7 @@ class NumpyPolicy:
         return f"NumpyPolicy(obs [..., {obs_size}] -> action [..., {self.action_size}], {layers})"
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return the greedy action [..., a] at `obs [..., o]`.
-
-        Raises:
-            ValueError: `obs` has another size.
-        """
+        """Return the greedy action [..., a] at `obs [..., o]`; a ValueError if `obs` has another size."""
         x, size = np.asarray(obs, np.float32), len(self.layers[0][0]) - (self.budget_at is not None)
         if x.shape[-1:] != (size,):
             raise ValueError(f"obs has shape {x.shape}, this policy takes (..., {size})")
