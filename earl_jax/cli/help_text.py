@@ -11,7 +11,6 @@ import tyro
 NO_DEFAULTS = (None, (), inspect.Parameter.empty)
 VALUES = {
     "algo": "METHOD",
-    "camera": "NAME",
     "config": "RUN",
     "engine": "ENGINE",
     "env": "TASK",
@@ -19,7 +18,6 @@ VALUES = {
     "folders": "FOLDER",
     "grid": "FILE",
     "hosts": "HOSTS",
-    "labels": "NAME",
     "metric": "COLUMN",
     "policy": "METHOD",
     "set": "NAME=VALUE",

@@ -155,11 +155,7 @@ def _refuse_changes(env: str | None, **given: Any) -> None:
 
 
 def _of_run(path: Path) -> tuple["Env", "Method", "Setting", tuple[int, ...], Schedule]:
-    """Return the task, the method, the setting, the seeds and the schedule of the run at `path`.
-
-    Raises:
-        ValueError: there is no valid config at `path`.
-    """
+    """Return the task, method, setting, seeds and schedule of the run at `path`; a ValueError without a valid config there."""
     from earl_jax.runs.contents import CONFIG
     from earl_jax.runs.folder import RunFolder, read_config, require_same_settings
 
@@ -209,10 +205,7 @@ def _video_logs(count: int | None) -> list["VideoLog"]:
 
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
-    """Print the score of `result`, and how to continue it after a time limit.
-
-    Before the first evaluation there is no score.
-    """
+    """Print the score of `result`, if it has an evaluation, and how to continue it after a time limit."""
     from earl_jax.training.stopping import resume_command
 
     values, text = _score(result) if len(result.steps) else ({}, "no evaluation yet")

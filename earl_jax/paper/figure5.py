@@ -38,11 +38,7 @@ LETTERS = 40
 
 
 def report(folders: Sequence[Path]) -> Report:
-    """Return the learning curves of run folders, with rows of the mean and its interval at every evaluation.
-
-    Raises:
-        ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
-    """
+    """Return the learning curves of run folders, with rows of their means. Errors as `read_methods` and `new_figure`."""
     runs = read_methods(folders)
     options = [f"- {curves.env}, {curves.label}: {options_text(curves.options)}" for curves in runs]
     crossings = [text for level in LEVELS for text in (f"to {level}", f"published to {level}")]

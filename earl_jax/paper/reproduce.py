@@ -34,10 +34,7 @@ ARTEFACTS = {made.name: made for made in (TABLE1, TABLE2, FIGURE2, FIGURE3, FIGU
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """The size of the runs of a result: `share` of its published steps, or `steps`, for `seeds` seeds.
-
-    `options` hold for all of them.
-    """
+    """The size of the runs of a result: `share` of its published steps, or `steps`, for `seeds` seeds, all with `options`."""
 
     seeds: int
     share: float = 1.0

@@ -33,11 +33,7 @@ LONGEST = 40
 
 
 def report(number: int, folders: Sequence[Path]) -> Report:
-    """Return table `number` of the paper (1 or 2) from run folders.
-
-    Raises:
-        ValueError: a folder is no run or has no evaluation, or matplotlib is not installed.
-    """
+    """Return table `number` of the paper (1 or 2) from run folders. Errors as `read_methods` and `new_figure`."""
     runs = read_methods(folders)
     rows = paper_rows(number, runs)
     trained = [row for row in rows if row["seeds"] is not None]

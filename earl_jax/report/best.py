@@ -72,9 +72,8 @@ def _ranked(runs: Sequence[Curves], test: Test) -> list[Row]:
         row |= {name: value for name, value in columns.items() if name in row}
         row["least_p"] = _least_p(len(leader), len(scores), test)
     family = sum(not math.isnan(row["p"]) for row, _ in tested)
-    for row, _ in tested:
-        row["least_p"] = min(row["least_p"] * family, 1.0)  # nan stays
     for row in with_verdicts([row for row, _ in tested]):
+        row["least_p"] = min(row["least_p"] * family, 1.0)  # nan stays
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
     tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
     for row in tied:

@@ -146,10 +146,7 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
 
 
 def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, published: bool) -> bool:
-    """Draw one metric of `lines` of a task; with `published`, each seed of a line, over those of the paper.
-
-    Returns whether there were any of the paper.
-    """
+    """Draw a metric of `lines`, if `published` each seed over those of the paper, and return whether there were any of these."""
     beside = False
     metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:

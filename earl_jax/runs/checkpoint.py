@@ -59,11 +59,7 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
 
 
 def try_out(folder: Path) -> None:
-    """Write a checkpoint without arrays below `folder`, read it and remove it.
-
-    Raises:
-        OSError: `folder` can hold no checkpoints, for its name, its file system or its permissions.
-    """
+    """Write a checkpoint without arrays below `folder`, read it and remove it; an OSError if the folder can hold none."""
     from earl_jax.runs import archive
 
     try:

@@ -120,9 +120,7 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str,
 
     Keys: `out`, the folder; `imports`, the files that workers run first; `finished`; `groups`, each with the configs of its
     `runs` by name, its `lanes`, the `step` from which they continue, their `steps` and `replay_bytes`.
-
-    Raises:
-        ValueError: as `sweep`.
+    Errors as `sweep`.
     """
     files = [{**record, "file": os.path.abspath(record["file"])} for record in imports.records()]
     task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes, "imports": files}

@@ -24,11 +24,7 @@ DIGITS = 5
 
 
 class Line(NamedTuple):
-    """One method on one task.
-
-    `key` identifies it on the page. `light` and `dark` are its colours on a light and on a dark page, `dash` its
-    line style.
-    """
+    """The `curves` of a method by `key` on the page, with their colours on a `light` and a `dark` page and line style `dash`."""
 
     key: str
     curves: Curves
@@ -48,10 +44,7 @@ class Line(NamedTuple):
 
 
 def lines_of(runs: Sequence[Curves]) -> list[Line]:
-    """Return a line for each of `runs`, by task and method in the paper's order.
-
-    Variants of a method have shades of its colour.
-    """
+    """Return a line for each of `runs`, in the paper's order; variants of a method have shades of its colour."""
     lines: list[Line] = []
     palette = colours(curves.algo for curves in runs)
     for (_, algo), variants in itertools.groupby(by_method(runs), lambda curves: (curves.env, curves.algo)):

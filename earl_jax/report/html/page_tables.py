@@ -88,10 +88,7 @@ def _identity(row: Row) -> tuple[object, ...]:
 
 
 def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the tests of differences between the deployed scores of one task's `lines`, a row for each pair.
-
-    A pair of which one run ends before the other's first evaluation is left out.
-    """
+    """Return the tests of differences between deployed scores of one task's `lines`, a row for each pair that `overlap`s."""
     pairs = [pair for pair in itertools.combinations(lines, 2) if overlap(*(line.curves for line in pair))]
     tested = with_verdicts([pair_row(first.curves, second.curves) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
@@ -103,10 +100,7 @@ def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the final values of every seed of one task's `lines`, a row for each.
-
-    After the seed come its score and the last values of `PANELS`.
-    """
+    """Return for every seed of one task's `lines` a row of its score and the last values of `PANELS`."""
     panels = [panel for panel in PANELS if panel.metric and any(panel.metric in line.curves.metrics for line in lines)]
     rows = []
     for line in lines:
