@@ -22,82 +22,10 @@ REGISTRY = ConstructorRegistry()
 """The types that the parser of commands reads in another way than tyro."""
 
 Positional = tyro.conf.Positional
-JSON = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout.")]
-Engine = Annotated[
-    str | None,
-    tyro.conf.arg(
-        help="Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
-    ),
-]
 Texts = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
 """Several texts, in one argument or in several of the same name."""
-Set = Annotated[Texts, tyro.conf.arg(help="Options of the task, the setting or the method as name=value pairs.")]
+Logs = Annotated[tuple[tuple[Literal["tensorboard", "wandb"], ...], ...], tyro.conf.UseAppendAction]
 Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
-Devices = Annotated[
-    int | None,
-    tyro.conf.arg(help="Number of devices that share the lanes. By default one, or all devices of several hosts."),
-]
-PerDevice = Annotated[
-    int | Literal["auto"] | None,
-    tyro.conf.arg(
-        metavar="INT|auto",
-        help="Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "
-        "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU.",
-    ),
-]
-Hosts = Annotated[
-    str | None,
-    tyro.conf.arg(
-        help="Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER. "
-        "By default there is one."
-    ),
-]
-Minutes = Annotated[
-    str | None,
-    tyro.conf.arg(
-        metavar="MINUTES",
-        help="Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "
-        "runs out, with a checkpoint and exit code 0. By default there is none.",
-    ),
-]
-Logs = Annotated[
-    tuple[tuple[Literal["tensorboard", "wandb"], ...], ...],
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(
-        metavar="{tensorboard,wandb} ...",
-        help="Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
-    ),
-]
-Slurm = Annotated[
-    Texts, tyro.conf.arg(help="Options of sbatch as name=value pairs: time (minutes), partition, ... By default none.")
-]
-Labels = Annotated[
-    Texts,
-    tyro.conf.arg(
-        help="Names of the lines, one for each, in the order in which they are shown. By default method and options."
-    ),
-]
-Metric = Annotated[
-    str | None,
-    tyro.conf.arg(
-        help="Column of metrics.csv to show, such as interventions. By default the deployed and continuing scores."
-    ),
-]
-
-
-Last = Annotated[
-    int | None,
-    tyro.conf.arg(
-        help="Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. "
-        "1 is the paper's last policy."
-    ),
-]
-WindowSteps = Annotated[
-    int | None,
-    tyro.conf.arg(
-        metavar="STEPS", help="Steps at the end of a run whose evaluations its score averages, instead of --last."
-    ),
-]
 
 
 @REGISTRY.primitive_rule

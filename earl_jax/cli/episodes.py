@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from earl_jax.cli.arguments import Engine, Positional, replacing
+from earl_jax.cli.arguments import Positional, replacing
 from earl_jax.errors import InputError
 
 
@@ -43,7 +43,7 @@ def render(
     print(path)
 
 
-def demos(env: Positional[str], out: Path, seed: int = 0, engine: Engine = None) -> None:
+def demos(env: Positional[str], out: Path, seed: int = 0, engine: str | None = None) -> None:
     """Record demonstrations of a task with its scripted expert.
 
     Args:

@@ -18,23 +18,46 @@ VALUES = {
     "folders": "FOLDER",
     "grid": "FILE",
     "hosts": "HOSTS",
+    "log": "{tensorboard,wandb}",
     "metric": "COLUMN",
+    "minutes": "MINUTES",
+    "per_device": "INT|auto",
     "policy": "METHOD",
     "set": "NAME=VALUE",
     "slurm": "NAME=VALUE",
     "space": "FILE",
     "tasks": "TASK",
+    "window": "STEPS",
 }
 """What the value of an argument is called, where its type (PATH, INT) or its own name does not say it."""
+SHARED = {
+    "devices": "Number of devices that share the lanes. By default one, or all devices of several hosts.",
+    "engine": "Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
+    "hosts": "Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER. By default "
+    "there is one.",
+    "json": "Print one JSON object on stdout.",
+    "labels": "Names of the lines, one for each, in the order in which they are shown. By default method and options.",
+    "last": "Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. 1 is "
+    "the paper's last policy.",
+    "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
+    "metric": "Column of metrics.csv to show, such as interventions. By default the deployed and continuing scores.",
+    "minutes": "Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "
+    "runs out, with a checkpoint and exit code 0. By default there is none.",
+    "per_device": "Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "
+    "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU.",
+    "set": "Options of the task, the setting or the method as name=value pairs.",
+    "window": "Steps at the end of a run whose evaluations its score averages, instead of --last.",
+}
+"""What arguments of several commands mean."""
 CONTINUED = re.compile(r"\n {12,}(?=\S)")
 """The break of a line within the description of an argument, which the parser would print."""
 
 
 def readable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give `command` a help that names values, and prints no default where it is None or empty: the text says it."""
+    """Give `command` a help that names values, has `SHARED`, and prints no default that is None or empty: the text says it."""
     for name, parameter in inspect.signature(command).parameters.items():
         hint = "" if parameter.default in NO_DEFAULTS else None
-        argument = tyro.conf.arg(metavar=_metavar(parameter), help_behavior_hint=hint)
+        argument = tyro.conf.arg(metavar=_metavar(parameter), help=SHARED.get(name), help_behavior_hint=hint)
         command.__annotations__[name] = Annotated[parameter.annotation, argument]
     command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
     return command
@@ -45,8 +68,10 @@ def _metavar(parameter: inspect.Parameter) -> str | None:
     is_annotated = get_origin(parameter.annotation) is Annotated
     kind, *metadata = get_args(parameter.annotation) if is_annotated else (parameter.annotation,)
     parts = {*get_args(kind), kind}
-    if any(getattr(item, "metavar", None) for item in metadata) or not (parts & {str, Path, ...}):
+    if any(getattr(item, "metavar", None) for item in metadata):
         return None
+    if not parts & {str, Path, ...}:
+        return VALUES.get(parameter.name)
     literals = [f"{{{','.join(get_args(part))}}}" for part in parts if get_origin(part) is Literal]
     is_positional = get_args(tyro.conf.Positional[int])[1] in metadata
     own = parameter.name.upper() if is_positional else "PATH" if Path in parts else "NAME"

@@ -5,18 +5,7 @@ import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from earl_jax.cli.arguments import (
-    JSON,
-    Engine,
-    Labels,
-    Last,
-    Metric,
-    Positional,
-    WindowSteps,
-    emit,
-    print_line,
-    replacing,
-)
+from earl_jax.cli.arguments import Positional, Texts, emit, print_line, replacing
 from earl_jax.errors import InputError
 from earl_jax.options.values import counted
 
@@ -25,7 +14,7 @@ if TYPE_CHECKING:
     from earl_jax.training import Result
 
 
-def show(folder: Positional[Path], last: Last = None, window: WindowSteps = None, json: JSON = False) -> None:
+def show(folder: Positional[Path], last: int | None = None, window: int | None = None, json: bool = False) -> None:
     """Show a run: its task, method and options, the steps it has reached, its newest metrics, and its policies.
 
     Args:
@@ -82,10 +71,10 @@ def evaluate(
     seed: int = 0,
     starts: Literal["initial", "uniform", "wide"] = "initial",
     pairs: Literal["random", "balanced"] | None = None,
-    engine: Engine = None,
-    last: Last = None,
-    window: WindowSteps = None,
-    json: JSON = False,
+    engine: str | None = None,
+    last: int | None = None,
+    window: int | None = None,
+    json: bool = False,
 ) -> None:
     """Evaluate the newest policies of a run on fresh greedy episodes, beside the score of the run.
 
@@ -114,8 +103,8 @@ def evaluate(
 def plot(
     folders: Positional[tuple[Path, ...]],
     out: Path = Path("curves.png"),
-    labels: Labels = (),
-    metric: Metric = None,
+    labels: Texts = (),
+    metric: str | None = None,
     size: Literal["screen", "column", "page"] = "screen",
     smooth: int = 1,
     published: bool = False,
@@ -138,12 +127,12 @@ def plot(
 
 def table(
     folders: Positional[tuple[Path, ...]],
-    last: Last = None,
-    window: WindowSteps = None,
-    labels: Labels = (),
-    metric: Metric = None,
+    last: int | None = None,
+    window: int | None = None,
+    labels: Texts = (),
+    metric: str | None = None,
     out: Path | None = None,
-    json: JSON = False,
+    json: bool = False,
 ) -> None:
     """Print the paper's two tables for runs, with the published figures if there are any.
 
@@ -165,9 +154,9 @@ def best(
     folders: Positional[tuple[Path, ...]],
     test: Literal["permutation", "welch"] = "permutation",
     top: int = 20,
-    last: Last = None,
-    window: WindowSteps = None,
-    json: JSON = False,
+    last: int | None = None,
+    window: int | None = None,
+    json: bool = False,
 ) -> None:
     """Rank the runs of a sweep, and say which of them cannot be told from the best of their task.
 
@@ -188,11 +177,11 @@ def best(
 def compare(
     folders: Positional[tuple[Path, ...]],
     against: Literal["runs", "published"] = "runs",
-    metric: Metric = None,
-    last: Last = None,
-    window: WindowSteps = None,
+    metric: str | None = None,
+    last: int | None = None,
+    window: int | None = None,
     out: tuple[Path, ...] = (),
-    json: JSON = False,
+    json: bool = False,
 ) -> None:
     """Test the differences of deployed scores between runs of a task, or from the published scores.
 
@@ -219,8 +208,8 @@ def report(
     watch: bool = False,
     every: float = 30.0,
     videos: bool = False,
-    last: Last = None,
-    window: WindowSteps = None,
+    last: int | None = None,
+    window: int | None = None,
 ) -> None:
     """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 

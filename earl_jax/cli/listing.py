@@ -8,7 +8,7 @@ from typing import Any
 
 from earl_jax import assets
 from earl_jax.algos.learner import DEFAULT
-from earl_jax.cli.arguments import JSON, Positional, emit
+from earl_jax.cli.arguments import Positional, emit
 from earl_jax.cli.catalog import LOCATE, names, stored
 from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
@@ -22,7 +22,7 @@ SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
 
 
-def list_(name: Positional[str | None] = None, json: JSON = False) -> None:
+def list_(name: Positional[str | None] = None, json: bool = False) -> None:
     """List the tasks, methods, learners and presets, with those of installed packages, or describe one of them.
 
     Args:

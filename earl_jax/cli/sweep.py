@@ -5,21 +5,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Literal
 
-from earl_jax.cli.arguments import (
-    JSON,
-    Devices,
-    Logs,
-    Minutes,
-    PerDevice,
-    Positional,
-    Set,
-    Slurm,
-    emit,
-    parse_minutes,
-    parse_options,
-    print_line,
-    stopping,
-)
+from earl_jax.cli.arguments import Logs, Positional, Texts, emit, parse_minutes, parse_options, print_line, stopping
+from earl_jax.sweeps.slots import PerDevice
 
 
 def sweep(
@@ -27,13 +14,13 @@ def sweep(
     out: Path = Path("runs/sweep"),
     launcher: Literal["local", "slurm"] = "local",
     max_lanes: int | None = None,
-    slurm: Slurm = (),
-    devices: Devices = None,
+    slurm: Texts = (),
+    devices: int | None = None,
     per_device: PerDevice = None,
-    minutes: Minutes = None,
+    minutes: str | None = None,
     log: Logs = (),
     dry_run: bool = False,
-    json: JSON = False,
+    json: bool = False,
 ) -> None:
     """Train every run of a grid; runs that fit one program share it. After a kill, repeat the command to continue.
 
@@ -42,6 +29,7 @@ def sweep(
         out: Parent folder of the run folders, OUT/<task>/<method>/<options>.
         launcher: local runs the programs on this machine; slurm submits an array job.
         max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
+        slurm: Options of sbatch as name=value pairs: time (minutes), partition, ... By default none.
         dry_run: Print the programs with their lanes, folders and memory, and start nothing.
     """
     limit = parse_minutes(minutes)
@@ -87,9 +75,9 @@ def search(
     batch: int = 8,
     rungs: int = 3,
     seed: int = 0,
-    devices: Devices = None,
-    minutes: Minutes = None,
-    json: JSON = False,
+    devices: int | None = None,
+    minutes: str | None = None,
+    json: bool = False,
 ) -> None:
     """Search for the options that score highest, with Optuna, in batches of runs. After a kill, repeat the command.
 
@@ -137,10 +125,10 @@ def reproduce(
     seeds: int | None = None,
     steps: int | None = None,
     max_lanes: int | None = None,
-    devices: Devices = None,
+    devices: int | None = None,
     per_device: PerDevice = None,
-    minutes: Minutes = None,
-    set: Set = (),
+    minutes: str | None = None,
+    set: Texts = (),
 ) -> None:
     """Train and draw a table or figure of the paper beside the published one. After a kill, repeat the command to continue.
 

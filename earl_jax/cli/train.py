@@ -7,21 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from earl_jax.cli.arguments import (
-    JSON,
-    Devices,
-    Engine,
-    Hosts,
-    Logs,
-    Minutes,
-    Positional,
-    Seeds,
-    Set,
-    emit,
-    parse_minutes,
-    parse_options,
-    stopping,
-)
+from earl_jax.cli.arguments import Logs, Positional, Seeds, Texts, emit, parse_minutes, parse_options, stopping
 from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
 from earl_jax.options.presets import ALGO, Preset, named_preset
@@ -47,15 +33,15 @@ def train(
     eval_episodes: int | None = None,
     checkpoint_every: int | None = None,
     setting: Literal["deployment", "continuing"] | None = None,
-    engine: Engine = None,
-    devices: Devices = None,
-    hosts: Hosts = None,
-    minutes: Minutes = None,
+    engine: str | None = None,
+    devices: int | None = None,
+    hosts: str | None = None,
+    minutes: str | None = None,
     log: Logs = (),
     videos: int | None = None,
     overwrite: bool = False,
-    set: Set = (),
-    json: JSON = False,
+    set: Texts = (),
+    json: bool = False,
 ) -> None:
     """Train a method on a task without resets, all seeds in one program.
 
@@ -170,10 +156,10 @@ def _of_run(path: Path) -> tuple["Env", "Method", "Setting", tuple[int, ...], Sc
 def resume(
     folder: Positional[Path],
     steps: int | None = None,
-    devices: Devices = None,
-    hosts: Hosts = None,
-    minutes: Minutes = None,
-    json: JSON = False,
+    devices: int | None = None,
+    hosts: str | None = None,
+    minutes: str | None = None,
+    json: bool = False,
 ) -> None:
     """Resume a run from its newest checkpoint. On a CPU the result is bit-identical to that of an uninterrupted run.
 
