@@ -16,10 +16,9 @@ from earl_jax.envs.kitchen.franka_kitchen import FrankaKitchen
 from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import trailing_mean
 from earl_jax.metrics.scores import SUCCESS
-from earl_jax.report.comparison import common_steps
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import released_curves
-from earl_jax.report.runs import Curves, read
+from earl_jax.report.runs import Curves, common_step, read
 from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text
 
 SHUT = 0.99
@@ -118,7 +117,8 @@ def measured(run: str, name: str, measure: Measure) -> Row:
     env, algo = run.split("/")[:2]
     ours, released = read(RUNS / run), released_curves(env, algo)
     assert released is not None
-    first, last = common_steps(ours, released)
+    first, last = max(ours.steps[0], released.steps[0]), common_step(ours, released)
+    assert last is not None
     own, other = (measure(_between(curves, first, last)) for curves in (ours, released))
     return {
         "run": run, "measure": name, "steps": last, "mean": own.mean(), "published": other.mean(),

@@ -16,7 +16,7 @@ from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import is_comparable, published_score, released_curves
-from earl_jax.report.runs import Curves, common_steps
+from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.style import method_title, task_order, task_title
 from earl_jax.report.tables import markdown_table, millions
 
@@ -98,10 +98,7 @@ def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
 def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     """Return the columns of the test of a claim by the runs of its methods; {} without one of them."""
     first, second = curves[0], curves[-1]
-    if first is None or second is None:
-        return {}
-    start, step = common_steps(first, second)
-    if start > step:
+    if first is None or second is None or not (step := common_step(first, second)):
         return {}
     scores = table_scores(claim.number, first, step)
     others = table_scores(claim.number, second, step) if claim.second else _beginning(first)

@@ -15,7 +15,7 @@ from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_col
 from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside, released_beside
-from earl_jax.report.runs import Curves, common_steps, options_text
+from earl_jax.report.runs import Curves, common_step, options_text
 from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.style import (
     AXES,
@@ -84,8 +84,8 @@ def _line(curves: Curves) -> list[str]:
 
 def _released_text(number: int, curves: Curves, released: Curves | None, digits: int) -> str:
     """Return the mean score of the released runs over the steps of `curves`, as in table `number`; `-` without any."""
-    first, step = common_steps(curves, released) if released else (1, 0)
-    if released is None or first > step or (number == 2 and CONTINUING not in released.metrics):
+    step = common_step(curves, released) if released else None
+    if not released or not step or (number == 2 and CONTINUING not in released.metrics):
         return "-"
     return f"{table_scores(number, released, step).mean():.{digits}f}"
 

@@ -26,7 +26,7 @@ from earl_jax.report.published import (
     released_beside,
     share_text,
 )
-from earl_jax.report.runs import Curves, common_steps
+from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, millions, number_text, write
@@ -77,22 +77,16 @@ def compare(
         rows = published_rows(runs, metric)
     else:
         pairs = [pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env]
-        for first, second in (pair for pair in pairs if not overlap(*pair)):
+        for first, second in (pair for pair in pairs if not common_step(*pair)):
             apart = f"{first.label} and {second.label} on {first.env} are not compared"
             warnings.warn(f"{apart}: one ends before the other's first evaluation", RunWarning, stacklevel=2)
-        rows = [pair_row(*pair, metric) for pair in pairs if overlap(*pair)]
+        rows = [pair_row(*pair, metric) for pair in pairs if common_step(*pair)]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
             choices = f"tasks of the paper with {metric}" if metric else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
     return with_verdicts(rows)
-
-
-def overlap(first: Curves, second: Curves) -> bool:
-    """Return whether both methods have evaluations up to a common step."""
-    start, end = common_steps(first, second)
-    return start <= end
 
 
 def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:
@@ -115,7 +109,8 @@ def pair_row(first: Curves, second: Curves, metric: str | None = None, age: floa
     """
     if metric is None and first.deployed_metric != second.deployed_metric:
         raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
-    step = int(age * common_steps(first, second)[1])
+    step = common_step(first, second, age)
+    assert step is not None
     scores, others = (seed_scores(curves, step, metric) for curves in (first, second))
     return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
@@ -136,9 +131,8 @@ def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
     released = released_beside(curves)
     if released is None or (metric or curves.deployed_metric) not in released.metrics:
         return []
-    first, common = common_steps(curves, released)
     published = released._replace(label="published")
-    return [pair_row(curves, published, metric, age) for age in AGES if first <= age * common]
+    return [pair_row(curves, published, metric, age) for age in AGES if common_step(curves, released, age)]
 
 
 def _printed_rows(curves: Curves) -> list[Row]:

@@ -20,7 +20,7 @@ from earl_jax.report.published import (
     released_beside,
     share_text,
 )
-from earl_jax.report.runs import Curves, common_steps, options_text
+from earl_jax.report.runs import Curves, common_step, options_text
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import method_order, task_order
 from earl_jax.report.tables import Row
@@ -90,8 +90,8 @@ def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
         if not other or step < (published_steps(curves.env) or (0, 0))[0]:
             return {}
     else:
-        first, step = common_steps(curves, released)
-        if first > step or (number == 2 and CONTINUING not in released.metrics):
+        step = common_step(curves, released)
+        if step is None or (number == 2 and CONTINUING not in released.metrics):
             return {}
         other = table_scores(number, released, step)
     own = table_scores(number, curves, step)

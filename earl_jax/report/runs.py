@@ -119,9 +119,10 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,), window)
 
 
-def common_steps(first: Curves, second: Curves) -> tuple[int, int]:
-    """Return the first and the last step up to which both have evaluations; the first is later if there is no such step."""
-    return max(int(first.steps[0]), int(second.steps[0])), min(int(first.steps[-1]), int(second.steps[-1]))
+def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:
+    """Return the step after a share of those up to which both have evaluations; None before the first evaluation of one."""
+    step = int(share * min(first.steps[-1], second.steps[-1]))
+    return step if step >= max(first.steps[0], second.steps[0]) else None
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from earl_jax.metrics.continuing import diverged_text
-from earl_jax.report.comparison import COLUMNS, overlap, pair_row, verdict_text, with_verdicts
+from earl_jax.report.comparison import COLUMNS, pair_row, verdict_text, with_verdicts
 from earl_jax.report.html.curves import PANELS, Line
 from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
-from earl_jax.report.runs import label
+from earl_jax.report.runs import common_step, label
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.tables import error_text, number_text, steps_text
 from earl_jax.runs.folder import RunFolder
@@ -88,8 +88,8 @@ def _identity(row: Row) -> tuple[object, ...]:
 
 
 def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the tests of differences between deployed scores of one task's `lines`, a row for each pair that `overlap`s."""
-    pairs = [pair for pair in itertools.combinations(lines, 2) if overlap(*(line.curves for line in pair))]
+    """Return the tests of differences between deployed scores of one task's `lines`, a row for each pair with a common step."""
+    pairs = [(one, two) for one, two in itertools.combinations(lines, 2) if common_step(one.curves, two.curves)]
     tested = with_verdicts([pair_row(first.curves, second.curves) for first, second in pairs])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
     rows = [
