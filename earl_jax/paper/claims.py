@@ -101,13 +101,11 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     if first is None or second is None or not (step := common_step(first, second)):
         return {}
     scores = table_scores(claim.number, first, step)
-    others = table_scores(claim.number, second, step) if claim.second else _beginning(first)
+    if claim.second:
+        others = table_scores(claim.number, second, step)
+    else:  # its first evaluations, as many as the score has at the end
+        others = first.metrics[first.deployed_metric][:, : first.window.count(first.steps)].mean(axis=1)
     return {"steps": step, **comparison_columns(scores, others)}
-
-
-def _beginning(curves: Curves) -> np.ndarray:
-    """Return the mean [N] of the first evaluations of a run, as many as its score has at the end."""
-    return curves.metrics[curves.deployed_metric][:, : curves.window.count(curves.steps)].mean(axis=1)
 
 
 def _printed(claim: Claim) -> Row:

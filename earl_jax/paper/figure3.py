@@ -167,8 +167,10 @@ def _draw(maps: Sequence[VisitMap]) -> Any:
     size = (3.4 * (len(algos) + 1) + 1.4, sum(3.1 * height + 0.7 for height in heights))
     figure, axes = new_figure(len(tasks), len(algos) + 1, size, gridspec_kw={"height_ratios": heights})
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
+    signs = {"cmap": ListedColormap([COLOURS[PAIR[1]], "white", COLOURS[PAIR[0]]]), "vmin": -1, "vmax": 1}
     for axis in axes.flat:
         axis.set_axis_off()
     for (name, task_map), line in zip(tasks.items(), axes, strict=True):
@@ -180,7 +182,8 @@ def _draw(maps: Sequence[VisitMap]) -> Any:
                 line[algos.index(algo)], task_map, np.ma.masked_equal(values, 0), title, norm=norm, cmap="viridis"
             )
         if set(PAIR) <= own.keys():
-            _draw_difference(line[-1], task_map, difference(*(own[algo] for algo in PAIR)))
+            larger = difference(*(own[algo] for algo in PAIR))
+            _draw_map(line[-1], task_map, larger, " minus ".join(map(method_title, PAIR)), **signs)
         figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="Share of visits in a bin")
     handles = [Patch(color=COLOURS[algo], label=f"More visits of {method_title(algo)}") for algo in PAIR]
     figure.legend(handles=handles, loc="outside lower right", ncols=2, frameon=False)
@@ -200,13 +203,6 @@ def _colour_norm(maps: Sequence[np.ndarray]) -> Any:
     visited = np.concatenate([shares[shares > 0] for shares in maps])
     low, high = (visited.min(), visited.max()) if len(visited) else (0.1, 1.0)
     return LogNorm(low if low < high else high / 10, high)
-
-
-def _draw_difference(axis: Any, task_map: Map, signs: np.ndarray) -> None:
-    from matplotlib.colors import ListedColormap
-
-    colour_map = ListedColormap([COLOURS[PAIR[1]], "white", COLOURS[PAIR[0]]])
-    _draw_map(axis, task_map, signs, " minus ".join(map(method_title, PAIR)), cmap=colour_map, vmin=-1, vmax=1)
 
 
 def _draw_map(axis: Any, task_map: Map, values: np.ndarray, title: str, **style: Any) -> None:

@@ -99,7 +99,15 @@ def _draw(runs: Sequence[Curves]) -> Any:
             peers = [other.label for other in of_task if other.algo == curves.algo]
             line_style = LINE_STYLES[peers.index(curves.label) % len(LINE_STYLES)]
             _draw_method(column, curves, palette[curves.algo], line_style)
-        _format_column(column, of_task)
+        metric = of_task[0].deployed_metric
+        column[0].set(title=task_title(of_task[0].env), ylabel=AXES[metric])
+        if metric == SUCCESS:
+            column[0].set_ylim(-0.04, 1.04)
+        column[1].set_ylabel(AXES[CONTINUING])
+        column[0].set_xlim(0, max(curves.steps[-1] for curves in of_task))
+        step_axis(column[1])
+        for axis in column:
+            axis.grid(alpha=0.3)
     _add_legend(figure, axes)
     return figure
 
@@ -118,18 +126,6 @@ def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> N
             axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
     for level, step in crossings_beside(curves).items():
         column[0].plot(step, level, "X", color=colour, markersize=8, markeredgecolor="white", zorder=5)
-
-
-def _format_column(column: Any, of_task: Sequence[Curves]) -> None:
-    metric = of_task[0].deployed_metric
-    column[0].set(title=task_title(of_task[0].env), ylabel=AXES[metric])
-    if metric == SUCCESS:
-        column[0].set_ylim(-0.04, 1.04)
-    column[1].set_ylabel(AXES[CONTINUING])
-    column[0].set_xlim(0, max(curves.steps[-1] for curves in of_task))
-    step_axis(column[1])
-    for axis in column:
-        axis.grid(alpha=0.3)
 
 
 def _add_legend(figure: Any, axes: Any) -> None:

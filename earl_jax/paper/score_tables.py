@@ -135,7 +135,14 @@ def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], st
 def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
     axis.use_sticky_edges = False
     for position, row in enumerate(rows):
-        _draw_row(axis, position, row, palette[row["algo"]])
+        if row["published_low"] is not None:
+            low, high = row["published_low"], row["published_high"]
+            axis.bar(position, high - low, 0.7, low, color="0.6", alpha=0.45, linewidth=0)
+            middle = PublishedScore(row["published_mean"], "-").value
+            axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
+        if row["mean"] is not None:
+            interval, marks = reach(estimate_of(row, "mean")), {"fmt": "o", "linewidth": 1.8, "markersize": 6}
+            axis.errorbar(position, row["mean"], interval, color=palette[row["algo"]], capsize=4, **marks)
     titles = [method_title(row["label"]) for row in rows]
     names = [title if len(title) <= LONGEST else f"{title[: LONGEST - 1]}…" for title in titles]
     slanted = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in rows) else {}
@@ -144,17 +151,6 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
     metric = next(row["metric"] for row in rows if row["metric"])
     axis.set_ylabel(AXES[metric])
     axis.grid(axis="y", alpha=0.3)
-
-
-def _draw_row(axis: Any, position: int, row: Row, colour: str) -> None:
-    if row["published_low"] is not None:
-        low, high = row["published_low"], row["published_high"]
-        axis.bar(position, high - low, 0.7, low, color="0.6", alpha=0.45, linewidth=0)
-        middle = PublishedScore(row["published_mean"], "-").value
-        axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
-    if row["mean"] is not None:
-        interval = reach(estimate_of(row, "mean"))
-        axis.errorbar(position, row["mean"], interval, fmt="o", color=colour, capsize=4, linewidth=1.8, markersize=6)
 
 
 TABLE1, TABLE2 = (
