@@ -26,7 +26,7 @@ CROWD = 6
 def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) -> dict[str, Any]:
     """Return the variables of the template for `lines`, with videos of their `policies`."""
     titles = [task_title(env) for env in task_order(line.curves.env for line in lines)]
-    origins = [provenance(run) for line in lines for run in line.runs]
+    origins = [provenance(run) for line in lines for run in line.curves.runs]
     names = dict.fromkeys(name for origin in origins for name in origin)
     versions = {name: list(dict.fromkeys(origin.get(name, UNKNOWN) for origin in origins)) for name in names}
     shown = videos(lines, policies)
@@ -38,7 +38,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "summary": _summary(lines, versions),
         "rule": INTERVAL_RULE,
         "difference_rule": RULE.format(window=lines[0].curves.window.text),
-        "cards": [_run_card(line, run) for line in lines for run in line.runs],
+        "cards": [_run_card(line, run) for line in lines for run in line.curves.runs],
         "versions": {name: ", ".join(values) for name, values in versions.items()},
         "differing": [name for name, values in versions.items() if len(values) > 1],
         "window": SMOOTH,
@@ -47,10 +47,11 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
 
 
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
+    runs = sum(len(line.curves.runs) for line in lines)
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
     return {
-        "Runs": f"{sum(len(line.runs) for line in lines)}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
+        "Runs": f"{runs}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
         "Methods": ", ".join(dict.fromkeys(line.curves.algo for line in lines)),
         "Written": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
         "Hardware": ", ".join(versions["device"]),
@@ -87,7 +88,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
     """Return notes on one task's runs: unfinished ones, and seeds that count twice."""
     notes: list[str] = []
     for line in lines:
-        trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.runs)
+        trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
         repeated = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)

@@ -15,7 +15,6 @@ from earl_jax.report.published import published_beside, published_steps
 from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
 from earl_jax.report.style import colours, lightened, shaded
-from earl_jax.runs.folder import RunFolder
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 POINTS = 250
@@ -33,14 +32,9 @@ class Line(NamedTuple):
     dash: str
 
     @property
-    def runs(self) -> tuple[RunFolder, ...]:
-        """The runs that its seeds come from."""
-        return self.curves.runs
-
-    @property
     def seeds(self) -> tuple[int, ...]:
         """The seed of each row of the curves."""
-        return tuple(seed for run in self.runs for seed in run.config.seeds)
+        return tuple(seed for run in self.curves.runs for seed in run.config.seeds)
 
 
 def lines_of(runs: Sequence[Curves]) -> list[Line]:

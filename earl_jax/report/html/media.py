@@ -36,7 +36,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
     Shares of visits are over all seeds; `ends` are the least and the largest share on any of the maps.
     """
     try:
-        task_map = lines[0].runs[0].config.build_env().map
+        task_map = lines[0].curves.runs[0].config.build_env().map
     except InputError as error:
         return [], [f"No maps of {lines[0].curves.env}: {_cause(error)}."]
     if task_map is None:
@@ -44,7 +44,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
     drawn, sentences = [], []
     for line in lines:
         visits = []
-        for run in line.runs:
+        for run in line.curves.runs:
             try:
                 counts = np.asarray(load_visits(run)[1])
                 if visits and counts.shape[1:] != visits[0].shape[1:]:
@@ -156,7 +156,7 @@ def videos(lines: Sequence[Line], policies: PolicyVideos | None = None) -> list[
 def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, str]]:
     """Yield the videos of a line, each with the start of the sentence about its problem."""
     scores, first = seed_scores(line.curves), 0
-    for run in line.runs:
+    for run in line.curves.runs:
         for file in sorted(run.path.iterdir()):
             if file.suffix.lower() in KINDS:
                 yield Film(file, file.name), f"{file} is left out"

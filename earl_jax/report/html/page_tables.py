@@ -68,18 +68,17 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     """
     env = lines[0].curves.env
     shipped = [row for row in shipped_rows() if row.env == env]
-    own = {_board_row(line): line for line in lines if shipped and line.curves.comparable}
+    own: dict[Row, Line] = {}
+    for line in lines:
+        if (
+            shipped and (curves := line.curves).comparable
+        ):  # under the name of its method with all of its changed options
+            own[run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)] = line
     shown = {_identity(row) for row in own}
     rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
     table_rows = [(own.get(row), row.method, row.texts[1:]) for row in rows.get(env, ())]
     left_out = [line.curves.label for line in lines if not line.curves.comparable]
     return {"head": HEADER[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
-
-
-def _board_row(line: Line) -> Row:
-    """Return the row of a line, under the name of its method with all of its changed options."""
-    curves = line.curves
-    return run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)
 
 
 def _identity(row: Row) -> tuple[object, ...]:
