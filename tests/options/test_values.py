@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import time
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,6 @@ from earl_jax import InputError, make, make_algo, train
 from earl_jax.cli.arguments import parse_minutes, parse_options
 from earl_jax.options.values import Interval, TimeLimit, check, check_literals, parse_whole
 from earl_jax.protocol import setting_of
-from tests.options.postponed import Postponed
 
 
 @dataclasses.dataclass
@@ -57,8 +57,15 @@ def test_unknown_options_and_wrong_types_are_refused(options, message):
         check("example", Example, options)
 
 
-def test_a_module_can_postpone_the_evaluation_of_its_types():
-    """Its options used to take any value, and those of `int | None` no None."""
+@dataclasses.dataclass
+class Postponed:
+    limit: "float | None" = None
+    most: "int | None" = 5
+    mode: "Literal['a', 'b']" = "a"
+
+
+def test_the_types_of_options_can_be_text():
+    """As in a module that postpones the evaluation of its annotations."""
     check("example", Postponed, {"limit": None, "most": None})
     with pytest.raises(ValueError, match="limit must be a finite number or null, not 'much'"):
         check("example", Postponed, {"limit": "much"})
