@@ -1,11 +1,10 @@
-"""The metrics of a life from counts whose values are known: phases, movements, rewards and interventions."""
+"""The metrics of a life from counts whose values are known: phases and movements."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.metrics.continuing import Counters, continuing
 from earl_jax.metrics.phase_stats import (
     ALIVE,
     BACK,
@@ -79,19 +78,3 @@ def test_an_object_rests_until_it_is_a_centimetre_from_where_it_lay(after):
     creeping = [(0.006 * number, FORWARD_PHASE, False, False) for number in range(1, 4)]
     assert values(after(*creeping), 3)[1][STILL] == 1, "slow movements add up"
     assert values(after((0.0, FORWARD_PHASE, False, False)), 1)[1][STILL] == 1
-
-
-def test_the_reward_is_averaged_over_the_lifetime_and_the_window_and_counts_are_reported_unchanged(start):
-    counts = {"interventions": jnp.asarray(2), "faults": jnp.asarray(1), "reached": jnp.asarray(4)}
-    first = Counters(
-        window_reward=jnp.asarray(3.0), total_reward=jnp.asarray(0.0), diagnostics={}, phases=None, **counts
-    )
-    counters, metrics = continuing(first, start, jnp.asarray(10.0), jnp.asarray(10.0))
-    assert float(metrics["continuing/reward"]) == float(metrics["continuing/recent"]) == pytest.approx(0.3)
-    assert {name: int(metrics[name]) for name in counts} == {"interventions": 2, "faults": 1, "reached": 4}
-    counters = counters.replace(window_reward=counters.window_reward + 1.0)
-    _, metrics = continuing(counters, start, jnp.asarray(20.0), jnp.asarray(10.0))
-    assert float(metrics["continuing/reward"]) == pytest.approx(0.2)
-    assert float(metrics["continuing/recent"]) == pytest.approx(0.1)
-    _, of_wrapped = continuing(counters, start.replace(data=start), jnp.asarray(20.0), jnp.asarray(10.0))
-    assert of_wrapped.keys() == metrics.keys(), "only a budget for help has further ones"

@@ -139,6 +139,8 @@ def test_both_scores_of_a_life_of_two_windows():
     np.testing.assert_array_equal(metrics["continuing/reward"], [1 / 4, 1 / 8])
     np.testing.assert_array_equal(metrics["continuing/recent"], [1 / 4, 0.0])
     np.testing.assert_array_equal(metrics["continuing/forward_success"], [1.0, np.nan])
+    np.testing.assert_array_equal(metrics["reached"], 1)
+    assert not [name for name in metrics if name.startswith("help/")]
     assert int(life.evaluated_at) == int(life.step) == 8
     scores = lifetime_scores(np.array([4, 8]), metrics, "deployed/success")
     assert [float(score) for score in scores] == [0.0, 0.0, 1 / 8]
