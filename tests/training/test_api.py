@@ -89,47 +89,31 @@ def test_options_are_split_into_task_setting_and_method():
 
 
 @pytest.mark.parametrize(
-    ("env", "options", "message"),
+    ("options", "message"),
     [
-        ("", {"seed": 3}, r"there is no option 'seed'; did you mean seeds=3 \(or seeds=\[3\] for that seed alone\)\?"),
-        ("", {"n_seeds": 3}, r"there is no option 'n_seeds'; did you mean seeds=3\?"),
-        ("", {"learning_rat": 1e-3}, "method 'fbrl' has no option 'learning_rat'; did you mean learning_rate"),
-        ("", {"step": 5}, "did you mean steps.*`earl-jax list fbrl` lists its options"),
-        ("", {"name": "mine"}, "there is no option 'name'"),
-        ("", {"steps": 100, "eval_every": 40}, "steps 100 is not a multiple of eval_every 40"),
-        ("", {"eval_episodes": 0}, r"eval_episodes must lie in \[1, 100000\], not 0"),
-        (
-            "",
-            {"goal_change": 5},
-            "goal_change is an option of the setting 'continuing', but the setting is 'deployment'",
-        ),
-        (
-            "",
-            {"intervention_chance": jnp.float32(0.5)},
-            "deployment: intervention_chance must be a plain value, not 0.5",
-        ),
-        (TabletopOrganization(wide=[]), {}, r"tabletop_organization: wide must be a plain value, not \[\]"),
-        ("", {"setting": Continuing(), "budget": 5}, r"object here: pass dataclasses.replace\(setting, budget=5\)"),
-        (
-            earl_jax.make("tabletop_organization"),
-            {"wide": True},
-            r"object here: pass dataclasses.replace\(task, wide=True",
-        ),
+        ({"seed": 3}, r"there is no option 'seed'; did you mean seeds=3 \(or seeds=\[3\] for that seed alone\)\?"),
+        ({"n_seeds": 3}, r"there is no option 'n_seeds'; did you mean seeds=3\?"),
+        ({"learning_rat": 1e-3}, "method 'fbrl' has no option 'learning_rat'; did you mean learning_rate"),
+        ({"step": 5}, "did you mean steps.*`earl-jax list fbrl` lists its options"),
+        ({"name": "mine"}, "there is no option 'name'"),
+        ({"steps": 100, "eval_every": 40}, "steps 100 is not a multiple of eval_every 40"),
+        ({"eval_episodes": 0}, r"eval_episodes must lie in \[1, 100000\], not 0"),
+        ({"goal_change": 5}, "goal_change is an option of the setting 'continuing', but the setting is 'deployment'"),
+        ({"intervention_chance": jnp.float32(0.5)}, "deployment: intervention_chance must be a plain value, not 0.5"),
+        ({"env": TabletopOrganization(wide=[])}, r"tabletop_organization: wide must be a plain value, not \[\]"),
+        ({"setting": Continuing(), "budget": 5}, r"object here: pass dataclasses.replace\(setting, budget=5\)"),
+        ({"env": TabletopOrganization(), "wide": True}, r"object here: pass dataclasses.replace\(task, wide=True"),
     ],
 )
-def test_an_unknown_misplaced_or_invalid_option_is_refused_with_the_fix(env, options, message):
+def test_an_unknown_misplaced_or_invalid_option_is_refused_with_the_fix(options, message):
     with pytest.raises(ValueError, match=message):
-        train(env or "tabletop_organization", "fbrl", **options)
+        train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
 
 
 @pytest.mark.parametrize(
     ("task", "method", "message"),
     [
-        (
-            TabletopOrganization,
-            "naive",
-            r"the task must be a name or an object, .*; did you mean TabletopOrganization\(\)",
-        ),
+        (TabletopOrganization, "naive", r"the task must be a .*; did you mean TabletopOrganization\(\)"),
         (None, "naive", "the task must be a name or an object, not None"),
         ("tabletop_organization", Naive, r"the method must be a name or an object, .*; did you mean Naive\(\)"),
         ("tabletop_organization", SAC(), r"the method must be a name or an object, not SAC\("),

@@ -146,11 +146,7 @@ def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
 @pytest.mark.parametrize(
     ("env", "method", "message"),
     [
-        (
-            Meadow(reward_type="dense"),
-            make_patient(),
-            "task of this run has the reward_type 'the default', .* passed has 'dense'",
-        ),
+        (Meadow(reward_type="dense"), make_patient(), "this run has the reward_type 'the default', .* has 'dense'"),
         (TabletopOrganization(), make_patient(), "task of this run has the name 'meadow', .* passed has 'tabletop_org"),
         (Meadow(), make_patient(discount=0.5), "method of this run has the discount 'the default', .* passed has 0.5"),
     ],
