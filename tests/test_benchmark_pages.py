@@ -157,14 +157,9 @@ def test_a_difference_is_settled_by_the_test_of_its_runs(tmp_path, no_starts):
 
 
 def test_a_family_has_the_tests_of_a_difference_on_a_task(tmp_path, no_starts):
-    for env, *algos in (
-        (DOOR, "replay_capacity_None", "no_unmet_goals"),
-        (differences.TABLETOP, "replay_capacity_None"),
-    ):
-        for name in (*algos, cells.FORMER_VAPRL):
-            options = (
-                FORMER if name == cells.FORMER_VAPRL else {"unmet_goals": False} if name == "no_unmet_goals" else {}
-            )
+    own = {"replay_capacity_None": {}, cells.FORMER_VAPRL: FORMER}
+    for env, variants in ((DOOR, {**own, "no_unmet_goals": {"unmet_goals": False}}), (differences.TABLETOP, own)):
+        for name, options in variants.items():
             write_run(tmp_path / f"{env}/vaprl/{name}", env, "vaprl", constant(*RNG.random(5)), **options)
     *door, tabletop = differences.comparisons(tmp_path, no_starts)
     assert [row["p_holm"] for row in door] == pytest.approx(holm([row["p"] for row in door]))
