@@ -192,9 +192,8 @@ def whole_run(tmp_path):
     """Return the folder of R3L's run on tabletop of the published length, with the policies that ship for its five seeds."""
     kept = TESTS.parent / "benchmarks" / "results" / "paper" / "tabletop_organization" / "r3l" / "replay_capacity_None"
     folder = shutil.copytree(kept, tmp_path / "r3l")
-    arrays = {
-        name: array[[0, 1, 0, 1, 0]] for name, array in assets.pretrained("tabletop_organization", "r3l")[1].items()
-    }
+    _, shipped = assets.pretrained("tabletop_organization", "r3l")
+    arrays = {name: array[[0, 1, 0, 1, 0]] for name, array in shipped.items()}
     save_policies(folder / "policies.npz", actor_of_arrays(arrays), 2_500_000, range(5), obs_size=12, action_size=3)
     return folder
 

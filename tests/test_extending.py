@@ -18,9 +18,7 @@ PACKAGE = ROOT / "examples" / "pasture"
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SOURCES = [path.read_text() for path in [PACKAGE / "pyproject.toml", *(PACKAGE / "earl_pasture").glob("*.py")]]
 BLOCKS = re.findall(r"```(?:python|toml)\n(.*?)```", PAGE, flags=re.DOTALL)
-SNIPPETS = [
-    code for code in BLOCKS if not any(" ".join(code.split()) in " ".join(source.split()) for source in SOURCES)
-]
+SNIPPETS = [code for code in BLOCKS if not any(" ".join(code.split()) in " ".join(text.split()) for text in SOURCES)]
 DEMOS, STEPPING, OBJECTS = SNIPPETS
 TINY = ["hidden_sizes=[16,16]", "batch_size=16", "random_steps=20"]
 LENGTHS = ["--seeds", "2", "--steps", "40", "--eval-every", "40", "--eval-episodes", "2", "--checkpoint-every", "40"]

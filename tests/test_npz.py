@@ -100,14 +100,10 @@ def test_the_sum_of_the_arrays_is_limited(monkeypatch):
 
 
 @settings(max_examples=150, deadline=None)
-@given(
-    where=st.floats(0, 1, exclude_max=True),
-    form=st.sampled_from(["<H", "<I", "<Q"]),
-    number=st.integers(0, (1 << 64) - 1),
-)
+@given(where=st.floats(0, 1, exclude_max=True), form=st.sampled_from("HIQ"), number=st.integers(0, 2**64 - 1))
 def test_a_damaged_npz_is_refused_or_read_as_it_was(where, form, number):
     whole = zipped()
-    offset, text = int(where * len(whole)), struct.pack("<Q", number)[: struct.calcsize(form)]
+    offset, text = int(where * len(whole)), struct.pack("<Q", number)[: struct.calcsize(f"<{form}")]
     read, message = {}, ""
     try:
         read = load_npz(whole[:offset] + text + whole[offset + len(text) :], ["a"])

@@ -76,12 +76,10 @@ def test_every_command_works_in_a_clean_environment(wheel, tmp_path):
     pip = [str(venv / "bin/python"), "-m", "pip", "install", "--quiet", "-c", str(ROOT / "requirements.lock")]
     subprocess.run([*pip, f"{wheel}[plot,render,report,tensorboard]"], check=True)
     work.mkdir()
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "XLA", "VIRTUAL"))
-    }
-    environment |= {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "JAX_PLATFORMS": "cpu"}
-    environment |= {"EARL_JAX_CACHE": str(tmp_path / "programs")}
-    process = subprocess.run(["bash", "-c", SMOKE], cwd=work, env=environment, capture_output=True, text=True)
+    env = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "XLA", "VIRTUAL"))}
+    env |= {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "JAX_PLATFORMS": "cpu"}
+    env |= {"EARL_JAX_CACHE": str(tmp_path / "programs")}
+    process = subprocess.run(["bash", "-c", SMOKE], cwd=work, env=env, capture_output=True, text=True)
     assert process.returncode == 0, process.stdout + process.stderr
     assert "(14,)" in process.stdout
     pictures = ["curves.png", "door.png", "run/video.mp4"]

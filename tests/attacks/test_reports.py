@@ -63,10 +63,9 @@ def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch)
         if where == "algo":
             change_config(folders[-1], algo=text)
         elif where == "provenance":
-            fields = dict.fromkeys(("commit", "created", "python", "device"), text)
-            change_config(
-                folders[-1], provenance={**json.loads((whole / "config.json").read_text())["provenance"], **fields}
-            )
+            recorded = json.loads((whole / "config.json").read_text())["provenance"]
+            hostile = dict.fromkeys(("commit", "created", "python", "device"), text)
+            change_config(folders[-1], provenance={**recorded, **hostile})
     for name, runs in (("clean", folders[:1]), ("page", folders)):
         succeed("report", *runs, "--out", f"{name}.html")
     page, clean = ((tmp_path / f"{name}.html").read_text() for name in ("page", "clean"))

@@ -91,16 +91,14 @@ REVERSIBLE = {
 """Changes near those, after which it can."""
 
 
-def joints_beyond_limits(joints):
+def joints_beyond_limits(states):
     low, high = physics.load_model("franka_kitchen").jnt_range.T
-    return np.maximum(low - joints, joints - high).max(axis=(0, 1))
+    return np.maximum(low - states.data.qpos, states.data.qpos - high).max(axis=(0, 1))
 
 
 KEPT = {
     "dhand_lightbulb": lambda states: states.obs[..., 25].min() > TABLE,
-    "franka_kitchen": lambda states: (
-        joints_beyond_limits(states.data.qpos)[7:] < np.repeat([0.005, 0.05], [2, 9])
-    ).all(),
+    "franka_kitchen": lambda states: (joints_beyond_limits(states)[7:] < np.repeat([0.005, 0.05], [2, 9])).all(),
     "minitaur_pen": lambda states: loop_error(states.data.qpos[::40]) < 1e-3,
 }
 """What long random use must not violate, although it is no fault: the bulb's height, joint limits, closed legs."""

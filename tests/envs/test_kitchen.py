@@ -78,9 +78,7 @@ def test_reset_is_the_state_after_ten_released_steps_of_no_action():
         np.testing.assert_allclose(data.qvel[:9], task.ARM_QVEL, atol=1e-6)
         np.testing.assert_allclose(data.qacc_warmstart[:9], task.ARM_WARMSTART, atol=1e-5)
         assert np.abs(joints - data.qpos[9:]).max(axis=1).min() < 1e-6, "some start is this one"
-    assert np.abs(np.array(task.ARM_QPOS[:7]) - task.CLOSED[:7]).max() < 0.03, (
-        "the published goal's arm, but for its noise"
-    )
+    assert np.abs(np.array(task.ARM_QPOS[:7]) - task.CLOSED[:7]).max() < 0.03, "the published arm, but for noise"
 
 
 def test_weights_of_plates_and_of_the_light_close_them_slowly_as_in_the_original():
@@ -126,9 +124,7 @@ def test_observation_and_reward_match_numpy():
         mocap = np.clip(mocap + 0.02 * move, task.MOCAP_LOW, task.MOCAP_HIGH)
         np.testing.assert_allclose(reached, mocap, atol=1e-5)
     np.testing.assert_allclose([task.MOCAP_LOW, task.MOCAP_HIGH], [[-0.7, -0.1, 1.8], [0.4, 0.5, 2.6]], rtol=1e-6)
-    expected = [
-        reward_in_numpy(*row) for row in zip(states.obs, states.info["mocap"], states.info["sites"], strict=True)
-    ]
+    expected = list(map(reward_in_numpy, states.obs, states.info["mocap"], states.info["sites"]))
     np.testing.assert_allclose(states.reward, expected, atol=1e-5)
     own = jax.jit(jax.vmap(lambda state: ENV.goal_reward(state, state.obs[:23])))(states)
     np.testing.assert_allclose(own, 8.0, atol=1e-5, err_msg="with its own state as goal, all eight parts are done")

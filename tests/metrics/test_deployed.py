@@ -34,13 +34,11 @@ def test_wide_starts_change_no_ordinary_episode(env):
         return env.demonstrations.state_at(goal, goal)
 
     runs = [(env.demonstrations.expert, 60, None), (env.demonstrations.expert, 60, env.starts.wide), (idle, 1, at_goal)]
-    plain, both, resting = jax.jit(
-        lambda: [deployed(env, run, KEY, steps, 4, wide=wide) for run, steps, wide in runs]
-    )()
+    plain, both, still = jax.jit(lambda: [deployed(env, run, KEY, steps, 4, wide=wide) for run, steps, wide in runs])()
     assert {name: both[name] for name in plain} == plain
     assert plain["deployed/return"] > 1.0
     assert both.keys() - plain.keys() == {WIDE}
-    assert (resting["deployed/success"], resting[WIDE]) == (0.0, 1.0)
+    assert (still["deployed/success"], still[WIDE]) == (0.0, 1.0)
 
 
 def test_dense_returns_are_undiscounted_sums(env):

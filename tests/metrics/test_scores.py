@@ -52,10 +52,8 @@ def test_a_seed_is_scored_over_the_last_tenth_and_over_five_evaluations_at_least
 def test_a_score_says_what_it_is_a_mean_of():
     curves = {"deployed/success": np.tile([[0.2], [0.4], [0.6]], 60)}
     score = Score.of(MILLION[:60], curves, "deployed/success")
-    assert (
-        str(score)
-        == "deployed/success 0.400 [0.098, 0.803], mean of 3 seeds over 6 evaluations, steps 550,000 to 600,000"
-    )
+    text = "deployed/success 0.400 [0.098, 0.803], mean of 3 seeds over 6 evaluations, steps 550,000 to 600,000"
+    assert str(score) == text
     last = Score.of(MILLION[:60], {"x": np.array([[3.0] * 60])}, "x", Window(last=1))
     assert str(last) == "x 3.000, mean of 1 seed over the evaluation at step 600,000"
     with pytest.raises(ValueError, match="no evaluation yet"):

@@ -72,14 +72,10 @@ def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(instal
 
 
 def test_an_unknown_name_says_what_it_may_mean_and_how_to_name_a_class_of_ones_own(install):
-    with pytest.raises(
-        ValueError, match=r"^unknown task 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"
-    ):
+    with pytest.raises(ValueError, match=r"^unknown task 'maze'; choose from meadow, sawyer_door \(your own: --import"):
         install({"meadow": "theirs:Meadow"}).get("maze")
     for name, own in {**ORIGINAL_NAMES, "bulb": "dhand_lightbulb", "Door": "sawyer_door"}.items():
-        with pytest.raises(
-            ValueError, match=f"^unknown task '{name}'; did you mean '{own}'\\? Choose from cheetah_run"
-        ):
+        with pytest.raises(ValueError, match=f"^unknown task '{name}'; did you mean '{own}'\\? Choose from"):
             envs.make(name)
 
 

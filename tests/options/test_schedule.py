@@ -22,9 +22,7 @@ def test_the_shell_sweep_files_and_python_have_the_same_defaults(tmp_path, env):
     assert shared["seeds"] == SEEDS
     parameters = inspect.signature(command).parameters
     assert shared["algo"] == parameters["algo"].default == ALGO
-    assert all(
-        parameters[name].default is None for name in ("seeds", *FIELDS)
-    )  # so that a preset is told from a default
+    assert all(parameters[name].default is None for name in ("seeds", *FIELDS))  # a preset is told from a default
     help_text = " ".join(command.__doc__.split())
     for name, value in {"seeds": SEEDS, **dataclasses.asdict(Schedule())}.items():
         assert f"By default {value:,}" in help_text, name

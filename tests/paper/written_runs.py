@@ -59,9 +59,7 @@ RUNS = {
 
 
 def write_runs(root, runs):
-    return [
-        write_run(root / str(n), env, algo, scores, **options) for n, (env, algo, scores, options) in enumerate(runs)
-    ]
+    return [write_run(root / str(n), *run, **options) for n, (*run, options) in enumerate(runs)]
 
 
 def numbers(row, *names):

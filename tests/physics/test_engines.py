@@ -15,9 +15,7 @@ from earl_jax.physics.engines import c
 from tests.envs.programs import first_state, program, run_actions, starts
 
 SAWYER = "sawyer_door", "sawyer_peg"
-NEEDS_WARP = pytest.mark.skipif(
-    importlib.util.find_spec("warp") is None, reason="the extra earl-jax[warp] is not installed"
-)
+NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="earl-jax[warp] is not installed")
 FREE_STEPS = 5
 """Control steps of a demonstration in which nothing touches the hand."""
 FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
@@ -45,10 +43,7 @@ def observe_demonstrations(name, engine, steps, episodes=2):
     return play(name, env, states, actions, lambda state: state.obs[:7])
 
 
-NEEDS_ACCELERATOR = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator"),
-]
+NEEDS_ACCELERATOR = [pytest.mark.gpu, pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator")]
 """Marks of what shows that MJX computes in full float32 there."""
 
 

@@ -130,11 +130,9 @@ TWO_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_devi
 @pytest.mark.slow
 def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_alike_with_one_warning(tmp_path):
     """In a process whose handlers claim another major version; each device passes more than XLA copies at once."""
-    file, environment = tmp_path / "leaves.npz", {**os.environ, "XLA_FLAGS": TWO_DEVICES}
+    file, env = tmp_path / "leaves.npz", {**os.environ, "XLA_FLAGS": TWO_DEVICES}
     command = [sys.executable, "-c", REFUSED, str(file)]
-    run = subprocess.run(
-        command, env=environment, cwd=TESTS.parent, capture_output=True, text=True, check=True, timeout=300
-    )
+    run = subprocess.run(command, env=env, cwd=TESTS.parent, capture_output=True, text=True, check=True, timeout=300)
     (warning,) = run.stdout.splitlines()
     assert "version" in warning
     assert "jax.pure_callback" in warning

@@ -17,7 +17,7 @@ pytest.importorskip("mediapy", reason="videos need the extra render")
 images = pytest.importorskip("PIL.Image", reason="pictures need the extra render")
 TASK = "tabletop_organization"
 SMALL = (64, 96)
-OF_ONE_TASK = {"policy": "fbrl", "camera": "above", "steps": 3}
+OF_ONE_TASK = {"policy": "fbrl"}, {"camera": "above"}, {"steps": 3}
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +99,7 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
         ({"life": True, "out": "x.png"}, "a life is a film, not a sheet"),
         ({"life": True, "acting": "demos"}, "demonstrations begin where they were recorded"),
-        *[
-            ({"source": "all", "out": "x.png", name: value}, "belongs to one task")
-            for name, value in OF_ONE_TASK.items()
-        ],
+        *[({"source": "all", "out": "x.png", **one}, "belongs to one task") for one in OF_ONE_TASK],
         ({"steps": 0}, "steps must lie in"),
         ({"fps": float("nan")}, "fps must lie in"),
         ({"fps": "5"}, "fps must lie in"),

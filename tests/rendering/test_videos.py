@@ -61,9 +61,7 @@ def test_videos_are_in_the_folder_and_in_tensorboard_also_after_a_resumption_and
     np.testing.assert_equal(RunFolder.open(out).table().metrics, expected)
 
 
-@pytest.mark.parametrize(
-    ("count", "steps"), [(1, [120]), (2, [80, 120]), (3, [40, 80, 120]), (9, [40, 80, 120])], ids=str
-)
+@pytest.mark.parametrize(("count", "steps"), [(1, [120]), (2, [80, 120]), (3, [40, 80, 120]), (9, [40, 80, 120])])
 def test_videos_are_spread_over_the_evaluations(tmp_path, monkeypatch, count, steps):
     drawn = []
     monkeypatch.setattr(videos, "render", lambda source, path, *_, **__: drawn.append(path))

@@ -23,9 +23,7 @@ def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
 
 
 def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labelled_with_it(tmp_path):
-    paths = [
-        write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3) / number) for number, name in enumerate("ab", 1)
-    ]
+    paths = [write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3) / n) for n, name in enumerate("ab", 1)]
     change_config(paths[1], algo_class="lab.methods:Naive")
     assert labels(read_all(paths)) == ["naive", "naive (algo_class=lab.methods:Naive)"]
 

@@ -122,9 +122,7 @@ def test_a_link_is_no_checkpoint_and_a_link_to_checkpoints_is_refused(tmp_path, 
 
 def test_a_failed_write_leaves_the_older_checkpoints(tmp_path, state, monkeypatch):
     checkpoint.save(tmp_path, state)
-    monkeypatch.setattr(
-        os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device\nand a long story"))
-    )
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device\nand more")))
     message = r"000000080 can't be written: .*No space left on device; older checkpoints are unchanged"
     with pytest.raises(OSError, match=message):
         checkpoint.save(tmp_path, at_step(state, 80))
@@ -224,19 +222,13 @@ DAMAGE = {
     "bzip2": (stated(None, zipfile.ZIP_BZIP2), "its arrays are compressed"),
     "no rows": (arrays("replay", state=None), "its replay has other arrays"),
     "too many rows": (arrays("replay", state=np.zeros((5000, 2, 12), np.float32)), "its replay has other arrays"),
-    "rows of one lane": (
-        arrays("replay", state=np.zeros((1, 1, 6), np.float32)),
-        r"state is float32\[1, 1, 6\] instead",
-    ),
+    "rows of one lane": (arrays("replay", state=np.zeros((1, 1, 6), np.float32)), r"state is float32\[1, 1, 6\]"),
     "rows of other numbers": (arrays("replay", state=np.zeros((1, 2, 6))), r"state is float64\[1, 2, 6\] instead"),
     "20 MB of rows": (arrays("replay", state=np.zeros((200_000, 2, 12), np.float32)), "its arrays are larger"),
     "20 MB of lanes": (arrays("lanes", x=np.zeros(20_000_000, np.int8)), "its arrays are larger"),
     "rows of text": (arrays("replay", state=np.array([["x"] * 2] * 3)), "its replay has other arrays"),
     "counts of another shape": (arrays("replay", counts=np.zeros(7, np.int32)), "its replay has other arrays"),
-    "a row that is not there": (
-        arrays("replay", mine=np.full((3, 2), 10**6, np.int32)),
-        "mine has numbers that are out",
-    ),
+    "a row that is not there": (arrays("replay", mine=np.full((3, 2), 10**6, np.int32)), "mine has numbers that"),
     "a negative count": (arrays("replay", counts=np.full((2, 2), -1, np.int32)), "counts has numbers that are out"),
     "more bytes than its shape": (stated(40), "state.npy has another size than its array"),
     "fewer bytes than its shape": (stated(5000), "state.npy has another size than its array"),

@@ -94,9 +94,7 @@ def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
 
 def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
     shutil.rmtree(finished / "checkpoints")
-    expected = (
-        rf"is finished \(120 steps\) and its checkpoints are gone; earl_jax\.load\('{finished}'\) or earl-jax show"
-    )
+    expected = rf"is finished \(120 steps\) and its checkpoints are gone; earl_jax\.load\('{finished}'\)"
     for options in ({}, {"steps": 240}):
         with unchanged(finished), pytest.raises(InputError, match=expected):
             resume(finished, **options)
@@ -191,17 +189,13 @@ def assert_refused(folder, cause):
             assert cause in message_of(action)
 
 
-@pytest.mark.parametrize(
-    ("key", "text", "cause"), damage.CONFIG, ids=[f"{row[0]}-{str(row[1])[:20]}" for row in damage.CONFIG]
-)
+@pytest.mark.parametrize(("key", "text", "cause"), damage.CONFIG, ids=lambda part: str(part)[:20])
 def test_a_damaged_entry_of_a_config_is_one_line(finished, key, text, cause):
     damage.set_entry(finished, key, text)
     assert_refused(finished, cause)
 
 
-@pytest.mark.parametrize(
-    ("content", "cause"), damage.CONFIG_FILES, ids=[str(row[0][:5]) for row in damage.CONFIG_FILES]
-)
+@pytest.mark.parametrize(("content", "cause"), damage.CONFIG_FILES, ids=lambda part: str(part)[:20])
 def test_a_damaged_config_is_one_line(finished, content, cause):
     (finished / "config.json").write_bytes(content)
     assert_refused(finished, cause)

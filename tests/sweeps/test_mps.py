@@ -32,10 +32,7 @@ def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch)
 
 @pytest.mark.parametrize(
     ("control", "message"),
-    [
-        ('#!/bin/sh\n[ "$1" = -d ]\n', "does not answer"),
-        (None, "nvidia-cuda-mps-control is not installed"),
-    ],
+    [('#!/bin/sh\n[ "$1" = -d ]\n', "does not answer"), (None, "nvidia-cuda-mps-control is not installed")],
 )
 def test_a_daemon_that_does_not_start_gives_its_cause(gpus, monkeypatch, tmp_path, control, message):
     monkeypatch.setattr("earl_jax.sweeps.mps.PATIENCE", 0.1)

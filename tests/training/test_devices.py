@@ -14,10 +14,7 @@ from earl_jax.training.devices import lane_mesh
 from tests.cli.process import free_port
 from tests.conftest import CACHE, TESTS
 
-FOUR_DEVICES = {
-    **os.environ,
-    "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4",
-}
+FOUR_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
 SETUP = """
 import json, sys
 import jax
@@ -54,7 +51,8 @@ except ValueError as error:
 @pytest.mark.slow
 def test_four_devices_train_as_one_does_without_a_collective_and_three_are_refused():
     command = [sys.executable, "-c", SETUP + COMPARE + TOO_MANY_DEVICES, str(CACHE)]
-    result = subprocess.run(command, env=FOUR_DEVICES, cwd=TESTS.parent, capture_output=True, text=True)
+    env = {**os.environ, "XLA_FLAGS": FOUR_DEVICES}
+    result = subprocess.run(command, env=env, cwd=TESTS.parent, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr[-2000:]
     report, refusal = map(json.loads, result.stdout.splitlines())
     assert report["devices"] == 4

@@ -99,9 +99,7 @@ def test_a_folder_without_checkpoints_gives_the_result_of_its_training(trained, 
     for lane, seed in enumerate(result.seeds):
         for policy in (loaded.policy(lane), loaded.policy(seed=seed), result.policy(seed=seed)):
             np.testing.assert_array_equal(policy(obs), result.policy(lane)(obs))
-    np.testing.assert_allclose(
-        jax.vmap(lambda policy: policy(obs))(loaded.policies)[1], loaded.policy(1)(obs), atol=1e-6
-    )
+    np.testing.assert_allclose(jax.vmap(lambda one: one(obs))(loaded.policies)[1], loaded.policy(1)(obs), atol=1e-6)
     with pytest.raises(ValueError, match="no seed 1 in this run; choose from 3, 7"):
         loaded.policy(seed=1)
 

@@ -142,10 +142,8 @@ act_with_log_prob = jax.jit(SAC.act_with_log_prob)
 )
 def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, ensemble, subset, entropy, pairs):
     sac = SHALLOW.replace(ensemble=ensemble, target_subset=subset, backup_entropy=entropy)
-    agent, keys = (
-        init(sac, jax.random.key(1), 4, SIZE, entropy_free_pairs=pairs),
-        jax.random.split(jax.random.key(2), 12),
-    )
+    agent = init(sac, jax.random.key(1), 4, SIZE, entropy_free_pairs=pairs)
+    keys = jax.random.split(jax.random.key(2), 12)
     targets, used = np.asarray(td_targets(sac, keys, agent, batch)), set()
     for key, target in zip(keys, targets, strict=True):
         action, log_prob = act_with_log_prob(sac, key, agent.actor, batch.next_obs)

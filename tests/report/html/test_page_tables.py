@@ -17,9 +17,7 @@ from tests.report.run_files import DOOR, TABLETOP, change_config, constant, risi
 def cells(table):
     """Return the cells of each row of a table, by the names of their columns."""
     head = table["head"]
-    return [
-        dict(zip(head, texts, strict=True)) | {"line": line, "method": label} for line, label, texts in table["rows"]
-    ]
+    return [dict(zip(head, row, strict=True)) | {"line": line, "method": label} for line, label, row in table["rows"]]
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +29,8 @@ def test_the_paper_table_has_our_scores_beside_the_published(lines):
     tabletop, door = ([line for line in lines if line.curves.env == env] for env in (TABLETOP, DOOR))
     rows = {row["method"]: row for row in cells(paper_table(1, tabletop))}
     fbrl = rows["fbrl"]
-    assert (fbrl["mean (s.e.)"], fbrl["seeds × steps"], fbrl["published"]) == (
-        "0.838 (0.044)",
-        "3 × 300",
-        "0.94 (0.04)",
-    )
-    assert fbrl["verdict"] == "at 0.012 % of the steps"
+    assert (fbrl["mean (s.e.)"], fbrl["seeds × steps"]) == ("0.838 (0.044)", "3 × 300")
+    assert (fbrl["published"], fbrl["verdict"]) == ("0.94 (0.04)", "at 0.012 % of the steps")
     assert (rows["r3l"]["line"], rows["r3l"]["seeds × steps"], rows["r3l"]["verdict"]) == (None, "not run", "")
     tables = [paper_table(1, tabletop), paper_table(2, tabletop), paper_table(2, door)]
     assert ["known fault" in table["note"] for table in tables] == [False, True, True]
