@@ -62,7 +62,6 @@ def test_an_animation_is_as_fast_as_its_film(tmp_path, suffix, duration):
 
 
 def test_demonstrations_that_cannot_be_read_are_named(tmp_path):
-    """They used to be no choice at all."""
     env = make(TASK, demo_file=str(tmp_path / "gone.npz"))
     with pytest.raises(ValueError, match=r"no demos for '.*gone.npz'"):
         next(episodes(_actors(env, None, 0)["demos"]))

@@ -138,7 +138,6 @@ def test_a_picture_is_as_high_as_its_longest_panel(folders, tmp_path):
 
 
 def test_long_names_in_a_picture_are_wrapped(tmp_path):
-    """They left no room for the intervals and were cut off."""
     options = {"batch_size": 64, "discount": 0.95, "learning_rate": 1e-3, "timeout_bootstrap": True, "utd": 20}
     changed = write_run(tmp_path / "a", TABLETOP, "naive", constant(*GOOD), **options)
     rows = compare([changed, write_run(tmp_path / "b", TABLETOP, "naive", constant(*BAD))])

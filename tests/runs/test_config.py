@@ -30,7 +30,6 @@ def test_options_of_task_and_method_are_restored():
 
 
 def test_numbers_of_numpy_are_recorded_as_plain_ones():
-    """They used to be refused for a folder, and a result without one could not be shown."""
     env = earl_jax.make("tabletop_organization", wide=np.True_, train_horizon=np.int64(500))
     method = earl_jax.make_algo("naive", hidden_sizes=(np.int64(16),))
     config = make_config(env, method, setting=Deployment(intervention_chance=np.float32(0.1)), steps=np.int64(80))

@@ -125,7 +125,6 @@ def test_a_class_in_the_place_of_an_object_is_refused(task, method, message, no_
 
 
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
-    """Its numbers, one for each lane, used to be recorded as lists of every option, in digits of float32."""
     first = tiny_train("naive", learning_rate=1e-3, out=tmp_path / "run")
     again = train(first.env, first.method, seeds=2, steps=120, eval_every=40, eval_episodes=2)
     assert again.config.options == first.config.options

@@ -89,7 +89,6 @@ def test_a_run_can_end_where_it_stopped(tmp_path):
 
 
 def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
-    """Its checkpoints used to be refused as damaged."""
     tiny_train("naive", out=tmp_path / "run", steps=200, replay_capacity=150, minutes=1e-9)
     shorter = earl_jax.resume(tmp_path / "run", steps=120)
     assert_equal_results(shorter, tiny_train("naive", replay_capacity=150))
@@ -152,7 +151,6 @@ def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
     ],
 )
 def test_resuming_with_objects_of_other_options_is_an_error_that_leaves_the_run(folder, env, method, message):
-    """They used to train it on, under a config.json that did not have them."""
     with unchanged(folder), pytest.raises(InputError, match=message):
         earl_jax.resume(folder, env=env, algo=method, steps=160)
 
