@@ -53,12 +53,8 @@ def test_the_catalog_is_what_the_classes_are():
 
 
 def test_every_name_is_described_with_the_meaning_of_its_options(everything):
-    groups = [
-        *everything["tasks"].values(),
-        *everything["methods"].values(),
-        *everything["learners"].values(),
-        {"options": everything["shared"]},
-    ]
+    groups = [group for kind in ("tasks", "methods", "learners") for group in everything[kind].values()]
+    groups.append({"options": everything["shared"]})
     assert [group["error"] for group in groups if "error" in group] == []
     options = [(name, option["meaning"]) for group in groups for name, option in group["options"].items()]
     assert [name for name, meaning in options if len(meaning) < 10] == []

@@ -5,15 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax.metrics.phase_stats import (
-    ALIVE,
-    BACK,
-    FORWARD,
-    STILL,
-    advance_phase_stats,
-    init_phase_stats,
-    phase_metrics,
-)
+from earl_jax.metrics import phase_stats
+from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 
 FORWARD_PHASE, BACK_PHASE = True, False
 
@@ -30,8 +23,8 @@ def after(env, start):
     def mug_at(x):
         return start.replace(data=start.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
 
-    first = jax.jit(lambda: init_phase_stats(env, mug_at(0.0)))()
-    advance = jax.jit(lambda life, x, *rest: advance_phase_stats(life, env, mug_at(x), *rest))
+    first = jax.jit(lambda: phase_stats.init_phase_stats(env, mug_at(0.0)))()
+    advance = jax.jit(lambda life, x, *rest: phase_stats.advance_phase_stats(life, env, mug_at(x), *rest))
 
     def after(*steps):
         life = first
@@ -43,7 +36,7 @@ def after(env, start):
 
 
 def values(life, step, alive_steps=3, phases=2, sparse=True):
-    life, metrics = phase_metrics(life, jnp.asarray(step), alive_steps, phases, sparse)
+    life, metrics = phase_stats.phase_metrics(life, jnp.asarray(step), alive_steps, phases, sparse)
     return life, {name: float(value) for name, value in metrics.items()}
 
 

@@ -13,6 +13,8 @@ from tests.envs.chain import Chain
 GOAL = 3
 NEVER = Rules(horizon=0, chance=0.0, goal_change=0)
 TASK = Attempt(is_task=True, expires=False, ends_on_success=True, reset_at_end=False)
+RESTART = {"timeout", "phase_ended", "task_restarts", "env_reset"}
+"""What an intervention is."""
 
 
 def step_end(state, attempt=TASK, rules=NEVER, step=1, env=None, key=0):
@@ -54,7 +56,7 @@ def test_a_dense_reward_and_a_state_after_the_absorbing_end_end_no_attempt():
 @pytest.mark.parametrize("position", [1, GOAL])
 def test_a_fault_resets_the_lane_and_is_never_a_success(position):
     broken = state_at(position).replace(data=jnp.full(1, jnp.nan))
-    assert step_end(broken) == {"fault", "timeout", "phase_ended", "task_restarts", "env_reset"}
+    assert step_end(broken) == {"fault", *RESTART}
 
 
 @pytest.mark.parametrize("is_task", [True, False])
@@ -63,7 +65,7 @@ def test_an_intervention_comes_every_horizon_steps_and_restarts_the_task(is_task
     for step in (4, 6):
         assert step_end(state_at(1), attempt, rules, step) == set()
     for step in (5, 10):
-        assert step_end(state_at(1), attempt, rules, step) == {"timeout", "phase_ended", "task_restarts", "env_reset"}
+        assert step_end(state_at(1), attempt, rules, step) == RESTART
     assert step_end(state_at(GOAL), attempt, rules, 5) == {"reached", "phase_ended", "task_restarts", "env_reset"}
 
 
@@ -71,10 +73,7 @@ def test_an_intervention_by_chance_depends_on_the_key_alone():
     rules = NEVER._replace(chance=0.25)
     ends = [step_end(state_at(1), rules=rules, key=key) for key in range(80)]
     assert ends == [step_end(state_at(1), rules=rules, step=2, key=key) for key in range(80)]
-    assert {frozenset(end) for end in ends} == {
-        frozenset(),
-        frozenset({"timeout", "phase_ended", "task_restarts", "env_reset"}),
-    }
+    assert set(map(frozenset, ends)) == {frozenset(), frozenset(RESTART)}
     keys = jax.random.split(jax.random.key(0), 4000)
     rates = [jax.vmap(rules.intervened, (None, 0))(1, keys).mean() for rules in (rules, NEVER._replace(chance=1.0))]
     assert rates == pytest.approx([0.25, 1.0], abs=0.02)

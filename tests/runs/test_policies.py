@@ -55,16 +55,9 @@ def test_maps_of_visits_are_read_as_they_were_written(file):
 
 
 @pytest.mark.parametrize(
-    "visits",
-    [
-        np.zeros((3, 4, 4), int),
-        np.zeros((2, 4, 5), int),
-        np.zeros((2, 0, 0), int),
-        np.zeros((2, 4, 4)),
-        -np.ones((2, 4, 4), int),
-    ],
+    ("shape", "count"), [((3, 4, 4), 0), ((2, 4, 5), 0), ((2, 0, 0), 0), ((2, 4, 4), 0.0), ((2, 4, 4), -1)]
 )
-def test_maps_of_another_run_or_other_numbers_are_refused(file, visits):
+def test_maps_of_another_run_or_other_numbers_are_refused(file, shape, count):
     message = r"policies\.npz does not belong to this run: visits are not counts \[2, B, B\]"
     with pytest.raises(ValueError, match=message):
-        load_visits(save(file, visits=visits), seeds=2)
+        load_visits(save(file, visits=np.full(shape, count)), seeds=2)

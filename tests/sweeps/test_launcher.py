@@ -138,27 +138,22 @@ for _ in range(600):
 """
 
 
-@pytest.mark.parametrize(
-    ("end", "per_device", "handler"),
-    [
-        ("signal", None, "save_and_end"),
-        ("signal", 2, "save_and_end"),
-        ("error", 2, "save_and_end"),
-        ("second signal", 2, "signal.SIG_IGN"),
-    ],
-)
+@pytest.mark.parametrize(("end", "per_device"), [("signal", None), ("signal", 2), ("error", 2), ("second signal", 2)])
 def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
-    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, per_device, handler
+    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, per_device
 ):
-    folder, lines, names = workers(SAVE.replace("HANDLER", handler), "abcde"), [], "abcd" if per_device else "a"
-    monkeypatch.setattr(processes, "PATIENCE", 30 if handler == "save_and_end" else 0.1)
+    """A worker that ignores the first signal is ended by the second one."""
+    saves = end != "second signal"
+    body = SAVE.replace("HANDLER", "save_and_end" if saves else "signal.SIG_IGN")
+    folder, lines, names = workers(body, "abcde"), [], "abcd" if per_device else "a"
+    monkeypatch.setattr(processes, "PATIENCE", 30 if saves else 0.1)
 
     def emit(line):
         lines.append(line)
         if line.startswith("started") and sum(line.startswith("started") for line in lines) == len(names):
             if end == "error":
                 raise BrokenPipeError
-            for _ in range(2 if end == "second signal" else 1):
+            for _ in range(1 if saves else 2):
                 os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(BrokenPipeError if end == "error" else SystemExit) as exit_info:
@@ -168,7 +163,7 @@ def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
         stopped = [f"stopped    {name}  the worker ended with code 143" for name in names]
         assert sorted(line for line in lines if line.startswith("stopped  ")) == stopped
         assert lines[-1] == "stopped; repeat the command to continue"
-    saved = [f"saved {name}" for name in names] if handler == "save_and_end" else []
+    saved = [f"saved {name}" for name in names] if saves else []
     assert sorted(capfd.readouterr().err.splitlines()) == saved
     assert sorted(path.name for path in folder.iterdir()) == list(names)
     for path in folder.iterdir():
