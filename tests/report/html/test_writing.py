@@ -75,8 +75,11 @@ def test_damaged_runs_are_listed_at_the_top_and_with_their_causes(page, folders,
 
 
 def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
-    intact = write_page_run(tmp_path / "intact", "fbrl", rising(2, 2))
-    change_config(intact, provenance={"versions": 5, "created": 7})
+    odd = [{"options": {"precision": "fp4"}}, {"env_options": {"x": 1}}, {"env_class": "a:b"}]
+    odd += [{"provenance": value} for value in (5, {"versions": 5, "created": 7})]
+    for number, values in enumerate(odd):
+        change_config(write_page_run(tmp_path / f"odd{number}", "fbrl", rising(1, 2), seeds=[number]), **values)
+    (tmp_path / "odd0/policies.npz").write_bytes(b"x")
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
     write_page_run(tmp_path / "narrow", "risc", rising(2, 2), metrics={"deployed/success_wide": np.nan})
@@ -93,7 +96,8 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     messages = [str(warning.message) for warning in caught]
     for name, metric in (("endless", "interventions"), ("unknown", "deployed/success")):
         assert f"left out: {tmp_path}/{name}: {metric} is not finite" in messages
-    assert "2, with 4 seeds" in text
+    assert "6, with 7 seeds" in text
+    assert f"{tmp_path}/odd0/policies.npz is damaged" in text
     assert f"left out: {tmp_path}/narrow: deployed/success_wide of risc has no value" in "\n".join(messages)
     assert "5 runs could not be read" in text
     assert [cause for cause in causes if cause not in text] == []
