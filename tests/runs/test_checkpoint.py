@@ -45,17 +45,6 @@ def test_a_saved_state_is_restored(tmp_path, state):
     assert int(restored.step) == 40
 
 
-def test_a_larger_buffer_keeps_both_ends_of_the_index(tmp_path, problem, state):
-    checkpoint.save(tmp_path, state)
-    larger = make_train_state(problem, tiny_method("fbrl"), [0, 1], steps=500)
-    restored = checkpoint.restore(tmp_path, larger).replay
-    for lane in range(2):
-        first, second = (int(count) for count in restored.counts[lane])
-        np.testing.assert_array_equal(restored.index[:first, lane], state.replay.index[:first, lane])
-        np.testing.assert_array_equal(restored.index[-second:, lane], state.replay.index[-second:, lane])
-    assert restored.capacity == larger.replay.capacity
-
-
 @pytest.mark.parametrize("name", ["a[1]", "[proj]", "a\\b", "*", "gs:", "a\nb"])
 def test_a_folder_of_any_name_is_written_and_read(tmp_path, state, name):
     checkpoint.save(tmp_path / name / "checkpoints", state)
