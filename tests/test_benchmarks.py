@@ -21,7 +21,7 @@ from earl_jax.algos import list_algos, make_algo
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.sweeps.slots import make_slots
-from tests.conftest import TESTS
+from tests.cli.process import run_code
 
 
 class CodeJob(Job):
@@ -87,8 +87,7 @@ def test_the_jax_learner_of_the_python_loop_fits_terminal_rewards():
 def test_the_pytorch_learner_of_the_python_loop_fits_terminal_rewards():
     """In its own process: an import of PyTorch's Triton ends one that has run many other tests."""
     code = "from tests.test_benchmarks import assert_fits_terminal_rewards; assert_fits_terminal_rewards('torch')"
-    result = subprocess.run([sys.executable, "-c", code], cwd=TESTS.parent, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr[-2000:]
+    run_code(code)
 
 
 def test_every_bar_has_its_rows_in_the_full_suite():

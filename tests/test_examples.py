@@ -2,10 +2,7 @@
 
 import importlib.util
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -14,6 +11,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.protocol import Protocol
+from tests.cli.process import run_code
 from tests.conftest import assert_all_finite, without_shares
 
 ROOT = Path(__file__).parents[1]
@@ -58,12 +56,7 @@ def test_an_example_lives_under_the_protocol_and_reports_both_scores(name, optio
 @pytest.mark.slow
 def test_ppo_learns():
     """Over five lives, the mean of the last three evaluations is well above that of the first."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": ""}
-    process = subprocess.run(
-        [sys.executable, "-c", LEARNS], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600
-    )
-    assert process.returncode == 0, process.stderr
-    metrics = {name: np.array(values) for name, values in json.loads(process.stdout).items()}
+    metrics = {name: np.array(values) for name, values in json.loads(run_code(LEARNS, XLA_FLAGS="")).items()}
     rises = metrics["deployed/return"][:, -3:].mean(axis=1) - metrics["deployed/return"][:, 0]
     assert rises.mean() > 150
     assert (rises > 0).sum() >= 4

@@ -1,6 +1,5 @@
 """The package examples/pasture, installed and used as docs/extending.md says, and the code of that page."""
 
-import os
 import re
 import subprocess
 import sys
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import pytest
 
 import earl_jax
-from tests.conftest import CACHE
+from tests.cli.process import run_code
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "examples" / "pasture"
@@ -58,12 +57,9 @@ def use_package(code, name, folder, site):
     given = {"TINY": TINY, "LENGTHS": LENGTHS, "DEMOS": DEMOS, "CONTRACT": str(ROOT / "tests/envs/test_contract.py")}
     constants = "".join(f"{key} = {value!r}\n" for key, value in given.items())
     code = f"{constants}from earl_jax.cli import main\n{code}{CHECK_CONTRACT.format(name=name)}"
-    environment = {**os.environ, "PYTHONPATH": f"{site}:{ROOT}", "JAX_COMPILATION_CACHE_DIR": str(CACHE)}
-    command = [sys.executable, "-c", code]
-    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=570)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert re.search(r"\d+ passed", result.stdout)
-    return result.stdout
+    printed = run_code(code, cwd=folder, PYTHONPATH=f"{site}:{ROOT}")
+    assert re.search(r"\d+ passed", printed)
+    return printed
 
 
 @pytest.fixture(scope="module")

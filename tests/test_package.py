@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import earl_jax
+from tests.cli.process import run_code
 
 ROOT = Path(__file__).parents[1]
 MOST_BYTES = 25 * 2**20
@@ -62,11 +63,9 @@ def test_wheel_contains_every_asset(wheel):
 def test_the_wheel_works_outside_the_checkout_and_imports_load_no_simulator_or_learner(wheel, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "JAX_PLATFORMS": "cpu"}
-    process = subprocess.run([sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
-    assert str(tmp_path / "site" / "earl_jax" / "assets") in process.stdout
-    assert "1241" in process.stdout
+    printed = run_code(USE, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
+    assert str(tmp_path / "site" / "earl_jax" / "assets") in printed
+    assert "1241" in printed
 
 
 @pytest.mark.slow

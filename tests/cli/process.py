@@ -43,6 +43,15 @@ def run_process(*arguments):
     return process.returncode, out, err
 
 
+def run_code(code, *arguments, cwd=TESTS.parent, **variables):
+    """Return what Python code prints in its own process, with more `variables`; it must end with code 0."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    env = ENVIRONMENT | variables
+    result = subprocess.run(command, env=env, cwd=cwd, capture_output=True, text=True, timeout=570)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
 def run(*arguments):
     """Return exit code, stdout and stderr of one command, run by `main` in this process."""
     out, err, format_warning = io.StringIO(), io.StringIO(), warnings.formatwarning

@@ -1,14 +1,12 @@
 """Tests of `earl-jax list`: its catalog is what the classes are, it fits a terminal, and it loads no jax."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 
 import earl_jax
 from earl_jax.cli import catalog, descriptions, listing
-from tests.cli.process import one_line, run, succeed
+from tests.cli.process import one_line, run, run_code, succeed
 from tests.conftest import write_files
 
 LIST_OWN = """
@@ -107,8 +105,7 @@ def test_trained_policies_that_ship_are_listed(everything):
 
 
 def test_listing_loads_no_jax_and_no_numpy():
-    process = subprocess.run([sys.executable, "-c", LIST_OWN], capture_output=True, text=True, check=True)
-    assert process.stdout.splitlines()[-1] == "set()"
+    assert run_code(LIST_OWN).splitlines()[-1] == "set()"
 
 
 def test_tasks_and_methods_of_installed_packages_are_listed(tmp_path, monkeypatch):

@@ -1,7 +1,5 @@
 """XLA flags that the command line sets: where the installed XLA knows them, once, and never against the user."""
 
-import subprocess
-import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from earl_jax.cli import xla_flags
-from tests.cli.process import ENVIRONMENT
+from tests.cli.process import run_code
 
 NAME = next(iter(xla_flags.FLAGS))
 ADDED = [f"--{name}={value}" for name, (value, _) in xla_flags.FLAGS.items()]
@@ -86,5 +84,4 @@ def test_the_installed_xla_accepts_the_flags_that_it_is_said_to_know():
     ]
     assert time.perf_counter() - began < 1
     assert known, "jaxlib of the supported versions knows them"
-    environment = {**ENVIRONMENT, "XLA_FLAGS": " ".join(known)}
-    subprocess.run([sys.executable, "-c", xla_flags.TRIAL], env=environment, check=True, capture_output=True)
+    run_code(xla_flags.TRIAL, XLA_FLAGS=" ".join(known))

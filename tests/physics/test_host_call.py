@@ -2,8 +2,6 @@
 
 import functools
 import os
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +11,8 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.physics.host_call import service
-from tests.cli.process import ENVIRONMENT
-from tests.conftest import TESTS, assert_equal_trees, tiny_train
+from tests.cli.process import run_code
+from tests.conftest import assert_equal_trees, tiny_train
 from tests.envs.programs import first_state, program
 
 HOST_ERRORS = (ValueError, RuntimeError)
@@ -83,8 +81,7 @@ print(float(state.obs.sum()), "/jax/compilation_cache/cache_hits" in hits)
 def test_a_program_with_physics_on_the_host_is_cached_for_the_next_process():
     env = make("sawyer_door")
     state = program(env, "step")(first_state(env), jnp.ones(4))
-    command = [sys.executable, "-c", STEP_FROM_CACHE]
-    total, hit = subprocess.check_output(command, env=ENVIRONMENT, text=True).split()
+    total, hit = run_code(STEP_FROM_CACHE).split()
     assert hit == "True"
     assert float(total) == float(state.obs.sum())
 
@@ -130,10 +127,8 @@ TWO_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_devi
 @pytest.mark.slow
 def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_alike_with_one_warning(tmp_path):
     """In a process whose handlers claim another major version; each device passes more than XLA copies at once."""
-    file, env = tmp_path / "leaves.npz", {**os.environ, "XLA_FLAGS": TWO_DEVICES}
-    command = [sys.executable, "-c", REFUSED, str(file)]
-    run = subprocess.run(command, env=env, cwd=TESTS.parent, capture_output=True, text=True, check=True, timeout=300)
-    (warning,) = run.stdout.splitlines()
+    file = tmp_path / "leaves.npz"
+    (warning,) = run_code(REFUSED, file, XLA_FLAGS=TWO_DEVICES).splitlines()
     assert "version" in warning
     assert "jax.pure_callback" in warning
     result = tiny_train("naive", "sawyer_door", steps=60, eval_every=20)

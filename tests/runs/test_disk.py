@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from earl_jax.runs.checkpoint import newest
-from tests.cli.process import ENVIRONMENT, run_process, succeed, training, unchanged
+from tests.cli.process import ENVIRONMENT, run_code, run_process, succeed, training, unchanged
 
 pytestmark = pytest.mark.slow
 MAIN_WITH_A_JUMPING_CLOCK = """
@@ -141,7 +141,5 @@ def test_a_part_of_a_run_that_belongs_to_another_user_is_named_before_training(n
 
 
 def test_clocks_that_jump_or_stand_still_change_nothing(whole, tmp_path):
-    command = [sys.executable, "-c", MAIN_WITH_A_JUMPING_CLOCK, *train(tmp_path / "run"), "--minutes", "60"]
-    result = subprocess.run(command, capture_output=True, text=True, env={**ENVIRONMENT, "PYTHONPATH": os.getcwd()})
-    assert result.returncode == 0, result.stderr
+    run_code(MAIN_WITH_A_JUMPING_CLOCK, *train(tmp_path / "run"), "--minutes", "60")
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()

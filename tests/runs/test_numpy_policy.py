@@ -1,9 +1,5 @@
 """Policies in plain NumPy: equal to those of every learner, and able to act where jax cannot be imported."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +11,7 @@ from earl_jax.algos.learner.td3 import TD3
 from earl_jax.envs import HelpBudget
 from earl_jax.runs.policies import save_policies
 from earl_jax.training.policy import Policy
+from tests.cli.process import run_code
 
 SHIPPED = [(task, method) for task, methods in earl_jax.list_pretrained().items() for method in methods]
 OBS = np.random.default_rng(1).normal(size=(2, 3, 12)).astype(np.float32)
@@ -57,8 +54,7 @@ def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_
     np.testing.assert_allclose(numpy(OBS), policy(jnp.asarray(OBS)), atol=1e-5)
     numpy.save(tmp_path / "policy")
     np.save(tmp_path / "obs.npy", OBS)
-    files = [str(tmp_path / name) for name in ("policy", "obs.npy")]
-    subprocess.run([sys.executable, "-c", WITHOUT_JAX, *files], check=True, cwd=Path(earl_jax.__file__).parents[1])
+    run_code(WITHOUT_JAX, tmp_path / "policy", tmp_path / "obs.npy")
     np.testing.assert_array_equal(np.load(tmp_path / "obs.npy"), numpy(OBS))
     save_policies(tmp_path / "policies.npz", {"weights": OBS}, step=1, seeds=[0], obs_size=12, action_size=3)
     (tmp_path / "half").write_bytes((tmp_path / "policy").read_bytes()[:-100])

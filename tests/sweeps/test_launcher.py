@@ -4,15 +4,13 @@ import itertools
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from types import SimpleNamespace
 
 import pytest
 
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import ENVIRONMENT, one_line, run, run_process, start, succeed
+from tests.cli.process import one_line, run, run_code, run_process, start, succeed
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -25,10 +23,9 @@ def test_the_launcher_never_imports_jax(grid, tmp_path):
         f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run', '--import', {str(mine)!r}]);"
         "assert not {'jax', 'numpy', 'flax', 'mujoco'} & set(sys.modules), sorted(sys.modules)"
     )
-    process = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
-    assert "program 1: 4 lanes, steps 0 to 120, replay" in process.stdout
-    assert "2 runs, 0 of them done; programs to run: 1" in process.stdout
+    printed = run_code(code)
+    assert "program 1: 4 lanes, steps 0 to 120, replay" in printed
+    assert "2 runs, 0 of them done; programs to run: 1" in printed
     assert not (tmp_path / "out").exists()
 
 

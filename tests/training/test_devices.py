@@ -11,18 +11,15 @@ import pytest
 import earl_jax
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.devices import lane_mesh
-from tests.cli.process import free_port
-from tests.conftest import CACHE, TESTS
+from tests.cli.process import free_port, run_code
+from tests.conftest import CACHE
 
 FOUR_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
 SETUP = """
-import json, sys
-import jax
+import json
 import numpy as np
 import earl_jax
 from earl_jax.training import devices, runner
-jax.config.update("jax_compilation_cache_dir", sys.argv[1])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16], batch_size=16, random_steps=20)
 """
 COMPARE = """
@@ -50,11 +47,8 @@ except ValueError as error:
 
 @pytest.mark.slow
 def test_four_devices_train_as_one_does_without_a_collective_and_three_are_refused():
-    command = [sys.executable, "-c", SETUP + COMPARE + TOO_MANY_DEVICES, str(CACHE)]
-    env = {**os.environ, "XLA_FLAGS": FOUR_DEVICES}
-    result = subprocess.run(command, env=env, cwd=TESTS.parent, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr[-2000:]
-    report, refusal = map(json.loads, result.stdout.splitlines())
+    printed = run_code(SETUP + COMPARE + TOO_MANY_DEVICES, XLA_FLAGS=FOUR_DEVICES)
+    report, refusal = map(json.loads, printed.splitlines())
     assert report["devices"] == 4
     assert report["collectives"] == []
     assert report["characters"] > 10_000
