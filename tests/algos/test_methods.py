@@ -7,7 +7,7 @@ import pytest
 from flax import struct
 
 from earl_jax import assets
-from earl_jax.algos import SAC, Method, learner_of, list_algos, make_algo, register_algo, register_learner
+from earl_jax.algos import SAC, Method, learner_of, list_algos, make_algo, register_learner
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
@@ -51,14 +51,10 @@ def next_goals(method, goals, phase, method_state=()):
     return jax.jit(jax.vmap(lambda key: method.next_goal(key, goals, jnp.asarray(phase), CURRENT, method_state)))(KEYS)
 
 
-def test_the_registry_lists_the_methods_and_refuses_unknown_names_and_options():
+def test_the_registry_lists_the_methods_and_refuses_unknown_options():
     assert own_algos() == list(METHODS)
-    with pytest.raises(ValueError, match=", ".join(list_algos())):
-        make_algo("ppo")
     with pytest.raises(ValueError, match=r"no option 'gamma'; .*`earl-jax list "):
         make_algo("vaprl", gamma=0.9)
-    with pytest.raises(ValueError, match="exists already"):
-        register_algo("naive", Method)
     for learner, given in ((SAC, r"<class .*SAC'>; did you mean SAC\(\)\?"), (3, "3")):
         with pytest.raises(ValueError, match=f"the learner must be a name or an object, not {given}"):
             make_algo("naive", learner=learner)

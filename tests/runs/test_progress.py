@@ -1,6 +1,7 @@
 """Tests of the progress display in piped output: compilation is announced, and nothing is silent for long."""
 
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,19 +12,10 @@ from earl_jax.runs.progress import Progress, duration
 METRICS = {"deployed/success": np.array([0.25, 0.75]), "continuing/reward": np.array([0.0, 0.5])}
 
 
-class Clock:
-    """Replaces the module `time`."""
-
-    def __init__(self):
-        self.now = 100.0
-
-    def monotonic(self):
-        return self.now
-
-
 @pytest.fixture
 def clock(monkeypatch):
-    clock = Clock()
+    """What replaces the module `time`."""
+    clock = SimpleNamespace(now=100.0, monotonic=lambda: clock.now)
     monkeypatch.setattr(progress, "time", clock)
     monkeypatch.setattr(progress, "SILENCE", 3600.0)
     return clock
