@@ -1,18 +1,9 @@
 """Curves read from run folders, in the order and with the labels of tables."""
 
-import numpy as np
-
 from earl_jax.protocol import Continuing
 from earl_jax.report.pooling import read_all
-from earl_jax.report.runs import by_method, labels, read
+from earl_jax.report.runs import by_method, labels
 from tests.report.run_files import DOOR, TABLETOP, change_config, rising, write_run
-
-
-def test_an_incomplete_evaluation_is_not_read(tmp_path):
-    path = write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3))
-    text = (path / "metrics.csv").read_text()
-    (path / "metrics.csv").write_text(text[: text.rindex("\n", 0, -1) + 5])
-    np.testing.assert_array_equal(read(path).steps, [10, 20])
 
 
 def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
