@@ -17,17 +17,7 @@ MINITAUR = "minitaur_pen"
 
 
 def write_run(
-    path,
-    env,
-    algo,
-    deployed,
-    steps=None,
-    seeds=None,
-    planned=None,
-    setting=None,
-    env_options=None,
-    metrics=None,
-    **options,
+    path, env, algo, deployed, steps=(), seeds=(), planned=None, setting=None, env_options=(), metrics=(), **options
 ):
     """Write a run whose seeds score `deployed [N, E]` at `steps [E]`, and return its path.
 
@@ -37,10 +27,10 @@ def write_run(
     scores = np.asarray(deployed, float)
     steps = list(steps or range(10, 10 * scores.shape[1] + 1, 10))
     lengths = {"steps": planned or steps[-1], "eval_every": steps[0], "checkpoint_every": 10}
-    task, method, lanes = make(env, **(env_options or {})), make_algo(algo, **options), seeds or range(len(scores))
+    task, method, lanes = make(env, **dict(env_options)), make_algo(algo, **options), seeds or range(len(scores))
     config = make_config(task, method, tuple(lanes), setting, **lengths)
     folder = RunFolder.create(path, config, engine="kinematic")
-    values = {"deployed/success": scores, "deployed/return": scores, **(metrics or {})}
+    values = {"deployed/success": scores, "deployed/return": scores, **dict(metrics)}
     columns = {name: np.broadcast_to(value, scores.shape) for name, value in values.items()}
     for number, step in enumerate(steps):
         folder.append(step, {name: column[:, number] for name, column in columns.items()})
@@ -57,12 +47,12 @@ def constant(*scores):
     return np.repeat(np.array(scores, float)[:, None], 2, axis=1)
 
 
-def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), metrics=None, **options):
+def write_page_run(path, algo, deployed, env=TABLETOP, extra_counts=(), metrics=(), **options):
     """Write a run with every metric that a page needs: rewards a hundredth of the scores, and counts of evaluations."""
     scores = np.asarray(deployed, float)
     rewards = dict.fromkeys(("continuing/reward", "continuing/recent"), scores / 100)
     counts = dict.fromkeys(("interventions", "faults", "reached", *extra_counts), np.arange(1, scores.shape[1] + 1))
-    return write_run(path, env, algo, scores, metrics={**rewards, **counts, **(metrics or {})}, **options)
+    return write_run(path, env, algo, scores, metrics={**rewards, **counts, **dict(metrics)}, **options)
 
 
 def change_config(run, **values):
