@@ -63,9 +63,8 @@ def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the
         cell("dhand_lightbulb", "fbrl", "not compared: the task is our reconstruction", 0.044, -330.9),
         {"env": "sawyer_peg", "algo": "naive", "seeds": None},
     ]
-    lines = {
-        line.split(" | ")[0].strip("| "): line.split(" | ")[1:] for line in grid.text(rows).splitlines() if "|" in line
-    }
+    parts = [line.split(" | ") for line in grid.text(rows).splitlines() if "|" in line]
+    lines = {task.strip("| "): cells for task, *cells in parts}
     assert lines["Sawyer door"][:2] == ["**0.50**<br>0.25<br>▲ above", "**0.50**<br>0.25<br>? cannot tell at 24 %"]
     assert lines["Minitaur pen"][-1] == "**-2,895**<br>-42<br>not compared at 80 % |"
     assert lines["DHand lightbulb"][1] == "**-331**<br>not compared at 4.4 %"

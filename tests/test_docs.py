@@ -14,9 +14,7 @@ from tests.conftest import own_algos
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted(
-    [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("examples/*/*.md"), *(ROOT / "notebooks").glob("*.py")]
-)
+PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("examples/*/*.md"), *ROOT.glob("notebooks/*.py")])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
