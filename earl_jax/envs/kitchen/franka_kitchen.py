@@ -78,8 +78,10 @@ SWITCH, LIT = 4, -0.68964165
 """The switch's index among these joints, and its angle with the light on after those ten steps."""
 JOINT_SPEED = np.array([1.0, 4.0], np.float32)
 LEASH = np.array([0.12, 0.06], np.float32)
-"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear
-between."""
+"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear between.
+A difference from the original: with the target half a metre behind furniture or out of the arm's reach, a joint that comes
+free reaches 87 rad/s (28 with a limit of 0.2 m) and knocks objects past their limits. If the limit stayed short while the
+arm is slow, a folded arm would be stuck."""
 OBJECT_SLACK = 0.3
 ARM_SLACK = 20.0
 """Distances (rad, m) beyond their limits at which object and arm joints count as a broken simulation. The arm's limits
@@ -162,7 +164,9 @@ class FrankaKitchen(MujocoEnv):
         return vector, {"noise": jax.random.key_data(following), "mocap": data.mocap_pos[0]}
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        pulled = _pulled_target(state, _target(state, action))
+        hand = rewards.dragging_position(rewards.observed(state.data.qpos))
+        fastest = jnp.abs(state.data.qvel[:7]).max()
+        pulled = leashed_target(_target(state, action), hand, fastest, JOINT_SPEED, LEASH)
         return state.data.replace(mocap_pos=pulled[None]), state.obs[:2] + FINGER_REACH * action[:2]
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
@@ -223,14 +227,3 @@ def with_open(groups: tuple[tuple[str, ...], ...]) -> np.ndarray:
 def _target(state: State, action: jax.Array) -> jax.Array:
     """Return the position [3] to which `action` moves the hand's target."""
     return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], MOCAP_LOW, MOCAP_HIGH)
-
-
-def _pulled_target(state: State, target: jax.Array) -> jax.Array:
-    """Return the position [3] that the weld pulls the hand to: `target [3]`, or a nearer one if the target is too far.
-
-    A difference from the original: with the target half a metre behind furniture or out of the arm's reach, a joint
-    that comes free reaches 87 rad/s (28 with a limit of 0.2 m) and knocks objects past their limits. If the limit stayed
-    short while the arm is slow, a folded arm would be stuck.
-    """
-    hand = rewards.dragging_position(rewards.observed(state.data.qpos))
-    return leashed_target(target, hand, jnp.abs(state.data.qvel[:7]).max(), JOINT_SPEED, LEASH)

@@ -35,7 +35,9 @@ WRIST = 6
 JOINT_SPEED = np.array([2.8, 3.6], np.float32)
 LEASH = np.array([0.38, 0.03], np.float32)
 """Metres by which the mocap target may lead the hand while the fastest joint before the wrist turns at `JOINT_SPEED`
-[rad/s]; linear between."""
+[rad/s]; linear between. A difference from the original: there, a hand that slips off the handle with its target half a
+metre away reaches 9 m/s, 22 mm per substep, and passes through the next obstacle. The recordings stay below 0.36 m and
+2.8 rad/s, where this has no effect."""
 
 
 class Pose(NamedTuple):
@@ -146,7 +148,8 @@ class Sawyer(MujocoEnv):
         return self.make_state(data, vector, {"goal": goal, **info})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        pulled = _pulled_target(state, _target(state, action))
+        fastest = jnp.abs(state.data.qvel[:WRIST]).max()
+        pulled = leashed_target(_target(state, action), state.obs[:3], fastest, JOINT_SPEED, LEASH)
         return state.data.replace(mocap_pos=pulled[None]), jnp.stack([action[3], -action[3]])
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
@@ -198,13 +201,3 @@ class Sawyer(MujocoEnv):
 def _target(state: State, action: jax.Array) -> jax.Array:
     """Return the position [3] to which `action` moves the hand's target."""
     return jnp.clip(state.data.mocap_pos[0] + REACH * action[:3], HAND_LOW, HAND_HIGH)
-
-
-def _pulled_target(state: State, target: jax.Array) -> jax.Array:
-    """Return the position [3] that the weld pulls the hand to: `target [3]`, or a nearer one if the target is too far.
-
-    A difference from the original: there, a hand that slips off the handle with its target half a metre away reaches 9
-    m/s, 22 mm per substep, and passes through the next obstacle. The recordings stay below 0.36 m and 2.8 rad/s, where
-    this has no effect.
-    """
-    return leashed_target(target, state.obs[:3], jnp.abs(state.data.qvel[:WRIST]).max(), JOINT_SPEED, LEASH)
