@@ -49,8 +49,9 @@ def site_positions(state: jax.Array) -> jax.Array:
 
 def dragging_position(state: jax.Array) -> jax.Array:
     """Return the position [3], in metres, of the mocap body whose weld holds the flange where `state [23]` has it."""
-    flange = _point_position(state[FIRST], *_chain("tip")[:1], np.zeros(3))
-    return flange - jnp.asarray(_weld_offset(), jnp.float32)
+    model, flange = load_model(MODEL), _point_position(state[FIRST], *_chain("tip")[:1], np.zeros(3))
+    without_force = _rotation_matrix(model.body("mocap").quat) @ model.equality("drag").data[3:6]
+    return flange - jnp.asarray(without_force, jnp.float32)
 
 
 def released(obs: jax.Array, mocap: jax.Array, sites: jax.Array) -> jax.Array:
@@ -94,13 +95,6 @@ def _chain(site: str) -> tuple[tuple[Link, ...], np.ndarray]:
         links.append(Link(body.pos, _rotation_matrix(body.quat), joint))
         index = body.parentid[0]
     return tuple(links[::-1]), model.site(site).pos
-
-
-@functools.cache
-def _weld_offset() -> np.ndarray:
-    """Return the offset [3] of the flange from the mocap body at which the weld exerts no force."""
-    model = load_model(MODEL)
-    return _rotation_matrix(model.body("mocap").quat) @ model.equality("drag").data[3:6]
 
 
 def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -> jax.Array:

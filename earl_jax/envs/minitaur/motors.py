@@ -52,23 +52,15 @@ def legs_to_motors(xp: Any, action: Any) -> Any:
     return np.pi - np.pi / 4 * (extension + 1.5) + sign * np.pi / 4 * swing
 
 
-def clipped(xp: Any, x: Any, limit: Any) -> Any:
-    """Return `x` clipped to ±`limit`.
-
-    NumPy runs this for every substep, where it is several times faster than `np.clip`.
-    """
-    return xp.minimum(xp.maximum(x, -limit), limit)
-
-
 def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any, kp: float, kd: float) -> tuple[Any, Any]:
     """Return the torques [N m] that motors exert and the torques that they report.
 
     `error` is the actual minus the commanded angle [rad], `speed` is in rad/s, `voltage` is the battery's, and
     `viscosity` [V s/rad] adds to the back-EMF.
     """
-    applied = clipped(xp, -kp * error - kd * speed, 1.0) * voltage
-    reported = clipped(xp, TORQUE_CONSTANT / RESISTANCE * applied, MAX_REPORTED_TORQUE)
-    current = clipped(xp, applied - (TORQUE_CONSTANT + viscosity) * speed, MAX_VOLTS) / RESISTANCE
+    applied = xp.clip(-kp * error - kd * speed, -1.0, 1.0) * voltage
+    reported = xp.clip(TORQUE_CONSTANT / RESISTANCE * applied, -MAX_REPORTED_TORQUE, MAX_REPORTED_TORQUE)
+    current = xp.clip(applied - (TORQUE_CONSTANT + viscosity) * speed, -MAX_VOLTS, MAX_VOLTS) / RESISTANCE
     return xp.sign(current) * xp.interp(xp.abs(current), CURRENTS, TORQUES), reported
 
 
@@ -155,7 +147,7 @@ class MinitaurMotors:
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
         angle, speed = qpos[..., POSITIONS] * DIRECTION, qvel[..., SPEEDS] * DIRECTION
         hot, voltage, viscosity = memory[..., :MOTORS], memory[..., -2:-1], memory[..., -1:]
-        error = clipped(xp, angle - command, MAX_LEAD)
+        error = xp.clip(angle - command, -MAX_LEAD, MAX_LEAD)
         exerted, reported = torque(xp, error, speed, voltage, viscosity, self.kp, self.kd)
         hot = xp.where(hot > self.max_hot, hot, (hot + 1) * (xp.abs(exerted) > OVERHEAT_TORQUE))
         controls = exerted * DIRECTION

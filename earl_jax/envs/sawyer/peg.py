@@ -48,9 +48,10 @@ FAR_HEADS = np.array(
 )  # fmt: skip
 """x, y of the peg's head in the 22 starts of `wide`."""
 BLOCK = np.array([-0.3, 0.6, 0.0], np.float32)
-"""Position [m] of the block, which is 0.2 m high, deep and wide."""
-LIPS = np.array([[[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]], [[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]]], np.float32)
-"""Two boxes in front of the block, below and above the hole, in the block's frame: corners of dense reward 0 and 1."""
+"""Position [m] of the block, which is 0.2 m high, deep and wide, and turned by 90 degrees to the left."""
+_LIPS = np.array([[[0.1, -0.11, 0.16], [-0.1, -0.17, 0.19]], [[0.1, -0.11, 0.01], [-0.1, -0.15, 0.096]]], np.float32)
+LIPS = BLOCK + np.stack([-_LIPS[..., 1], _LIPS[..., 0], _LIPS[..., 2]], axis=-1)
+"""Two boxes in front of the block, above and below the hole: corners of dense reward 0 and 1, `_LIPS` in its frame."""
 HOME = Pose(
     target=(0.0, 0.6, 0.2),
     qpos=(
@@ -223,7 +224,7 @@ class SawyerPeg(Sawyer):
         grasp_position = head - HEAD + GRASP
         left = jnp.linalg.norm((head - goal) * scale)
         placed = tolerance(left, 0.0, RADIUS, jnp.linalg.norm((start + HEAD - goal) * scale), long_tail)
-        bump = hamacher(*[prism(head, *_from_block(corners)) for corners in LIPS[::-1]])
+        bump = hamacher(*[prism(head, *corners) for corners in LIPS])
         placed = hamacher(placed, bump)
         grip = obs[GRIPPER] > 0 if self.variant == "released" else True
         lifted = (jnp.linalg.norm(grasp_position - hand) < 0.08) & grip & (grasp_position[2] - 0.01 > start[2])
@@ -237,12 +238,6 @@ class SawyerPeg(Sawyer):
 def _lying_peg(head: jax.Array) -> jax.Array:
     """Return the middle [3] of a lying peg with its `head [2]`."""
     return jnp.append(head, LOW[2]) - HEAD
-
-
-def _from_block(corners: np.ndarray) -> np.ndarray:
-    """Return world positions of `corners [n, 3]` in the block's frame, which is turned by 90 degrees to the left."""
-    turned = np.stack([-corners[:, 1], corners[:, 0], corners[:, 2]], axis=-1)
-    return turned + BLOCK
 
 
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:

@@ -157,26 +157,22 @@ class HelpBudget(Env):
         return self.make_state(inner, vector, {**state.info, **changed})
 
     def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
-        """Return the result of a step that `asked` for help or not, bool [], and leads to `moved` in the task."""
+        """Return the result of a step that `asked` for help or not, bool [], and leads to `moved` in the task.
+
+        The budget is computed from the counts, so that rounding does not add up over a long lifetime.
+        """
         enforced = ~asked & self.task.irreversible(moved)
         following, drawn = jax.random.split(jax.random.wrap_key_data(state.info["key"]))
-        changed = {**self._charged(state.info, asked, enforced), "key": jax.random.key_data(following)}
+        counts = {"asked": state.info["asked"] + asked, "enforced": state.info["enforced"] + enforced}
+        paid = counts["asked"] * self.help_cost + counts["enforced"] * self.enforced_cost
+        left = jnp.maximum(self.budget - paid, 0.0)
+        budget = jnp.where(left <= ROUNDING * self.budget, 0.0, left)
+        changed = {**counts, "budget": budget, "key": jax.random.key_data(following)}
         fresh = self.task.with_goal(self.task.reset(drawn), state.info["goal"])
         helped = tree_where(asked | enforced, fresh, moved)
         info = tree_where(_ended(state.info), state.info, {**state.info, **changed})
         inner = tree_where(_ended(info), state.data, helped)
         return inner, self._vector(inner, info), info
-
-    def _charged(self, info: dict[str, jax.Array], asked: jax.Array, enforced: jax.Array) -> dict[str, jax.Array]:
-        """Return counts and budget after a step that `asked` for help, led to an `enforced` intervention, or neither.
-
-        The budget is computed from the counts, so that rounding does not add up over a long lifetime.
-        """
-        counts = {"asked": info["asked"] + asked, "enforced": info["enforced"] + enforced}
-        costs = {"asked": self.help_cost, "enforced": self.enforced_cost}
-        paid = sum(counts[kind] * cost for kind, cost in costs.items())
-        left = jnp.maximum(self.budget - paid, 0.0)
-        return {**counts, "budget": jnp.where(left <= ROUNDING * self.budget, 0.0, left)}
 
     def _vector(self, inner: State, info: dict[str, jax.Array]) -> jax.Array:
         """Return the augmented state vector [s + 1]."""
