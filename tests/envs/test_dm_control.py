@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.physics.starts import settled_cheetahs
 from earl_jax import assets, physics
 from earl_jax.envs import make
-from earl_jax.envs.dm_control.cheetah_run import settle
 from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import START_COUNT, first_state, program, run_actions, starts
 
@@ -70,7 +70,7 @@ def test_cheetah_speed_and_reward_by_mujocos_own_momentum():
 
 
 def test_the_settling_procedure_reproduces_the_shipped_cheetah_starts():
-    shipped, settled = assets.starts("cheetah_run"), settle()
+    shipped, settled = assets.starts("cheetah_run"), settled_cheetahs()
     assert shipped["qpos"].shape == (512, 9)
     np.testing.assert_allclose(shipped["qpos"], settled["qpos"], atol=1e-5)
     np.testing.assert_allclose(shipped["qvel"], settled["qvel"], atol=1e-4)

@@ -1,14 +1,12 @@
 """Cheetah run: a planar cheetah learns to run at 10 m/s, the DeepMind Control Suite's `cheetah-run` without episodes.
 
 Source: dm_control 1.0.50, `suite/cheetah`. The model is our own MJCF with the suite's numbers, equal up to
-rounding. `python -m earl_jax.envs.dm_control.cheetah_run FILE.npz` regenerates assets/starts/cheetah_run.npz.
+rounding. `python -m benchmarks.physics.starts cheetah_run FILE.npz` makes the starts.
 """
 
 import dataclasses
 import functools
-import importlib
-import sys
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +17,7 @@ from earl_jax.envs.features import ContinuingDefaults
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.shaping import linear, tolerance
 from earl_jax.envs.state import NextState, State, random_row
-from earl_jax.physics import EngineCost, PhysicsState, load_model
+from earl_jax.physics import EngineCost, PhysicsState
 
 TARGET_SPEED = 10.0
 """Speed in metres per second at and above which the reward is 1."""
@@ -29,9 +27,6 @@ POSITIONS = 8
 """Length of the observed position: all joints but the forward slide."""
 LAP = 200.0
 """Metres after which the position along the track, which is not observed, wraps."""
-SETTLING = 200
-"""Steps without torque that settle a start."""
-STARTS = 512
 HEIGHTS = (-1.0, 10.0)
 """Range in metres of the trunk's height, 0 at the start; outside it, the simulation broke."""
 
@@ -112,26 +107,3 @@ class CheetahRun(MujocoEnv):
 def _observed(data: PhysicsState) -> jax.Array:
     """Return the state [17] of `data`: positions except the one along the track, then velocities."""
     return jnp.concatenate([data.qpos[1:], data.qvel])
-
-
-def settle(count: int = STARTS) -> dict[str, np.ndarray]:
-    """Return `count` settled starts as float32 `qpos, qvel, qacc_warmstart [count, 9]`.
-
-    The suite's procedure: every limited joint is uniform in its range, the trunk has the model's pose, and MuJoCo's C
-    engine takes 200 steps without torque from a cold start.
-    """
-    mujoco: Any = importlib.import_module("mujoco")
-    model, random = load_model(CheetahRun.name), np.random.default_rng(0)
-    limited = model.jnt_limited.astype(bool)
-    rows: dict[str, list[np.ndarray]] = {"qpos": [], "qvel": [], "qacc_warmstart": []}
-    for _ in range(count):
-        data = mujoco.MjData(model)
-        data.qpos[limited] = random.uniform(*model.jnt_range[limited].T)
-        mujoco.mj_step(model, data, SETTLING)
-        for field, values in rows.items():
-            values.append(np.array(getattr(data, field)))
-    return {field: np.asarray(values, np.float32) for field, values in rows.items()}
-
-
-if __name__ == "__main__":
-    np.savez_compressed(sys.argv[1], **settle())  # pyright: ignore[reportArgumentType]
