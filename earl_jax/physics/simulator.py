@@ -76,12 +76,6 @@ class Simulator:
         """Return the compiled `mujoco.MjModel` with this simulator's time step."""
         return load_model(self.model, self.timestep)
 
-    def controls(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
-        """Return the controls of the next substep and the actuator's new memory; without an actuator, the arguments."""
-        if self.actuator is None:
-            return command, memory
-        return self.actuator(xp, qpos, qvel, command, memory)
-
     def variation(self, constants: jax.Array) -> dict[str, jax.Array]:
         """Return a lane's `constants [k]` as the model fields `varied`, in their shapes."""
         nominal = [getattr(self.mujoco_model(), field) for field in self.varied]

@@ -52,8 +52,7 @@ class PendingStep(NamedTuple):
     ticket: jax.Array | None = None
 
 
-OWN = ("memory", "constants")
-FIELDS = tuple(field.name for field in dataclasses.fields(PhysicsState) if field.name not in OWN)
+FIELDS = tuple(field.name for field in dataclasses.fields(PhysicsState) if field.name not in ("memory", "constants"))
 """The fields that MuJoCo's data also has."""
 
 

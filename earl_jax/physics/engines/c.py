@@ -103,18 +103,13 @@ class Simulations:
         columns = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
         self.memory, self.command = columns.pop(len(before)), slice(ends[-1], None)
         self.inputs = [(part, column) for part, column in zip(before + after, columns, strict=True) if part.size]
-        self.actuator = self._bind(simulator.actuator)
+        actuator: Any = simulator.actuator
+        bind = getattr(actuator, "bind", functools.partial(UnboundActuator, actuator))
+        self.actuator: HostActuator | None = None if actuator is None else bind(self.qpos, self.qvel, self.ctrl)
 
     def _rows(self, field: str) -> np.ndarray:
         """Return a live view [count, k] of `field` of all simulations."""
         return self.batch.bind(field).reshape(self.batch.nsim, -1)
-
-    def _bind(self, actuator: Any) -> HostActuator | None:
-        if actuator is None:
-            return None
-        bind = getattr(actuator, "bind", None)
-        joints = self.qpos, self.qvel, self.ctrl
-        return bind(*joints) if bind else UnboundActuator(actuator, *joints)
 
     def advance(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows [count, m] one control step after `rows [count, k]`, float32."""

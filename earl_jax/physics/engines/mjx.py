@@ -43,12 +43,15 @@ def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tup
 
     def substep(carry, _):
         state = carry[0]
-        ctrl, memory = simulator.controls(jnp, state.qpos, state.qvel, command, state.memory)
+        ctrl, memory = command, state.memory
+        if simulator.actuator is not None:
+            ctrl, memory = simulator.actuator(jnp, state.qpos, state.qvel, command, memory)
         data = empty_data.replace(ctrl=ctrl, **{field: getattr(state, field) for field in FIELDS})
         data = mjx.step(model, data)
         after = state.replace(memory=memory, **{field: getattr(data, field) for field in FIELDS})
-        if simulator.engine == "warp":
-            after = after.replace(qpos=jnp.where(_warp_overflowed(data), jnp.nan, after.qpos))
+        if simulator.engine == "warp":  # it silently drops contacts or rows beyond its capacity
+            overflowed = (data._impl.nacon > WARP_CONTACTS).any() | (data._impl.nefc > WARP_ROWS).any()
+            after = after.replace(qpos=jnp.where(overflowed, jnp.nan, after.qpos))
         return (after, data.sensordata), None
 
     guard_kinematics()
@@ -56,8 +59,3 @@ def step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> tup
     with jax.default_matmul_precision("highest"):
         sensors = jnp.full_like(empty_data.sensordata, state.qpos[0])
         return jax.lax.scan(substep, (state, sensors), length=simulator.substeps)[0]
-
-
-def _warp_overflowed(data: Any) -> jax.Array:
-    """Return whether a Warp step exceeded its capacity, beyond which Warp silently drops contacts or rows."""
-    return (data._impl.nacon > WARP_CONTACTS).any() | (data._impl.nefc > WARP_ROWS).any()

@@ -53,15 +53,8 @@ class Service:
         tickets, answer = frame.transfer
         rows_of(answer)[:] = self.answers.pop(int(tickets.integers[0]))
 
-    def start_in_stream(self, frame: Frame) -> None:
-        """Queue the work in the stream, on a GPU."""
-        self._stream(frame).start(*frame.transfer)
-
-    def finish_in_stream(self, frame: Frame) -> None:
-        """Queue the wait for the answer in the stream, on a GPU."""
-        self._stream(frame).finish(*frame.transfer)
-
-    def _stream(self, frame: Frame) -> Stream:
+    def stream_of(self, frame: Frame) -> Stream:
+        """Return the stream of a call on a GPU, in which the work and the wait for its answer are queued."""
         stream = frame.stream
         if stream not in self.streams:
             self.streams[stream] = Stream(self.serve, self.width, stream)
@@ -97,8 +90,8 @@ def register(name: str, serve: Serve, width: int) -> None:
         ("step", "cpu"): Service.step,
         ("start", "cpu"): Service.start,
         ("finish", "cpu"): Service.finish,
-        ("start", "CUDA"): Service.start_in_stream,
-        ("finish", "CUDA"): Service.finish_in_stream,
+        ("start", "CUDA"): lambda service, frame: service.stream_of(frame).start(*frame.transfer),
+        ("finish", "CUDA"): lambda service, frame: service.stream_of(frame).finish(*frame.transfer),
     }
     for (part, platform), work in targets.items():
         _register_target(f"{name}.{part}", platform, lambda frame, work=work: work(_SERVICES[name], frame))
