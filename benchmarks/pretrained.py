@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 import tyro
+from flax.traverse_util import flatten_dict
 from scipy.stats import binomtest
 from tyro.conf import Positional
 
@@ -24,7 +25,7 @@ from earl_jax.metrics.deployed import deployed
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.policies import policies_step
 from earl_jax.training import Policy, load, load_policies
-from earl_jax.training.policy import actor_of_arrays, arrays_of_actor
+from earl_jax.training.policy import actor_of_arrays
 
 PRETRAINED = assets.root() / "pretrained"
 LEAST = 0.3
@@ -57,6 +58,21 @@ def chosen_lanes(original: dict[str, np.ndarray], rounded: dict[str, np.ndarray]
     lows = [lowest(share, episodes) for share in original[METRICS[0]]]
     kept = [lane for lane in range(len(success)) if success[lane] >= lows[lane]]
     return sorted(kept, key=lambda lane: (-success[lane], -rounded[METRICS[1]][lane], lane))
+
+
+def arrays_of_actor(actor: Any) -> dict[str, np.ndarray]:
+    """Return the float16 arrays, leaves [...], from which `actor_of_arrays` makes `actor`.
+
+    Raises:
+        ValueError: a weight is not finite in float16.
+    """
+    with np.errstate(over="ignore"):  # reported below
+        leaves = flatten_dict(actor["params"], sep=".").items()
+        arrays = {name: np.asarray(leaf, np.float16) for name, leaf in leaves}
+    broken = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+    if broken:
+        raise InputError(f"{broken[0]} has a weight that is not finite in float16")
+    return arrays
 
 
 def pack(folder: Path, out: Path, episodes: int = EPISODES, least: float = LEAST) -> dict[str, Any]:

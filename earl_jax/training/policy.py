@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from flax.traverse_util import flatten_dict, unflatten_dict
+from flax.traverse_util import unflatten_dict
 
 from earl_jax import assets
 from earl_jax.algos import learner_of
@@ -23,7 +23,6 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.numpy_policy import FULL_BUDGET, NumpyPolicy
 from earl_jax.training.state import LaneState
 
-Arrays = dict[str, np.ndarray]
 PROBES = 16
 """Random observations at which a policy and its NumPy form are compared."""
 
@@ -119,22 +118,7 @@ def pretrained_env(task: str, method: str) -> Env:
     return RunConfig.from_stored(assets.pretrained_info(task, method)["config"]).build_env()
 
 
-def arrays_of_actor(actor: Any) -> Arrays:
-    """Return the parameters of an actor, leaves [...], as float16 arrays by layer and kind: `hidden_0.kernel` and so on.
-
-    Raises:
-        ValueError: a weight is not finite in float16.
-    """
-    with np.errstate(over="ignore"):  # reported below
-        leaves = flatten_dict(actor["params"], sep=".").items()
-        arrays = {name: np.asarray(leaf, np.float16) for name, leaf in leaves}
-    broken = [name for name, array in arrays.items() if not np.isfinite(array).all()]
-    if broken:
-        raise InputError(f"{broken[0]} has a weight that is not finite in float16")
-    return arrays
-
-
-def actor_of_arrays(arrays: Arrays) -> Any:
-    """Return the actor with float32 parameters whose `arrays_of_actor` are `arrays`."""
+def actor_of_arrays(arrays: dict[str, np.ndarray]) -> Any:
+    """Return the actor whose parameters, as float32, are `arrays` by layer and kind: `hidden_0.kernel` and so on."""
     leaves = {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
     return {"params": unflatten_dict(leaves, sep=".")}

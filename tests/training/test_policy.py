@@ -15,7 +15,7 @@ from earl_jax.envs import HelpBudget, make
 from earl_jax.metrics.deployed import deployed
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_policies, pretrained_env, runner, select_seed
-from earl_jax.training.policy import Policy, actor_of_arrays, arrays_of_actor
+from earl_jax.training.policy import Policy, actor_of_arrays
 from tests.conftest import make_config, make_problem, make_train_state, take_lane, tiny_method
 
 NAME = "tabletop_organization"
@@ -109,11 +109,11 @@ def test_unknown_names_list_the_choices(arguments, message):
 
 def test_an_actor_survives_its_arrays_up_to_rounding():
     actor = {"params": {"hidden_0": {"kernel": jnp.array([[1.0, 1e-3]]), "bias": jnp.array([0.1, -2.0])}}}
-    restored = actor_of_arrays(arrays_of_actor(actor))
+    restored = actor_of_arrays(packing.arrays_of_actor(actor))
     assert jax.tree.structure(restored) == jax.tree.structure(actor)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3), restored, actor)
     with pytest.raises(ValueError, match=r"hidden_0\.bias has a weight that is not finite in float16"):
-        arrays_of_actor({"params": {"hidden_0": {"kernel": jnp.ones((1, 1)), "bias": jnp.array([1e6])}}})
+        packing.arrays_of_actor({"params": {"hidden_0": {"kernel": jnp.ones((1, 1)), "bias": jnp.array([1e6])}}})
 
 
 def test_a_seed_that_rounding_makes_worse_does_not_ship():
