@@ -74,10 +74,12 @@ def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any)
 
     def call(*arguments):
         specs = jax.tree.broadcast(in_specs, arguments)
-        local = jax.tree.map(lambda leaf, spec: _local_shape(leaf, mesh, spec), arguments, specs)
+
+        def local_shape(leaf, spec):
+            return jax.ShapeDtypeStruct(NamedSharding(mesh, spec).shard_shape(leaf.shape), leaf.dtype)
 
         def run_locally(*parts):
-            return _without_empty(function(*_with_empty(parts, local)))
+            return _without_empty(function(*_with_empty(parts, jax.tree.map(local_shape, arguments, specs))))
 
         run = jax.shard_map(run_locally, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
         return _with_empty(run(*_without_empty(arguments)), jax.eval_shape(function, *arguments))
@@ -94,11 +96,6 @@ def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
         return jax.device_put(tree)
     specs = jax.tree.broadcast(specs, tree)
     return jax.tree.map(lambda leaf, spec: _put(leaf, NamedSharding(mesh, spec)), tree, specs)
-
-
-def _local_shape(leaf: Any, mesh: Mesh, spec: PartitionSpec) -> jax.ShapeDtypeStruct:
-    """Return the shape of the part of `leaf` that one device of `mesh` has."""
-    return jax.ShapeDtypeStruct(NamedSharding(mesh, spec).shard_shape(leaf.shape), leaf.dtype)
 
 
 def _without_empty(tree: Any) -> Any:

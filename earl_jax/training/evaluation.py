@@ -32,7 +32,8 @@ def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple
 def _evaluate_lane(
     problem: Problem, method: Method, lane: LaneState, step: jax.Array
 ) -> tuple[LaneState, dict[str, jax.Array]]:
-    protocol, metrics = problem.protocol, deployed_lane(problem, method, lane, step)
+    protocol, policy = problem.protocol, Policy.of(problem.env, method, lane)
+    metrics = protocol.deployed(without_budget(problem.env), policy, jax.random.fold_in(lane.key, step))
     counters, of_life = continuing(lane.counters, lane.env_state, step, protocol.eval_every)
     count, sparse = len(method.phases), problem.env.sparse
     phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, count, sparse)
@@ -43,12 +44,6 @@ def _evaluate_lane(
     finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
     metrics[DIVERGED] = (~finite).astype(jnp.int32)
     return lane.replace(counters=counters.replace(phases=phases)), metrics
-
-
-def deployed_lane(problem: Problem, method: Method, lane: LaneState, step: jax.Array) -> dict[str, jax.Array]:
-    """Return the deployed evaluation of one lane's task controller after `step` steps, in the task without help."""
-    policy = Policy.of(problem.env, method, lane)
-    return problem.protocol.deployed(without_budget(problem.env), policy, jax.random.fold_in(lane.key, step))
 
 
 @package_types()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
@@ -63,7 +64,8 @@ def replay_bytes(problem: Problem, method: Method, steps: int) -> int:
 def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> MemoryEstimate:
     """Return the memory that `lanes` lanes of `steps` steps need."""
     replay = replay_bytes(problem, method, steps)  # first, since it refuses tasks without demonstrations
-    shape = _one_lane.eval_shape(problem, _single(method), jax.random.key(0), steps=1)
+    single = jax.tree.map(lambda leaf: jnp.zeros((1,), jnp.result_type(leaf)), method)  # sizes depend on no values
+    shape = _one_lane.eval_shape(problem, single, jax.random.key(0), steps=1)
     outputs = _layer_outputs(shape.lanes.agent) // controller_count(method)
     return MemoryEstimate(
         lanes,
@@ -77,11 +79,6 @@ def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> Memory
 def _one_lane(problem: Problem, method: Method, key: jax.Array, steps: int) -> TrainState:
     """Return the first train state of a lane; under `jit`, so that Python traces it once for all runs of a problem."""
     return init_train_state(problem, method, key[None], steps)
-
-
-def _single(method: Method) -> Method:
-    """Return `method` with leaves [1] of zeros, because sizes do not depend on their values."""
-    return jax.tree.map(lambda leaf: jax.numpy.zeros((1,), jax.numpy.result_type(leaf)), method)
 
 
 def _layer_outputs(agent: Any) -> int:

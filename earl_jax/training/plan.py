@@ -22,7 +22,8 @@ from earl_jax.training.state import Problem
 Options = TypeVar("Options")
 
 LONGEST_CHUNK = 1000
-"""Steps of a jitted call at most: half a minute of five lanes with the paper's networks on two CPU cores."""
+"""Steps of a jitted call at most, since signals and limits wait for its end: half a minute of five lanes with the paper's
+networks on two CPU cores."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,21 +66,14 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     every = problem.protocol.eval_every
     require_whole_windows(steps, every)
     random = method.learner.random_steps
-    chunk = _chunk_steps(math.gcd(random, every))
+    common = math.gcd(random, every)
+    chunk = max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
     surprise = _surprise(method, steps, every, chunk)
     if surprise:
         warnings.warn(surprise, RunWarning, stacklevel=2)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
-    return Plan(
-        problem=problem,
-        lanes=lanes,
-        steps=steps,
-        chunk_steps=chunk,
-        random_steps=random,
-        mesh=mesh,
-        memory=need,
-    )
+    return Plan(problem, lanes, steps, chunk_steps=chunk, random_steps=random, mesh=mesh, memory=need)
 
 
 def _surprise(method: Method, steps: int, every: int, chunk: int) -> str | None:
@@ -93,11 +87,6 @@ def _surprise(method: Method, steps: int, every: int, chunk: int) -> str | None:
             f"divide the {chunk:,} steps of a chunk, which divide random_steps {random:,} and eval_every {every:,}"
         )
     return None
-
-
-def _chunk_steps(common: int) -> int:
-    """Return the largest divisor of `common` up to `LONGEST_CHUNK`, since signals and limits wait for the end of a chunk."""
-    return max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
 
 
 def per_lane(options: Options, lanes: int) -> Options:

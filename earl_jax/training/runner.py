@@ -151,7 +151,8 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimi
         bar = stack.enter_context(_progress(plan, runs, progress))
         bar.message(str(plan.memory))
         if plan.engine != "kinematic":
-            bar.message(_engine_text(plan, chosen_engine(runs[0].env)))
+            auto = f", which auto takes for {plan.lanes} lanes on this {jax.default_backend()} machine"
+            bar.message(f"physics engine: {plan.engine}{auto if chosen_engine(runs[0].env) == 'auto' else ''}")
         if state is None:
             with bar.working("first state"):
                 state = jax.block_until_ready(init())
@@ -160,12 +161,6 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimi
         for run in runs:
             stack.enter_context(run.logged(step))
         return _train_to_end(plan, method, runs, state, step, bar, stop)
-
-
-def _engine_text(plan: Plan, wanted: str) -> str:
-    """Return the line that names the physics engine of a program; `wanted` is the engine asked for."""
-    reason = f", which auto takes for {plan.lanes} lanes on this {jax.default_backend()} machine"
-    return f"physics engine: {plan.engine}{reason if wanted == 'auto' else ''}"
 
 
 def _train_to_end(
