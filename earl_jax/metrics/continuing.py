@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from earl_jax.envs import State
-from earl_jax.metrics.phase_stats import PhaseStats
+from earl_jax.envs import Env, State
+from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
 
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
@@ -49,8 +49,8 @@ class Counters(struct.PyTreeNode):
     phases: PhaseStats
 
 
-def init_counters(phases: PhaseStats, diagnostics: Iterable[str] = ()) -> Counters:
-    """Return the counters of a lane before its first step; `diagnostics` names those of the learner."""
+def init_counters(env: Env, env_state: State, diagnostics: Iterable[str] = ()) -> Counters:
+    """Return the counters of a lane that starts in `env_state`; `diagnostics` names those of the learner."""
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     return Counters(
         window_reward=zero,
@@ -59,7 +59,7 @@ def init_counters(phases: PhaseStats, diagnostics: Iterable[str] = ()) -> Counte
         faults=none,
         reached=none,
         diagnostics=dict.fromkeys(diagnostics, zero),
-        phases=phases,
+        phases=init_phase_stats(env, env_state),
     )
 
 

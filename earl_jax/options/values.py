@@ -175,17 +175,13 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
     if isinstance(default, tuple):
         is_sizes = isinstance(value, tuple) and value and all(_fits(int, size) and size for size in value)
         return None if is_sizes else "whole numbers of at least 1"
-    may_be_none = default is None or type(None) in typing.get_args(annotation)
-    declared = _type_beside_none(annotation) if may_be_none else annotation
+    parts = typing.get_args(annotation)
+    may_be_none = default is None or type(None) in parts
+    declared = next((part for part in parts if part is not type(None)), None) if may_be_none else annotation
     kind = declared if declared in KINDS else type(default)
     has_lanes = field.metadata.get("pytree_node", True)
     fits = kind not in KINDS or _fits(kind, value, has_lanes) or (value is None and may_be_none)
     return None if fits else KINDS[kind] + " or null" * may_be_none
-
-
-def _type_beside_none(annotation: Any) -> Any:
-    """Return the type T of an annotation `T | None`, or None for any other annotation."""
-    return next((kind for kind in typing.get_args(annotation) if kind is not type(None)), None)
 
 
 def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:

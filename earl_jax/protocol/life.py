@@ -15,7 +15,7 @@ from flax import struct
 from earl_jax.envs import Env, State
 from earl_jax.envs.wrappers.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
-from earl_jax.metrics.phase_stats import init_phase_stats, phase_metrics
+from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
@@ -107,7 +107,7 @@ def init(
         task_goal=env_state.info["goal"],
         goal_is_set=jnp.zeros((), bool),
         evaluated_at=zero,
-        counters=init_counters(init_phase_stats(env, env_state)),
+        counters=init_counters(env, env_state),
     )
 
 

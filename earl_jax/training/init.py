@@ -10,7 +10,6 @@ from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method, controller_count, kept_transitions
 from earl_jax.metrics.continuing import init_counters
-from earl_jax.metrics.phase_stats import init_phase_stats
 from earl_jax.protocol import Rules
 from earl_jax.training.demos import demo_rows, demo_steps
 from earl_jax.training.ordering import unfolded
@@ -50,7 +49,7 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
         goal_indices=goal_indices,
         agent=_init_agents(problem, method, agent_key),
         method_state=method_state,
-        counters=init_counters(init_phase_stats(env, env_state), method.learner.diagnostics),
+        counters=init_counters(env, env_state, method.learner.diagnostics),
         rules=rules,
         visits=None if env.map is None else jnp.zeros((MAP_BINS, MAP_BINS), jnp.int32),
     )

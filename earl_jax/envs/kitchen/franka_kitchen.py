@@ -28,10 +28,8 @@ MOCAP_LOW = np.array([-0.7, -0.1, 1.8], np.float32)
 MOCAP_HIGH = np.array([0.4, 0.5, 2.6], np.float32)
 HELD_UPRIGHT = np.array([0.65359542, -0.65307515, -0.27036028, -0.27057566], np.float32)
 RADIUS = 0.3
-ROBOT_NOISE = 0.01
-OBJECT_NOISE = (0.0005, 0.0005, *[5e-5] * 6, *[5e-4] * 3, *[0.01] * 3)
-NOISE = np.array([*[ROBOT_NOISE] * 9, *OBJECT_NOISE], np.float32)
-"""Half-width of the uniform noise on each number of a state."""
+NOISE = np.array([*[0.01] * 9, 0.0005, 0.0005, *[5e-5] * 6, *[5e-4] * 3, *[0.01] * 3], np.float32)
+"""Half-width of the uniform noise on each number of a state, robot first."""
 CLOSED = np.array(
     [
         -4.1336253e-01, -1.6970085e00, 1.4286385e00, -2.5005307e00, 6.2198675e-01, 1.2632011e00, 8.8903642e-01,
