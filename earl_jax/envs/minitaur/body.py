@@ -4,8 +4,7 @@ Source: the randomiser that the released EARL code enables. It scales the masses
 the upper legs are fused with their motors and are scaled with them.
 """
 
-import functools
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,52 +19,36 @@ KINDS = ("base", "motor", "lower")
 FRICTIONS = (0.8, 1.5)
 
 
-class Body(NamedTuple):
-    """The nominal robot with B bodies and P contact pairs.
-
-    `kind [B]` indexes `KINDS`. `mass [B]` and `inertia [B, 3]` are the bodies' own. `carried [B, B]`: row i marks the
-    bodies in the subtree of body i. `friction [P, 5]` belongs to the contact pairs, and `slides [P, 5]` marks the
-    entries that are a foot's sliding friction on the floor.
-    """
-
-    kind: np.ndarray
-    mass: np.ndarray
-    inertia: np.ndarray
-    carried: np.ndarray
-    friction: np.ndarray
-    slides: np.ndarray
-
-
-@functools.cache
-def nominal(name: str) -> Body:
-    """Return the compiled parameters of the robot in the model `name`."""
+def draw(key: jax.Array, name: str) -> jax.Array:
+    """Return random values [k] of the fields `VARIED` of the model `name`, flat and in that order."""
     model = load_model(name)
-    kinds = [
-        next((n for n, kind in enumerate(KINDS) if model.body(i).name.startswith(kind)), 0) for i in range(model.nbody)
-    ]
+    names = [model.body(number).name for number in range(model.nbody)]
+    kind = np.array([next((n for n, kind in enumerate(KINDS) if own.startswith(kind)), 0) for own in names])
+    mass, inertia, pair_friction = (
+        np.asarray(values, np.float32) for values in (model.body_mass, model.body_inertia, model.pair_friction)
+    )
+    mass_key, friction_key = jax.random.split(key)
+    factor = jax.random.uniform(mass_key, (len(KINDS),), minval=MASSES[0], maxval=MASSES[1])[kind]
+    friction = jax.random.uniform(friction_key, minval=FRICTIONS[0], maxval=FRICTIONS[1])
+    fields = {
+        "body_mass": factor * mass,
+        "body_inertia": factor[:, None] * inertia,
+        "body_subtreemass": (_carried(model) * (factor * mass)).sum(axis=1),
+        "pair_friction": jnp.where(_slides(model), friction, pair_friction),
+    }
+    return jnp.concatenate([jnp.ravel(fields[field]) for field in VARIED])
+
+
+def _carried(model: Any) -> np.ndarray:
+    """Return float32 [B, B] of B bodies, in which row i marks those in the subtree of body i."""
     carried = np.eye(model.nbody, dtype=np.float32)
     for body in range(model.nbody - 1, 0, -1):
         carried[model.body_parentid[body]] += carried[body]
+    return carried
+
+
+def _slides(model: Any) -> np.ndarray:
+    """Return which numbers of `pair_friction [P, 5]` are a foot's sliding friction on the floor, bool [P, 5]."""
     foot = [model.geom(int(geom)).name.startswith("foot_") for geom in model.pair_geom2]
     on_floor = model.pair_geom1 == model.geom("floor").id
-    slides = (np.array(foot) & on_floor)[:, None] & (np.arange(5) < 2)
-    mass, inertia, friction = (
-        np.asarray(a, np.float32) for a in (model.body_mass, model.body_inertia, model.pair_friction)
-    )
-    return Body(np.array(kinds), mass, inertia, carried, friction, slides)
-
-
-def draw(key: jax.Array, name: str) -> jax.Array:
-    """Return random values [k] of the fields `VARIED` of the model `name`, flat and in that order."""
-    body = nominal(name)
-    mass_key, friction_key = jax.random.split(key)
-    factor = jax.random.uniform(mass_key, (len(KINDS),), minval=MASSES[0], maxval=MASSES[1])[body.kind]
-    friction = jax.random.uniform(friction_key, minval=FRICTIONS[0], maxval=FRICTIONS[1])
-    mass = factor * body.mass
-    fields = {
-        "body_mass": mass,
-        "body_inertia": factor[:, None] * body.inertia,
-        "body_subtreemass": (body.carried * mass).sum(axis=1),
-        "pair_friction": jnp.where(body.slides, friction, body.friction),
-    }
-    return jnp.concatenate([jnp.ravel(fields[field]) for field in VARIED])
+    return (np.array(foot) & on_floor)[:, None] & (np.arange(5) < 2)
