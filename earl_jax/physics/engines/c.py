@@ -170,30 +170,26 @@ class WorkerPool:
     """The threads of one stream: a set of simulations for each of the last numbers of rows."""
 
     def __init__(self, host: Host, threads: int):
-        self.host, self.threads = host, threads
-        self.simulations: dict[int, Simulations] = {}
-        self.lock = threading.Lock()
+        def simulations(count: int) -> Simulations:
+            return Simulations(host.simulator, host.model, host.memory, count, _threads_for(count, threads))
+
+        self.simulations, self.lock = functools.lru_cache(ROW_COUNTS)(simulations), threading.Lock()
 
     def advance(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows [n, m] one control step after `rows [n, k]`, float32."""
-        count = len(rows)
         with self.lock:
-            if count not in self.simulations:
-                if len(self.simulations) == ROW_COUNTS:
-                    del self.simulations[next(iter(self.simulations))]
-                host, threads = self.host, self._threads(count)
-                self.simulations[count] = Simulations(host.simulator, host.model, host.memory, count, threads)
-            return self.simulations[count].advance(rows)
+            return self.simulations(len(rows)).advance(rows)
 
-    def _threads(self, rows: int) -> int:
-        """Return the number of threads that work on `rows`, of which the calling thread is one.
 
-        Half of the threads work on up to one row per thread of the pool, three quarters on up to four, and all of them
-        on more, because waking a thread takes longer than the work on a few rows (benchmarks/PROFILE.md).
-        """
-        load = rows / self.threads
-        share = self.threads // 2 if load <= 1 else self.threads * 3 // 4 if load <= 4 else self.threads
-        return max(1, min(rows, share))
+def _threads_for(rows: int, threads: int) -> int:
+    """Return the number of a pool's `threads` that work on `rows`, of which the calling thread is one.
+
+    Half of them work on up to one row per thread, three quarters on up to four, and all of them on more, because waking a
+    thread takes longer than the work on a few rows (benchmarks/PROFILE.md).
+    """
+    load = rows / threads
+    share = threads // 2 if load <= 1 else threads * 3 // 4 if load <= 4 else threads
+    return max(1, min(rows, share))
 
 
 host_of = functools.cache(Host)
