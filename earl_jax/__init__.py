@@ -4,8 +4,9 @@
 loaded on first use, so importing the package costs nothing and loads no simulator.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from earl_jax import lazy
 
 if TYPE_CHECKING:
     from earl_jax.algos import (
@@ -41,20 +42,6 @@ if TYPE_CHECKING:
         train,
     )
 
-_HOME = {
-    name: module
-    for module, names in {
-        "algos": "SAC TD3 Learner Method Phase list_algos list_learners make_algo method_for register_algo register_learner",
-        "envs": "Env HelpBudget KinematicEnv MujocoEnv State list_envs make register_env",
-        "errors": "InputError",
-        "options.presets": "preset",
-        "protocol": "Continuing Deployment Protocol",
-        "runs.numpy_policy": "NumpyPolicy",
-        "training": "Policy Problem Result evaluate lifetime list_pretrained load pretrained pretrained_info resume"
-        " select_seed train",
-    }.items()
-    for name in names.split()
-}
 __all__ = [
     "SAC",
     "TD3",
@@ -95,13 +82,20 @@ __all__ = [
     "train",
 ]
 __version__ = "0.1.0"
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"earl_jax.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'earl_jax' has no attribute {name!r}")
+__getattr__ = lazy.attributes(
+    __name__,
+    {
+        "algos": "SAC TD3 Learner Method Phase list_algos list_learners make_algo method_for register_algo register_learner",
+        "envs": "Env HelpBudget KinematicEnv MujocoEnv State list_envs make register_env",
+        "errors": "InputError",
+        "options.presets": "preset",
+        "protocol": "Continuing Deployment Protocol",
+        "runs.numpy_policy": "NumpyPolicy",
+        "training": "Policy Problem Result evaluate lifetime list_pretrained load pretrained pretrained_info resume"
+        " select_seed train",
+    },
+)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME])
+    return sorted({*globals(), *__all__})

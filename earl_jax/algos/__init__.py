@@ -6,9 +6,9 @@ The classes are loaded on first use, so that the names can be listed without jax
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from typing import TYPE_CHECKING, Any
 
+from earl_jax import lazy
 from earl_jax.errors import InputError, brief
 from earl_jax.options.registry import Registry
 
@@ -38,15 +38,16 @@ __all__ = [
     "register_learner",
 ]
 
-_HOME = {
-    "list_learners": "learner",
-    "register_learner": "learner",
-    "Learner": "learner.base",
-    "Method": "method",
-    "Phase": "method",
-    "SAC": "learner.sac",
-    "TD3": "learner.td3",
-}
+__getattr__ = lazy.attributes(
+    __name__,
+    {
+        "learner": "list_learners register_learner",
+        "learner.base": "Learner",
+        "learner.sac": "SAC",
+        "learner.td3": "TD3",
+        "method": "Method Phase",
+    },
+)
 _ALGOS: Registry[Method] = Registry(
     "algo",
     "earl_jax.algos.method:Method",
@@ -148,9 +149,3 @@ def _leaf(field: dataclasses.Field, value: Any) -> Any:
             return np.asarray(value, np.float32)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{field.name} must be a number for each lane, not {brief(value)}") from error
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

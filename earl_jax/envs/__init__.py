@@ -5,9 +5,9 @@ The classes are loaded on first use, so that the names can be listed without jax
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from earl_jax import lazy
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:
@@ -48,9 +48,9 @@ __all__ = [
     "without_budget",
 ]
 
-_HOME = {
-    name: module
-    for module, names in {
+__getattr__ = lazy.attributes(
+    __name__,
+    {
         "base": "Env KinematicEnv",
         "demonstrations": "DemoScript DemoStart TaskDemos",
         "engines": "chosen_engine for_lanes resolved_engine with_engine",
@@ -59,9 +59,8 @@ _HOME = {
         "starts": "balanced_starts start_of",
         "state": "State",
         "wrappers.help_budget": "HelpBudget without_budget",
-    }.items()
-    for name in names.split()
-}
+    },
+)
 PAPER_TASKS = (
     "tabletop_organization",
     "sawyer_door",
@@ -96,9 +95,3 @@ make = _ENVS.make
 """`make(name, **options)` returns the task `name` with these options, e.g. `make("tabletop_organization", wide=True)`.
 
 An unknown name or option, or a value of another type, is a ValueError that lists the choices."""
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
