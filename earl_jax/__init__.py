@@ -6,7 +6,7 @@ loaded on first use, so importing the package costs nothing and loads no simulat
 
 from typing import TYPE_CHECKING
 
-from earl_jax import lazy
+from earl_jax.options import lazy
 
 if TYPE_CHECKING:
     from earl_jax.algos import (

@@ -8,8 +8,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from earl_jax import lazy
 from earl_jax.errors import InputError, brief
+from earl_jax.options import lazy
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from earl_jax import lazy
+from earl_jax.options import lazy
 from earl_jax.options.registry import Registry
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ Names are loaded on first use, because `Scene` needs no learner.
 
 from typing import TYPE_CHECKING
 
-from earl_jax import lazy
+from earl_jax.options import lazy
 
 if TYPE_CHECKING:
     from earl_jax.rendering.api import render
