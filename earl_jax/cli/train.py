@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from earl_jax.cli.arguments import Logs, Positional, Seeds, Texts, emit, parse_minutes, parse_options, stopping
 from earl_jax.cli.catalog import stored
 from earl_jax.errors import InputError
+from earl_jax.options.imports import resume_command
 from earl_jax.options.presets import ALGO, Preset, named_preset
 from earl_jax.options.schedule import Schedule
 
@@ -69,7 +70,6 @@ def train(
     limit = parse_minutes(minutes)
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
-    from earl_jax.training.stopping import resume_command
 
     join_hosts(hosts)
     lengths = {
@@ -172,7 +172,6 @@ def resume(
     from earl_jax.runs.folder import RunFolder
     from earl_jax.runs.hosts import join_hosts
     from earl_jax.training import api
-    from earl_jax.training.stopping import resume_command
 
     join_hosts(hosts)
     logs = _video_logs(RunFolder.open(folder).recorded().get(VIDEOS))
@@ -192,8 +191,6 @@ def _video_logs(count: int | None) -> list["VideoLog"]:
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     """Print the score of `result`, if it has an evaluation, and how to continue it after a time limit."""
-    from earl_jax.training.stopping import resume_command
-
     values, text = _score(result) if len(result.steps) else ({}, "no evaluation yet")
     values = {
         "out": str(out), "engine": result.engine, "steps": result.step, **values, "stopped": not result.finished

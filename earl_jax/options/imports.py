@@ -6,6 +6,7 @@ A process first notes a file with the hash of its text, which loads no jax, and 
 import hashlib
 import importlib.util
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,12 @@ _noted: dict[Path, Record] = {}
 def records() -> list[Record]:
     """Return the records of the files that this process has noted."""
     return list(_noted.values())
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command that continues the run in `folder`, with the files that this process has noted."""
+    files = [part for record in records() for part in ("--import", record["file"])]
+    return shlex.join(["earl-jax", "resume", str(folder), *files])
 
 
 def latest(values: list[Record]) -> dict[str, Record]:

@@ -5,7 +5,6 @@ import dataclasses
 import itertools
 import json
 import os
-import shlex
 import sys
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError, brief
-from earl_jax.options.imports import records
+from earl_jax.options.imports import records, resume_command
 from earl_jax.options.jax_settings import recorded_settings, require_settings
 from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps, try_out
@@ -151,7 +150,7 @@ class RunFolder:
         try:
             append(self.metrics, csv_text(step, self.config.seeds, metrics, columns_of(self.metrics)))
         except OSError as error:
-            remedy = f"earl-jax resume {shlex.quote(str(self.path))} continues from the last checkpoint"
+            remedy = f"{resume_command(self.path)} continues from the last checkpoint"
             raise OSError(f"{self.metrics} can't be written: {error.strerror or error}; {remedy}") from error
 
     def table(self) -> Table:
@@ -210,7 +209,7 @@ class RunFolder:
         steps = saved_steps(self.checkpoints)
         later = [f"{CHECKPOINTS}/{step:09d}" for step in steps if step > table.step]
         step = max((step for step in steps if step <= table.step), default=0)
-        remedy = f"earl-jax resume {shlex.quote(str(self.path))} continues from step {step} and writes later rows again"
+        remedy = f"{resume_command(self.path)} continues from step {step} and writes later rows again"
         if later:
             start = f"resume from step {step}" if step else "train again from the start"
             remedy = f"restore the file from a copy, or delete {' and '.join(later)} to {start}"
@@ -225,8 +224,8 @@ def _require_free(path: Path, overwrite: bool) -> None:
     in_the_way = contents.has_results(path) and not overwrite
     if in_the_way and (path / CONFIG).is_file():
         raise InputError(
-            f"{path} holds another run; choose another folder, continue it with: "
-            f"earl-jax resume {shlex.quote(str(path))}, or replace it with: earl-jax train --overwrite"
+            f"{path} holds another run; choose another folder, continue it with: {resume_command(path)}, "
+            "or replace it with: earl-jax train --overwrite"
         )
     unknown = contents.unknown_entries(path)
     if unknown or in_the_way:

@@ -3,7 +3,6 @@
 After a signal it raises `Stopped`; after the end of its minutes it returns the state that it has.
 """
 
-import shlex
 import signal
 import threading
 from pathlib import Path
@@ -11,15 +10,9 @@ from typing import Any
 
 import jax
 
-from earl_jax.options.imports import records
+from earl_jax.options.imports import resume_command
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.hosts import of_first_host
-
-
-def resume_command(folder: Path) -> str:
-    """Return the command that continues the run in `folder`."""
-    files = [part for record in records() for part in ("--import", record["file"])]
-    return shlex.join(["earl-jax", "resume", str(folder), *files])
 
 
 class Stopped(KeyboardInterrupt):
