@@ -93,7 +93,7 @@ def work(name: str, lane: int, sizes: tuple[int, int, int], memory: str, steps: 
 
 
 def with_workers(name: str, lanes: int, pause: float, steps: int) -> list[float]:
-    """Return the seconds of steps that a worker for each lane computes."""
+    """Return the seconds of steps that a worker for each lane computes; the first, which is not timed, waits for their start."""
     simulations, rows = prepared(name, lanes)
     expected = simulations.advance(rows)
     sizes = lanes, rows.shape[1], expected.shape[1]
@@ -102,7 +102,6 @@ def with_workers(name: str, lanes: int, pause: float, steps: int) -> list[float]
     workers = [SPAWN.Process(target=work, args=of_worker, daemon=True) for of_worker in arguments]
     for worker in workers:
         worker.start()
-    time.sleep(15)  # they load jax
 
     def step() -> np.ndarray:
         shared.rows[:] = rows

@@ -81,7 +81,7 @@ def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
 
 @contextlib.contextmanager
 def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
-    """A context that, when a signal stops training in it, prints `values` with the steps as one JSON object with `as_json`."""
+    """A context that prints `values` and the steps as one JSON object, with `as_json`, if a signal stops training in it."""
     from earl_jax.training.stopping import Stopped
 
     try:

@@ -231,6 +231,23 @@ def serve(task: dict[str, Any]) -> int:
     `max_lanes`; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
+    return _serve_grid(task) if "grid" in task else _serve_runs(task)
+
+
+def _serve_grid(task: dict[str, Any]) -> int:
+    """Print the plan of the grid of `task`, or why there is none."""
+    try:
+        _run_imports(task)
+        planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
+        answer = {"state": "planned", "plan": planned}
+    except Exception as error:
+        answer = {"state": "refused", "detail": _cause(error)}
+    print(json.dumps(answer), flush=True)
+    return 0
+
+
+def _serve_runs(task: dict[str, Any]) -> int:
+    """Train the runs of `task`, print every event and return how many failed."""
     failed: list[str] = []
 
     def emit(name: str, state: str, detail: str) -> None:
@@ -239,22 +256,20 @@ def serve(task: dict[str, Any]) -> int:
         print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
 
     try:
-        for record in task.get("imports", ()):
-            imports.note(**record)
-        imports.run_noted()
-        if "grid" in task:
-            planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
-            print(json.dumps({"state": "planned", "plan": planned}), flush=True)
-            return 0
+        _run_imports(task)
     except Exception as error:
         cause = _cause(error)
-        for name in task.get("runs", ()):
+        for name in task["runs"]:
             emit(name, "failed", cause)
-        if "grid" in task:
-            print(json.dumps({"state": "refused", "detail": cause}), flush=True)
         return len(failed)
     configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
     return len(failed)
+
+
+def _run_imports(task: dict[str, Any]) -> None:
+    for record in task.get("imports", ()):
+        imports.note(**record)
+    imports.run_noted()

@@ -11,7 +11,7 @@ from earl_jax.report.html.curves import PANELS, Line
 from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
-from earl_jax.report.runs import common_step, label
+from earl_jax.report.runs import Curves, common_step, label
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.tables import error_text, number_text, steps_text
 from earl_jax.runs.folder import RunFolder
@@ -68,17 +68,17 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     """
     env = lines[0].curves.env
     shipped = [row for row in shipped_rows() if row.env == env]
-    own: dict[Row, Line] = {}
-    for line in lines:
-        if (
-            shipped and (curves := line.curves).comparable
-        ):  # under the name of its method with all of its changed options
-            own[run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)] = line
+    own = {_board_row(line.curves): line for line in lines if shipped and line.curves.comparable}
     shown = {_identity(row) for row in own}
     rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
     table_rows = [(own.get(row), row.method, row.texts[1:]) for row in rows.get(env, ())]
     left_out = [line.curves.label for line in lines if not line.curves.comparable]
     return {"head": HEADER[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
+
+
+def _board_row(curves: Curves) -> Row:
+    """Return the row of a run, under the name of its method with all of its changed options."""
+    return run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)
 
 
 def _identity(row: Row) -> tuple[object, ...]:
