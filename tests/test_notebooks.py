@@ -46,7 +46,9 @@ def test_a_known_repository_gives_a_button_for_colab_and_a_cell_that_installs_an
     [path] = [path for path in NOTEBOOKS if path.stem == "04_run_on_a_gpu"]
     named = notebooks.convert(path, "https://github.com/me/mine")
     first, install = ("".join(cell["source"]) for cell in named["cells"][:2])
-    assert first.endswith(f"(https://colab.research.google.com/github/me/mine/blob/main/notebooks/{path.stem}.ipynb)")
+    assert first.endswith(
+        "(https://colab.research.google.com/github/me/mine/blob/main/notebooks/04_run_on_a_gpu.ipynb)"
+    )
     assert '"earl-jax[cuda,notebook] @ git+https://github.com/me/mine"' in install
     kept = json.loads(path.with_suffix(".ipynb").read_text())
     outputs = [cell["outputs"] for cell in kept["cells"] if cell["cell_type"] == "code"]

@@ -124,7 +124,8 @@ def test_observation_and_reward_match_numpy():
         mocap = np.clip(mocap + 0.02 * move, task.MOCAP_LOW, task.MOCAP_HIGH)
         np.testing.assert_allclose(reached, mocap, atol=1e-5)
     np.testing.assert_allclose([task.MOCAP_LOW, task.MOCAP_HIGH], [[-0.7, -0.1, 1.8], [0.4, 0.5, 2.6]], rtol=1e-6)
-    expected = list(map(reward_in_numpy, states.obs, states.info["mocap"], states.info["sites"]))
+    rows = zip(states.obs, states.info["mocap"], states.info["sites"], strict=True)
+    expected = [reward_in_numpy(*row) for row in rows]
     np.testing.assert_allclose(states.reward, expected, atol=1e-5)
     own = jax.jit(jax.vmap(lambda state: ENV.goal_reward(state, state.obs[:23])))(states)
     np.testing.assert_allclose(own, 8.0, atol=1e-5, err_msg="with its own state as goal, all eight parts are done")

@@ -62,7 +62,11 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
         ("oracle", "ppo", "unknown method 'ppo'; choose from .*vaprl"),
         ("tabletop_organization", "cheetah", "unknown task 'cheetah'; did you mean 'cheetah_run'"),
         ("tabletop_organization", "../../x", "unknown task '../../x'; choose from cheetah_run"),
-        ("batch_size", "bath_size", "oracle/bath_size=16,.* 'bath_size'; did you mean batch_size"),
+        (
+            "batch_size",
+            "bath_size",
+            "tabletop_organization/oracle/bath_size=16,.* 'bath_size'; did you mean batch_size",
+        ),
         ("batch_size", "name", "there is no option 'name'"),
         ("steps = 120", "steps = 100", "steps 100 is not a multiple of eval_every 40"),
         ('tabletop_organization"]\nalgos = ["oracle', 'fish_swim"]\nalgos = ["vaprl', "vaprl needs demonstrations"),
@@ -210,7 +214,8 @@ def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries)
     assert worker.serve(task) == 2
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {event["state"] for event in events} == {"failed"}
-    assert f"{mine} has changed since this command first read it (sha256 {record['sha256'][:8]} " in events[0]["detail"]
+    detail = events[0]["detail"]
+    assert f"{mine} has changed since this command first read it (sha256 {record['sha256'][:8]} then" in detail
     assert not (tmp_path / "out").exists()
 
 
