@@ -49,7 +49,7 @@ def host_milliseconds(problem: Problem, state: TrainState, repeats: int = 50) ->
     fields = [np.asarray(getattr(data, field)).reshape(len(command), -1) for field in c.CHANGED + c.CONSTANT]
     rows = np.concatenate([*fields, np.asarray(command)], axis=1)
     host = c.host_of(simulator, data.memory.shape[1])
-    return milliseconds(lambda: [host(rows, 0) for _ in range(repeats)], repeats, 3)
+    return milliseconds(lambda: [host(rows) for _ in range(repeats)], repeats, 3)
 
 
 def scopes(text: str) -> dict[str, str]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from earl_jax.physics.host_call import cuda
+from earl_jax.physics.host_call.workers import Workers
 from earl_jax.physics.host_call.xla_ffi import Buffer
 
 LANES, COLUMNS, WIDTH = 3, 4, 2
@@ -21,10 +22,10 @@ class Driver:
     def __init__(self):
         self.memory = []
         self.functions = {
-            "cuMemHostAlloc": self.allocate,
             "cuMemcpyDtoHAsync_v2": self.copy,
             "cuMemcpyHtoDAsync_v2": self.copy,
             "cuMemsetD32Async": self.fill,
+            "cuStreamWriteValue32_v2": self.write,
             "cuStreamWaitValue32_v2": self.wait,
         }
         DRIVERS.append(self)
@@ -34,11 +35,6 @@ class Driver:
             raise AttributeError(name)
         return self.functions.get(name, lambda *_: 0)
 
-    def allocate(self, address, size, _):
-        self.memory.append(ctypes.create_string_buffer(b"\xff" * size.value, size.value))
-        address._obj.value = ctypes.addressof(self.memory[-1])
-        return 0
-
     def copy(self, target, source, size, _):
         ctypes.memmove(target.value, source.value, size.value)
         return 0
@@ -46,6 +42,10 @@ class Driver:
     def fill(self, address, value, count, _):
         np.ctypeslib.as_array((c_int32 * count.value).from_address(address.value))[:] = value
         return 0
+
+    def write(self, _, address, value, flags):
+        c_int32.from_address(address.value).value = value.value
+        return int(flags.value != cuda.SYSTEM_WIDE)
 
     def wait(self, _, address, value, flags):
         deadline = time.monotonic() + 10
@@ -84,13 +84,16 @@ class Call:
         stream.finish(buffer(self.tickets), buffer(self.answer))
 
 
-def double(rows, stream):
-    assert stream == 7
+def double(rows):
     return 2 * rows[:, :WIDTH]
 
 
+def stream_of(serve, count=2):
+    return cuda.Stream(Workers(serve, WIDTH, count), 7)
+
+
 def test_jobs_are_answered_in_any_order_and_memory_is_reused():
-    stream = cuda.Stream(double, WIDTH, 7)
+    stream = stream_of(double)
     for first in range(0, 6 * cuda.DEPTH, 2):
         calls = [Call(first), Call(first + 1)]
         for call in calls:
@@ -103,7 +106,7 @@ def test_jobs_are_answered_in_any_order_and_memory_is_reused():
 
 
 def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
-    stream, call = cuda.Stream(double, WIDTH, 7), Call(5)
+    stream, call = stream_of(double), Call(5)
     call.start(stream)
     call.tickets = call.tickets.copy()
     call.finish(stream)
@@ -113,7 +116,7 @@ def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
 
 
 def test_too_many_jobs_in_progress_are_an_error():
-    stream, calls = cuda.Stream(double, WIDTH, 7), [Call(value) for value in range(cuda.DEPTH + 1)]
+    stream, calls = stream_of(double), [Call(value) for value in range(cuda.DEPTH + 1)]
     for call in calls[:-1]:
         call.start(stream)
     with pytest.raises(RuntimeError, match=f"{cuda.DEPTH} control steps of one program are already in progress"):
@@ -121,10 +124,10 @@ def test_too_many_jobs_in_progress_are_an_error():
 
 
 def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call():
-    def refuse(rows, stream):
+    def refuse(rows):
         raise ValueError("no such state")
 
-    stream, call = cuda.Stream(refuse, WIDTH, 7), Call(1)
+    stream, call = stream_of(refuse), Call(1)
     call.start(stream)
     call.finish(stream)
     with pytest.raises(RuntimeError, match="work on the host failed: ValueError"):
@@ -132,7 +135,7 @@ def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call()
 
 
 def test_an_error_of_the_driver_names_the_function(driver):
-    driver.functions["cuEventRecord"] = lambda *_: 700
-    stream = cuda.Stream(double, WIDTH, 7)
-    with pytest.raises(RuntimeError, match="cuEventRecord failed with CUDA error 700"):
+    driver.functions["cuStreamWriteValue32_v2"] = lambda *_: 700
+    stream = stream_of(double)
+    with pytest.raises(RuntimeError, match="cuStreamWriteValue32_v2 failed with CUDA error 700"):
         Call(1).start(stream)

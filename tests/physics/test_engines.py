@@ -96,9 +96,9 @@ def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
     env = make(name, engine="c")
     host, row_counts = c.host_of(env.simulator, 0), []
 
-    def count_rows(rows, stream):
+    def count_rows(rows):
         row_counts.append(len(rows))
-        return host(rows, stream)
+        return host(rows)
 
     monkeypatch.setattr(c, "host_of", lambda simulator, memory: count_rows)
     states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), starts(env, count=6))

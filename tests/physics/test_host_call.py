@@ -20,8 +20,7 @@ HOST_ERRORS = (ValueError, RuntimeError)
 ROWS = jnp.arange(12.0).reshape(4, 3)
 
 
-def double(rows, stream):
-    assert stream == 0
+def double(rows):
     return 2 * rows[:, :2]
 
 
@@ -56,7 +55,7 @@ def test_rows_of_other_types_reach_the_host_as_float32(double_service):
 
 
 def test_an_error_on_the_host_is_raised_by_the_program():
-    def refuse(rows, stream):
+    def refuse(rows):
         raise ValueError("no such state")
 
     service.register("test.refuse", refuse, 2)
@@ -111,7 +110,7 @@ xla_ffi.MAJOR_VERSION += 1
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always", RuntimeWarning)
     result = tiny_train("naive", "sawyer_door", steps=60, eval_every=20)
-    service.register("test.increase", lambda rows, stream: rows + 1, 101)
+    service.register("test.increase", lambda rows: rows + 1, 101)
 print(*[warning.message for warning in caught if warning.category is RuntimeWarning], sep="\\n")
 np.savez(sys.argv[1], *map(to_numpy, jax.tree.leaves((result.metrics, result.train_state))))
 

@@ -25,7 +25,7 @@ CONSTANT = ("mocap_pos", "mocap_quat", "constants")
 BOUND = ("time", "qpos", "qvel", "act")
 """The fields that are read from MuJoCo's batch after a control step."""
 ROW_COUNTS = 8
-"""The largest number of numbers of rows for which a worker pool keeps threads and data."""
+"""The largest number of numbers of rows for which a host keeps threads and data."""
 
 
 def start_step(simulator: "Simulator", state: PhysicsState, command: jax.Array) -> PendingStep:
@@ -142,47 +142,34 @@ class Simulations:
 class Host:
     """The host's part of engine `c`: it maps rows of integration state and command to rows of state and sensors.
 
-    Each stream has its own worker pool, and the pools share the cores of this process.
+    It has simulations for each of the last numbers of rows, on up to `threads` threads. A copy of it in another process
+    works on one.
     """
 
-    def __init__(self, simulator: "Simulator", memory: int):
+    def __init__(self, simulator: "Simulator", memory: int, threads: int | None = None):
         mujoco: Any = importlib.import_module("mujoco")
         self.simulator, self.memory, self.model = simulator, memory, copy.copy(simulator.mujoco_model())
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.worker_pools: dict[int, WorkerPool] = {}
-        self.lock = threading.Lock()
+        self.threads = threads or len(own_cores())
+        self.simulations, self.lock = functools.lru_cache(ROW_COUNTS)(self._simulations), threading.Lock()
 
-    def __call__(self, rows: np.ndarray, stream: int) -> np.ndarray:
+    def __reduce__(self) -> tuple:
+        return Host, (self.simulator, self.memory, 1)
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return the output rows [n, m] for the input `rows [n, k]`, float32.
 
         Input: state, warm start, memory, the fields `CONSTANT`, command. Output: state, warm start, memory, sensors.
         """
         with self.lock:
-            if stream not in self.worker_pools:
-                streams = [*self.worker_pools, stream]
-                threads = max(1, len(own_cores()) // len(streams))
-                self.worker_pools = {key: WorkerPool(self, threads) for key in streams}
-            worker_pool = self.worker_pools[stream]
-        return worker_pool.advance(rows)
-
-
-class WorkerPool:
-    """The threads of one stream: a set of simulations for each of the last numbers of rows."""
-
-    def __init__(self, host: Host, threads: int):
-        def simulations(count: int) -> Simulations:
-            return Simulations(host.simulator, host.model, host.memory, count, _threads_for(count, threads))
-
-        self.simulations, self.lock = functools.lru_cache(ROW_COUNTS)(simulations), threading.Lock()
-
-    def advance(self, rows: np.ndarray) -> np.ndarray:
-        """Return the rows [n, m] one control step after `rows [n, k]`, float32."""
-        with self.lock:
             return self.simulations(len(rows)).advance(rows)
+
+    def _simulations(self, count: int) -> Simulations:
+        return Simulations(self.simulator, self.model, self.memory, count, _threads_for(count, self.threads))
 
 
 def _threads_for(rows: int, threads: int) -> int:
-    """Return the number of a pool's `threads` that work on `rows`, of which the calling thread is one.
+    """Return how many of `threads` work on `rows`, of which the calling thread is one.
 
     Half of them work on up to one row per thread, three quarters on up to four, and all of them on more, because waking a
     thread takes longer than the work on a few rows (benchmarks/PROFILE.md).

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import default_backend
 
+from earl_jax.options.environment import own_cores
 from earl_jax.physics.host_call import callback
 from earl_jax.physics.host_call.cuda import Stream, driver
+from earl_jax.physics.host_call.workers import Serve, Workers
 from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
 
-Serve = Callable[[np.ndarray, int], np.ndarray]
-"""Host work: a function from float32 rows [n, k] and their stream (0 on a CPU) to float32 rows [n, m]."""
 TICKET = jax.ShapeDtypeStruct((1,), jnp.int32)
 _SERVICES: dict[str, "Service"] = {}
 _HANDLERS: dict[tuple[str, str], Any] = {}
@@ -39,13 +39,13 @@ class Service:
     def step(self, frame: Frame) -> None:
         """Write the answer at once, on a CPU."""
         rows, answer = frame.transfer
-        rows_of(answer)[:] = self.serve(rows_of(rows), 0)
+        rows_of(answer)[:] = self.serve(rows_of(rows))
 
     def start(self, frame: Frame) -> None:
         """Do the work and store the answer, on a CPU, where two calls save no time."""
         rows, tickets = frame.transfer
         number = next(self.numbers) & 0x7FFFFFFF
-        self.answers[number] = self.serve(rows_of(rows), 0)
+        self.answers[number] = self.serve(rows_of(rows))
         tickets.integers[:] = number
 
     def finish(self, frame: Frame) -> None:
@@ -57,7 +57,8 @@ class Service:
         """Return the stream of a call on a GPU, in which the work and the wait for its answer are queued."""
         stream = frame.stream
         if stream not in self.streams:
-            self.streams[stream] = Stream(self.serve, self.width, stream)
+            cores = len(own_cores()) // len(jax.local_devices())
+            self.streams[stream] = Stream(Workers(self.serve, self.width, max(1, cores - 1)), stream)
         return self.streams[stream]
 
 
@@ -109,7 +110,7 @@ def step(name: str, row: jax.Array, width: int) -> jax.Array:
     """
     row = row.astype(jnp.float32)
     if not is_foreign():
-        return callback.step(lambda rows: _SERVICES[name].serve(rows, 0), row, width)
+        return callback.step(_SERVICES[name].serve, row, width)
     return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
 
 
