@@ -10,6 +10,7 @@ import pytest
 from earl_jax.physics.host_call import cuda
 from earl_jax.physics.host_call.workers import Workers
 from earl_jax.physics.host_call.xla_ffi import Buffer
+from tests.physics.host_work import double, refuse
 
 LANES, COLUMNS, WIDTH = 3, 4, 2
 DRIVERS = []
@@ -84,10 +85,6 @@ class Call:
         stream.finish(buffer(self.tickets), buffer(self.answer))
 
 
-def double(rows):
-    return 2 * rows[:, :WIDTH]
-
-
 def stream_of(serve, count=2):
     return cuda.Stream(Workers(serve, WIDTH, count), 7)
 
@@ -124,9 +121,6 @@ def test_too_many_jobs_in_progress_are_an_error():
 
 
 def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call():
-    def refuse(rows):
-        raise ValueError("no such state")
-
     stream, call = stream_of(refuse), Call(1)
     call.start(stream)
     call.finish(stream)

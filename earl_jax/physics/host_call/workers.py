@@ -28,7 +28,7 @@ CONTROL = 4 * PAGE
 """Bytes of the words before the rows and answers."""
 MOST = 128
 """Largest number of layouts, and of workers."""
-ACTIVE_S, LONGEST_NAP_S = 2e-3, 5e-3
+ACTIVE_S, LONGEST_NAP_S = 20e-3, 5e-3
 """Seconds for which a worker waits actively, and of the longest naps with which it goes on waiting."""
 
 
@@ -71,7 +71,7 @@ class Shared:
             self.layouts[number] = Layout(number, memory, rows, answers)
         return self.layouts[number]
 
-    def wait(self, number: int, idle: Callable[[], None]) -> tuple[int, Layout]:
+    def wait(self, number: int, pause: Callable[[], None]) -> tuple[int, Layout]:
         """Return the number and the layout of the job `number` once it is asked for, or of a later one.
 
         When a later job has taken its memory, the job was finished without this worker.
@@ -84,55 +84,32 @@ class Shared:
             if ahead < SPAN // 2:
                 number += ahead - DEPTH + 1
             else:
-                idle()
+                pause()
 
 
-class Idle:
-    """What a process of `Workers` does while it has no work: it waits actively at first, and ends when its parent has."""
+def work(
+    shared: Shared, serve: Serve, index: int, count: int, first: int, idle: Callable[[float], None]
+) -> None:  # fmt: skip
+    """Do the part of worker `index` of `count` in all jobs from `first` on; worker 0 also waits for the others.
 
-    def __init__(self):
-        self.parent = os.getppid()
-        self.reset()
+    `idle` is called while there is no work, with the seconds since there was some.
+    """
+    number, last = first, time.perf_counter()
 
-    def reset(self) -> None:
-        """Note that there was work."""
-        self.since = time.perf_counter()
+    def pause() -> None:
+        idle(time.perf_counter() - last)
 
-    def __call__(self) -> None:
-        seconds = time.perf_counter() - self.since
-        if seconds < ACTIVE_S:
-            os.sched_yield()
-        elif os.getppid() == self.parent:
-            time.sleep(min(seconds / 8, LONGEST_NAP_S))
-        else:
-            raise SystemExit
-
-
-class Nap:
-    """What a thread of `Workers` does instead: it lets the other threads of Python work."""
-
-    def reset(self) -> None:
-        pass
-
-    def __call__(self) -> None:
-        time.sleep(0)
-
-
-def work(shared: Shared, serve: Serve, index: int, count: int, first: int, idle: Idle | Nap) -> None:
-    """Do the part of worker `index` of `count` in all jobs from `first` on; worker 0 also waits for the others."""
-    number = first
     while True:
-        number, layout = shared.wait(number, idle)
+        number, layout = shared.wait(number, pause)
         rows, answers = layout.rows[number % DEPTH], layout.answers[number % DEPTH]
         workers = min(len(rows), count)
         if index < workers:
             part = slice(len(rows) * index // workers, len(rows) * (index + 1) // workers)
             answers[part] = serve(rows[part])
-            shared.done[index] = number
-            idle.reset()
+            shared.done[index], last = number, time.perf_counter()
         if index == 0:
             while shared.done[:workers].min() < number:
-                idle()
+                pause()
             shared.finished[0] = number
         number += 1
 
@@ -171,7 +148,7 @@ class Workers:
     def _start(self, index: int, job: int) -> None:
         if self.payload is None:
             return self._thread(self._work_here, job)
-        arguments = self.descriptor, self.shared.width, index, self.count, job
+        arguments = os.getpid(), self.descriptor, self.shared.width, index, self.count, job
         process = subprocess.Popen(
             [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, arguments)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self.descriptor], start_new_session=True,
@@ -188,7 +165,7 @@ class Workers:
 
     def _work_here(self, job: int) -> None:
         try:
-            work(self.shared, self.serve, 0, 1, job, Nap())
+            work(self.shared, self.serve, 0, 1, job, lambda seconds: time.sleep(0))
         except Exception as error:
             self._fail(repr(error))
 
@@ -211,13 +188,16 @@ def pickled(serve: Serve) -> bytes | None:
 
 def main() -> None:
     """Work in a process that `Workers` has started, until that one ends."""
-    descriptor, width, index, count, first = map(int, sys.argv[1:])
+    parent, descriptor, width, index, count, first = map(int, sys.argv[1:])
+
+    def idle(seconds: float) -> None:
+        if seconds < ACTIVE_S:
+            return os.sched_yield()
+        if os.getppid() != parent:
+            raise SystemExit
+        time.sleep(min(seconds / 8, LONGEST_NAP_S))
+
     try:
-        serve = pickle.load(sys.stdin.buffer)
-        work(Shared(descriptor, width), serve, index, count, first, Idle())
+        work(Shared(descriptor, width), pickle.load(sys.stdin.buffer), index, count, first, idle)
     except Exception as error:
         sys.stdout.write(repr(error))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,116 @@
+"""Worker processes, with the words that a GPU writes written by the test."""
+
+import os
+import pickle
+import signal
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from earl_jax.envs import make
+from earl_jax.physics.engines import c
+from earl_jax.physics.host_call.workers import DEPTH, SPAN, Workers
+from tests.cli.process import run_code
+from tests.physics.host_work import refuse, where
+
+DEADLINE_S = 20
+
+
+class Jobs:
+    """Does what a stream and a GPU do: it writes rows and a word, and waits for the answer."""
+
+    def __init__(self, serve, count, number=0):
+        self.workers, self.number = Workers(serve, 2, count), number
+
+    def __call__(self, lanes):
+        self.number += 1
+        layout = self.workers.layout(lanes, 3, self.number)
+        layout.rows[self.number % DEPTH] = rows = np.random.default_rng(lanes).random((lanes, 3), np.float32)
+        self.workers.shared.asked[self.number % DEPTH] = self.number % SPAN + SPAN * layout.number
+        wait_for(lambda: self.workers.shared.finished[0] >= self.number)
+        answers = layout.answers[self.number % DEPTH]
+        np.testing.assert_array_equal(answers[:, 0], 2 * rows[:, 0])
+        return answers[:, 1]
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(1e-4)
+
+
+def test_each_process_does_an_equal_part_of_the_rows_and_more_start_for_more_rows():
+    jobs = Jobs(where, 3)
+    for lanes in [1, 2, 1] + [7] * 2 * DEPTH + [2, 3, 1]:
+        processes, parts = np.unique(jobs(lanes), return_counts=True)
+        assert len(processes) == min(lanes, 3)
+        assert os.getpid() not in processes
+        assert np.ptp(parts) <= 1
+
+
+def test_a_worker_that_had_no_part_in_many_jobs_takes_part_again():
+    jobs = Jobs(where, 2)
+    first = set(jobs(2))
+    for _ in range(5 * DEPTH):
+        jobs(1)
+        time.sleep(2e-3)
+    assert set(jobs(2)) == first
+
+
+def test_numbers_of_jobs_may_pass_the_span_of_a_word():
+    jobs = Jobs(where, 2, number=SPAN - DEPTH)
+    jobs.workers.shared.asked[:] = range(SPAN - 2 * DEPTH, SPAN - DEPTH)
+    for _ in range(3 * DEPTH):
+        jobs(2)
+    assert jobs.number > SPAN
+
+
+def test_a_thread_of_this_process_calls_what_no_other_process_can_import():
+    assert set(Jobs(lambda rows: where(rows), 2)(4)) == {os.getpid()}
+
+
+@pytest.mark.parametrize("serve", [refuse, lambda rows: refuse(rows)])
+def test_an_error_is_noted_and_ends_every_wait(serve):
+    jobs = Jobs(serve, 2)
+    with pytest.raises(AssertionError):
+        jobs(2)
+    assert jobs.workers.error == "ValueError('no such state')"
+
+
+def test_a_process_that_is_killed_is_an_error_that_ends_every_wait():
+    jobs = Jobs(where, 2)
+    os.kill(int(jobs(2)[1]), signal.SIGKILL)
+    wait_for(lambda: jobs.workers.error)
+    assert jobs.workers.error == "a worker ended with code -9"
+    wait_for(lambda: jobs.workers.shared.finished[0] > jobs.number)
+
+
+ENDED = """
+import os, sys
+sys.path.append(sys.argv[1])
+from tests.physics.host_work import where
+from tests.physics.test_workers import Jobs
+print(*map(int, Jobs(where, 2)(2)), flush=True)
+os._exit(0)
+"""
+
+
+def test_processes_end_with_the_one_that_started_them():
+    for process in run_code(ENDED, os.getcwd()).split():
+        wait_for(lambda process=process: not os.path.exists(f"/proc/{process}"))
+
+
+@pytest.mark.parametrize("name", ["sawyer_door", "minitaur_pen"])
+def test_a_copy_of_a_host_for_another_process_has_one_thread_and_the_same_answers(name):
+    env = make(name, engine="c")
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
+    data, command = jax.vmap(env.control)(state, jnp.zeros((3, env.action_size)))
+    rows = jax.vmap(lambda *lane: c.start_step(env.simulator, *lane).payload)(data, command)
+    host = c.host_of(env.simulator, data.memory.shape[1])
+    copy = pickle.loads(pickle.dumps(host))
+    assert copy.threads == 1
+    np.testing.assert_array_equal(copy(np.asarray(rows)), host(np.asarray(rows)))
