@@ -60,7 +60,7 @@ def sweep(
     else:
         code = 1 if outcome.failed else None
     if json:
-        values = {"out": str(out), "failed": outcome.failed, "lines": lines, "stopped": bool(outcome.unfinished)}
+        values = {"out": str(out), "failed": len(outcome.failed), "lines": lines, "stopped": bool(outcome.unfinished)}
         if outcome.unfinished:
             values |= {"unfinished": outcome.unfinished, "resume": "repeat the command"}
         emit(values, json, "")
@@ -144,7 +144,7 @@ def reproduce(
     limit = parse_minutes(minutes)
     from earl_jax.paper import reproduce as paper
 
-    paths = paper.reproduce(
+    paths, failed = paper.reproduce(
         name,
         scale,
         out,
@@ -160,3 +160,6 @@ def reproduce(
     )
     for path in paths:
         print(path)
+    if failed:
+        print_line(f"failed runs: {', '.join(failed)}")
+        raise SystemExit(1)

@@ -69,8 +69,8 @@ def reproduce(
     per_device: PerDevice = None,
     emit: Callable[[str], None] = print,
     minutes: float | TimeLimit | None = None,
-) -> list[Path]:
-    """Return the files of table or figure `name` at `scale`, after training the runs that are not finished yet.
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Return the files of table or figure `name` at `scale`, after training its unfinished runs, and the names of failed runs.
 
     Args:
         name: one of `ARTEFACTS`.
@@ -85,7 +85,7 @@ def reproduce(
         per_device: number of programs that train on each GPU at a time, as `sweep` takes it.
         emit: is called with a line of text for each run.
         minutes: a limit of wall-clock time from this call on, as in `sweep`. If it leaves runs unfinished, nothing is
-            written, `emit` receives their names, and no file is returned.
+            written, `emit` receives their names, and no file is returned, as where no run has reached an evaluation.
 
     Raises:
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
@@ -101,13 +101,14 @@ def reproduce(
     )
     if outcome.unfinished:
         emit(f"{name} is not written; unfinished runs: {', '.join(outcome.unfinished)}")
-        return []
+        return [], outcome.failed
     imports.run_noted()
     folders = [out / "runs" / spec.name for spec in grid.read(file)]
     folders = [path for path in folders if (path / "metrics.csv").is_file()]
     if not folders:
-        raise InputError(f"no run of {name} has reached an evaluation; the lines above give the causes")
-    return ARTEFACTS[name].write(folders, out / name)
+        emit(f"{name} is not written; no run of it has reached an evaluation")
+        return [], outcome.failed
+    return ARTEFACTS[name].write(folders, out / name), outcome.failed
 
 
 def grid_text(

@@ -17,9 +17,9 @@ EmitLine = Callable[[str], None]
 
 
 class Outcome(NamedTuple):
-    """The number of `failed` runs of a sweep, and the names of the runs that its time limit or a signal left `unfinished`."""
+    """The names of the `failed` runs of a sweep, and of those that its time limit or a signal left `unfinished`."""
 
-    failed: int
+    failed: tuple[str, ...] = ()
     unfinished: tuple[str, ...] = ()
 
 
@@ -73,16 +73,16 @@ def sweep(
     tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
     if launcher == "slurm":
         slurm_arrays.submit(out, tasks, options, emit)
-        return Outcome(failed=0)
+        return Outcome()
     states, stopped_by = _run_locally(tasks, per_device, emit)
     states = {name: "waiting" for task in tasks for name in task["runs"]} | states
-    failed = sum(state == "failed" for state in states.values())
+    failed = tuple(name for name, state in states.items() if state == "failed")
     outcome = Outcome(failed, tuple(name for name, state in states.items() if state not in ("done", "failed")))
     if stopped_by:
         emit("stopped; repeat the command to continue")
         raise Stopped(stopped_by, outcome)
     before, unfinished = len(plan["finished"]), len(outcome.unfinished)
-    done = f"{before} done before, {len(states) - unfinished - failed} done now, {failed} failed"
+    done = f"{before} done before, {len(states) - unfinished - len(failed)} done now, {len(failed)} failed"
     rest = f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else ""
     emit(f"{counted(before + len(states), 'run')}: {done}{rest}")
     return outcome

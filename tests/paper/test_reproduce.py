@@ -11,8 +11,8 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid, launcher, processes, worker
 from earl_jax.sweeps.launcher import Outcome
 from earl_jax.sweeps.worker import plan
-from tests.cli.process import ADDED, succeed
-from tests.report.run_files import read_csv
+from tests.cli.process import ADDED, run, succeed
+from tests.report.run_files import constant, read_csv, write_run
 
 NAMES = ("table1", "table2", "figure5", "figure3", "figure4", "tradeoff", "figure2")
 """The runs of the first one serve all but figure 2 and the trade-off."""
@@ -155,7 +155,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
 
     def stop(*_, **options):
         given.update(options)
-        return Outcome(failed=0, unfinished=("tabletop_organization/fbrl/x",))
+        return Outcome(unfinished=("tabletop_organization/fbrl/x",))
 
     monkeypatch.setattr(reproduce, "sweep", stop)
     monkeypatch.setattr("earl_jax.cli.sweep.print_line", lines.append)
@@ -163,6 +163,24 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
     assert (given["minutes"].minutes, given["per_device"]) == (5, "auto")
     assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]
     assert not (tmp_path / "out/table1").exists()
+
+
+def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_is_1(tmp_path, monkeypatch):
+    def train(file, out, **_):
+        done, *failed = grid.read(file)
+        write_run(out / done.name, done.env, done.algo, constant(0.5), metrics={"continuing/reward": 0.1})
+        return Outcome(failed=tuple(spec.name for spec in failed))
+
+    monkeypatch.setattr(reproduce, "sweep", train)
+    code, output, _ = run("reproduce", "table1", "--out", tmp_path)
+    assert code == 1
+    *files, last = output.splitlines()
+    assert str(tmp_path / "table1/table1.csv") in files
+    assert last.startswith("failed runs: tabletop_organization/")
+    monkeypatch.setattr(reproduce, "sweep", lambda *_, **__: Outcome(failed=("a", "b")))
+    code, output, _ = run("reproduce", "figure2", "--out", tmp_path)
+    lines = ["figure2 is not written; no run of it has reached an evaluation", "failed runs: a, b"]
+    assert (code, output.splitlines()) == (1, lines)
 
 
 @pytest.mark.usefixtures("in_process")

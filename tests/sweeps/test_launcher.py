@@ -84,7 +84,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     lines = []
     with monkeypatch.context() as patch:
         patch.setattr("earl_jax.options.values.time", SimpleNamespace(monotonic=lambda: next(clock)))
-        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == (0, ("a", "b"))
+        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == ((), ("a", "b"))
     assert lines[1:] == [
         "started    a  True",
         "stopped    a  1120.0",
@@ -109,7 +109,7 @@ STARTED = "start devices=\nquit\n"
 
 def test_programs_share_gpus_through_mps_and_one_that_fails_costs_its_runs_only(gpus, grid, workers, tmp_path):
     folder, lines = workers(SHARING, "abcde"), []
-    assert launcher.sweep(grid, tmp_path / "out", per_device=2, emit=lines.append).failed == 1
+    assert launcher.sweep(grid, tmp_path / "out", per_device=2, emit=lines.append).failed == ("b",)
     assert lines[1] == "2 programs at a time on each of 2 GPUs, 2 cores each through the MPS daemon started for them"
     assert lines[-1] == "6 runs: 1 done before, 4 done now, 1 failed"
     assert "failed     b  the worker was ended by signal 9" in lines
