@@ -3,6 +3,7 @@
 The defaults are naive RL's with episodes of H_E steps.
 """
 
+import dataclasses
 import inspect
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,7 +16,7 @@ from earl_jax.algos.learner.replay import CONTROLLERS, TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
@@ -36,7 +37,8 @@ class PhaseDemos(NamedTuple):
 FORWARD, BACKWARD = PhaseDemos("forward"), PhaseDemos("backward")
 
 
-class Phase(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Phase:
     """One of the phases between which a method alternates; the first one pursues the task.
 
     `demos` are those of its `controller`; `length`, the steps after which it times out, is H_E
@@ -48,6 +50,11 @@ class Phase(NamedTuple):
     length: int | None = None
     ends_on_success: bool = True
     resets: bool = False
+
+    def __post_init__(self):
+        given = self.demos
+        if not isinstance(given, tuple) or not all(isinstance(demos, PhaseDemos) for demos in given):
+            raise InputError(f"demos of a Phase must be a tuple of PhaseDemos, such as (FORWARD,), not {brief(given)}")
 
 
 class Moment(NamedTuple):

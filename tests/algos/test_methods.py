@@ -7,11 +7,11 @@ import pytest
 from flax import struct
 
 from earl_jax import assets
-from earl_jax.algos import SAC, Method, learner_of, list_algos, make_algo, register_learner
+from earl_jax.algos import SAC, learner_of, make_algo, register_learner
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
-from earl_jax.algos.method import FUNCTIONS, RETURN, TASK, Moment, controller_count
+from earl_jax.algos.method import RETURN, TASK, Moment, controller_count
 from earl_jax.training import loop
 from earl_jax.training.demos import demo_rows
 from tests.algos.lives import OPTIONS, lived
@@ -279,26 +279,3 @@ def test_time_outs_are_terminal_unless_bootstrapped(problem):
     for bootstrap, expected in ((False, [True, True, True, False]), (True, [True, False, True, False])):
         learner = make_algo("naive", timeout_bootstrap=bootstrap).learner
         assert loop.batch_of(problem, learner, batch._replace(flags=flags), 0).terminal.tolist() == expected
-
-
-def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined():
-    with pytest.raises(
-        ValueError, match=r"Careless\.next_goal must take \(self, key, goals, phase, .*\), not \(self, key"
-    ):
-
-        class Careless(Method):
-            name = "careless"
-
-            def next_goal(self, key, phase, goals, current, method_state):  # pyright: ignore[reportIncompatibleMethodOverride]
-                return current
-
-
-def test_a_method_has_at_most_eight_functions_and_each_is_overridden_by_two():
-    """CFBRL counts, because it is a method of this repository."""
-    own = {name for name, value in vars(Method).items() if callable(value) and not name.startswith("_")} - {"replace"}
-    assert own == FUNCTIONS
-    assert len(FUNCTIONS) <= 8
-    classes = [type(make_algo(name)) for name in list_algos()]
-    for function in FUNCTIONS:
-        overriders = {cls.__name__ for cls in classes if function in vars(cls)}
-        assert len(overriders) >= 2, (function, overriders)

@@ -1,0 +1,36 @@
+"""The contract of a method: its functions, and what its phases take."""
+
+import pytest
+
+from earl_jax.algos import Method, Phase, list_algos, make_algo
+from earl_jax.algos.method import FORWARD, FUNCTIONS
+from earl_jax.errors import InputError
+
+
+def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined():
+    with pytest.raises(
+        ValueError, match=r"Careless\.next_goal must take \(self, key, goals, phase, .*\), not \(self, key"
+    ):
+
+        class Careless(Method):
+            name = "careless"
+
+            def next_goal(self, key, phase, goals, current, method_state):  # pyright: ignore[reportIncompatibleMethodOverride]
+                return current
+
+
+@pytest.mark.parametrize("demos", [FORWARD, "forward", ("forward",), [FORWARD]])
+def test_the_demonstrations_of_a_phase_are_a_tuple(demos):
+    with pytest.raises(InputError, match=r"must be a tuple of PhaseDemos, such as \(FORWARD,\), not"):
+        Phase(demos)
+
+
+def test_a_method_has_at_most_eight_functions_and_each_is_overridden_by_two():
+    """CFBRL counts, because it is a method of this repository."""
+    own = {name for name, value in vars(Method).items() if callable(value) and not name.startswith("_")} - {"replace"}
+    assert own == FUNCTIONS
+    assert len(FUNCTIONS) <= 8
+    classes = [type(make_algo(name)) for name in list_algos()]
+    for function in FUNCTIONS:
+        overriders = {cls.__name__ for cls in classes if function in vars(cls)}
+        assert len(overriders) >= 2, (function, overriders)
