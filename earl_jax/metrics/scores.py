@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
@@ -101,8 +101,10 @@ class Score(NamedTuple):
         """Return the score by `metric` of a run with the evaluations `steps [E]` and `metrics [N, E]`.
 
         Raises:
-            ValueError: there is no evaluation.
+            ValueError: there is no evaluation, or `window` is no `Window`.
         """
+        if not isinstance(window, Window):
+            raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
         if not len(steps):
             raise InputError("there is no evaluation yet, so there is no score")
         scores, count = final_scores(steps, metrics[metric], window), window.count(steps)

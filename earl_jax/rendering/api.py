@@ -13,7 +13,7 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, Interval, require
 from earl_jax.rendering.actors import actor_of, is_run
 from earl_jax.rendering.output import library, write_film, write_sheet
-from earl_jax.rendering.scenes import Scene
+from earl_jax.rendering.scenes import Scene, checked_size
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 
 ALL = "all"
@@ -62,7 +62,7 @@ def render(
             given a policy, a camera or steps, or a life is asked for of demonstrations or on a sheet.
     """
     path = output_path(source, out)
-    size = size or SIZES[path.suffix]
+    size = SIZES[path.suffix] if size is None else size
     _check(path, size, life, steps, fps)
     if str(source) == ALL:
         for name, value in (("policy", policy), ("camera", camera), ("number of steps", steps)):
@@ -94,7 +94,7 @@ def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps
     for name, value, interval in (("steps", steps, COUNT), ("fps", fps, FPS)):
         if value is not None:
             require(name, value, interval)
-    height, width = size
+    height, width = checked_size(size)
     if path.suffix == ".mp4" and (height % 2 or width % 2):
         raise InputError(f"a video needs an even height and width, not {height} and {width}")
     if life and path.suffix == ".png":

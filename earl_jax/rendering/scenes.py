@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import Env, State, View
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.values import COUNT, require
 from earl_jax.rendering.overlays import with_overlay
 
@@ -128,10 +128,19 @@ def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
     return options
 
 
-def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
-    height, width = size
+def checked_size(size: Any) -> tuple[int, int]:
+    """Return the height and the width that `size` has; an InputError if it is no pair of whole numbers above 0."""
+    try:
+        height, width = size
+    except (TypeError, ValueError):
+        raise InputError(f"size must be a height and a width, such as (480, 640), not {brief(size)}") from None
     require("height", height, COUNT)
     require("width", width, COUNT)
+    return height, width
+
+
+def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
+    height, width = checked_size(size)
     model.vis.global_.offheight, model.vis.global_.offwidth = size
     try:
         return mujoco.Renderer(model, height, width)

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from earl_jax.errors import InputError, install_line
+from earl_jax.errors import InputError, brief, install_line
 from earl_jax.runs.contents import TENSORBOARD, WANDB
 from earl_jax.runs.files import RunWarning, make_folder
 from earl_jax.runs.folder import RunFolder
@@ -145,8 +145,8 @@ LOGS: dict[str, Callable[[RunFolder, int], Log]] = {TENSORBOARD: TensorBoardLog,
 
 def check_logs(logs: Sequence[Any]) -> None:
     """Raise a ValueError if a log is neither a name in `LOGS` nor an object with `log` and `close`, or lacks its library."""
-    if isinstance(logs, str):
-        raise InputError(f"logs must be a list, such as [{logs!r}], not {logs!r}")
+    if isinstance(logs, str) or not isinstance(logs, Sequence):
+        raise InputError(f"logs must be a list, such as [{TENSORBOARD!r}], not {brief(logs)}")
     for log in logs:
         if isinstance(log, str) and log not in LOGS:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")

@@ -148,8 +148,8 @@ def resume(
     opened = RunFolder.open(Path(folder))
     step = opened.require_resumable().step  # rather than after the training
     require_checkpoint(opened, step)
-    if any(isinstance(log, str) for log in logs):
-        raise InputError(f"resume takes logs as objects, not {logs!r}: names belong to train")
+    if not isinstance(logs, Sequence) or any(isinstance(log, str) for log in logs):
+        raise InputError(f"resume takes a list of logs as objects, not {brief(logs)}: names belong to train")
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
     task = None if env is None else without_budget(env)

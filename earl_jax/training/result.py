@@ -1,6 +1,5 @@
 """The result of a run: its curves and policies, from training or from a run folder."""
 
-import contextlib
 import dataclasses
 import functools
 import html
@@ -76,7 +75,7 @@ class Result:
         `metric` is by default the deployed one.
 
         Raises:
-            ValueError: there is no evaluation yet, or no such metric.
+            ValueError: there is no evaluation yet, no such metric, or `window` is no `Window`.
         """
         name = metric or self.config.deployed_metric
         if self.metrics and name not in self.metrics:
@@ -133,7 +132,7 @@ class Result:
     def summary(self, window: Window = DEFAULT) -> dict[str, str]:
         """Return what a run is and what it has reached, as printable texts by their titles."""
         config, scores = self.config.values, {}
-        with contextlib.suppress(InputError):  # no evaluation, or no such metric
+        if len(self.steps) and self.config.deployed_metric in self.metrics:
             score = self.score(window)
             scores = {"score": str(score), "per seed": _numbers(np.array(score.scores))}
         texts = {

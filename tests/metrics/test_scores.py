@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import permutation
 from earl_jax.metrics.crossings import crossing, trailing_mean
 from earl_jax.metrics.scores import Score, Window, as_decimals, final_scores, lifetime_scores, regret
@@ -68,6 +69,8 @@ def test_a_window_counts_evaluations_or_steps():
         Window.of(0)
     with pytest.raises(ValueError, match="window must be a whole number"):
         Window.of(None, 1.5)
+    with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 'x'"):
+        Score.of(STEPS, {"x": SCORES}, "x", "x")
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():

@@ -103,6 +103,8 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"fps": float("nan")}, "fps must lie in"),
         ({"fps": "5"}, "fps must lie in"),
         ({"size": (65, 96)}, "even height and width, not 65 and 96"),
+        ({"size": 64}, r"size must be a height and a width, such as \(480, 640\), not 64"),
+        ({"size": (64, "a")}, "width must be a whole number, not 'a'"),
     ],
 )
 def test_invalid_arguments_are_refused(options, message):

@@ -156,6 +156,7 @@ def test_a_missing_library_is_an_error_that_names_the_extra(monkeypatch, name, l
         check_logs([name])
 
 
-def test_a_name_in_the_place_of_a_list_of_logs_is_refused():
-    with pytest.raises(ValueError, match=r"logs must be a list, such as \['tensorboard'\], not 'tensorboard'"):
-        check_logs("tensorboard")
+@pytest.mark.parametrize("logs", ["tensorboard", None])
+def test_logs_that_are_no_list_are_refused(logs):
+    with pytest.raises(InputError, match=rf"logs must be a list, such as \['tensorboard'\], not {logs!r}"):
+        check_logs(logs)

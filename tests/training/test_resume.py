@@ -69,6 +69,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"logs": None}, "a list of logs as objects, not None"),
         ({"logs": ["tensorboard"]}, r"logs as objects, not \['tensorboard'\]: names belong to train"),
         ({"env": "meadow"}, "the task must be an object, not 'meadow'"),
         ({"algo": Patient}, r"the method must be an object, not .*; did you mean Patient\(\)\?"),
