@@ -17,6 +17,7 @@ from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report import style
 from earl_jax.report.published import published_steps
 from earl_jax.report.tables import Row, error_text, write
+from earl_jax.runs.files import write_atomically
 
 PAGES = Path(__file__).parent / "pages"
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
@@ -56,7 +57,7 @@ class Report(NamedTuple):
         for path, rows in tables.items():
             write(rows, path)
         page = out / f"{name}.md"
-        page.write_text(self.text(name))
+        write_atomically(page, self.text(name))
         return [*tables, page, style.save(self.figure, out / f"{name}.png")]
 
 

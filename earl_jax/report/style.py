@@ -1,6 +1,7 @@
 """The style that all figures share: colours, orders, titles and axes."""
 
 import importlib
+import io
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from earl_jax.envs import PAPER_TASKS, list_envs
 from earl_jax.errors import optional
 from earl_jax.metrics.statistics import Estimate
+from earl_jax.runs.files import write_atomically
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
 """The titles of tasks whose name does not tell how to write it."""
@@ -50,7 +52,9 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **options: An
 def save(figure: Any, path: Path) -> Path:
     """Write `figure` to `path` and return the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix[1:], dpi=150)
+    write_atomically(path, content.getvalue())
     return path
 
 

@@ -17,6 +17,7 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
+from earl_jax.runs.files import write_atomically
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]
@@ -160,7 +161,7 @@ def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Tabl
     if path.suffix not in texts:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(texts[path.suffix]())
+    write_atomically(path, texts[path.suffix]())
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

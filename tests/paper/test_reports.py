@@ -68,6 +68,13 @@ TEXTS = {
 ABSENT = {"table1": ["- minitaur_pen", "Two more claims"], "tradeoff": ["fbrl | epsilon | 5"], "figure5": ["\n\n\n"]}
 
 
+def test_a_report_replaces_an_older_one_by_whole_files(tmp_path):
+    """A reader of an older file keeps it: a new one takes its place."""
+    runs, out = write_runs(tmp_path, RUNS["figure5"]), tmp_path / "out"
+    before, after = ([path.stat().st_ino for path in ARTEFACTS["figure5"].write(runs, out)] for _ in range(2))
+    assert [old == new for old, new in zip(before, after, strict=True)] == [False] * 3
+
+
 @pytest.mark.parametrize("name", TEXTS)
 def test_the_text_has_our_numbers_beside_the_published_ones(files, name):
     text = files[name][-2].read_text()
