@@ -283,6 +283,8 @@ def test_unknown_options_are_errors_that_list_the_choices():
         dense(reward_type="other")
     with pytest.raises(ValueError, match="substeps must be a whole number"):
         env_class("sawyer_door")(substeps=2.5)
+    with pytest.raises(ValueError, match="TabletopOrganization: wide must be true or false, not 'yes'"):
+        env_class("tabletop_organization")(wide="yes")
     for name, options in [*VARIANTS, ("minitaur_pen", {"walls": "closed"}), ("sawyer_peg", {"reward_type": "sparse"})]:
         for field, value in options.items():
             with pytest.raises(ValueError, match=rf"{field} 'other' is not one of .*{value}"):

@@ -19,7 +19,7 @@ from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import NextState, State, tree_where
 from earl_jax.errors import InputError
-from earl_jax.options.values import check_intervals, within
+from earl_jax.options.values import within
 from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -64,7 +64,6 @@ class HelpBudget(Env):
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()
-        check_intervals("help budget", self)
         if self.task.sparse and self.absorbed_reward:
             raise InputError(
                 f"absorbed_reward must be 0 with a sparse reward, which is a success bit, not {self.absorbed_reward}"
