@@ -40,7 +40,8 @@ SHARED = {
     "last": "Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. 1 is "
     "the paper's last policy.",
     "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
-    "metric": "Column of metrics.csv to show, such as interventions. By default the deployed and continuing scores.",
+    "metric": "Column of metrics.csv to show, compare or rank by, highest first, such as interventions. By default the deployed "
+    "score, to which plot and table add the continuing one.",
     "minutes": "Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "
     "runs out, with a checkpoint and exit code 0. By default there is none.",
     "per_device": "Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "

@@ -154,6 +154,7 @@ def best(
     folders: Positional[tuple[Path, ...]],
     test: Literal["permutation", "welch"] = "permutation",
     top: int = 20,
+    metric: str | None = None,
     last: int | None = None,
     window: int | None = None,
     json: bool = False,
@@ -170,7 +171,7 @@ def best(
     from earl_jax.report.best import best_text
     from earl_jax.report.tables import terminal_width
 
-    rows = best_runs(folders, test, Window.of(last, window))
+    rows = best_runs(folders, test, Window.of(last, window), metric)
     emit({"rows": rows}, json, best_text(rows, test, top, terminal_width()))
 
 

@@ -43,27 +43,31 @@ OPTIMISM = (
 )
 
 
-def best(folders: Sequence[Path], test: Test = "permutation", window: Window = DEFAULT) -> list[Row]:
+def best(
+    folders: Sequence[Path], test: Test = "permutation", window: Window = DEFAULT, metric: str | None = None
+) -> list[Row]:
     """Return a row for each method and its options, by task, the best first. Seeds of the same are pooled.
 
+    The best has the highest score by `metric`, a column of metrics.csv; None is the deployed score.
     `verdict` is `best`, `tied` for runs that share the highest score, `below` if the adjusted p of the difference from the best
     is under 5 %, `cannot tell`, or `shorter`. Runs of which a score is nan come after the others of their length.
     `least_p` is the smallest adjusted p that the test could give with these numbers of seeds.
 
     Raises:
-        ValueError: a folder holds no run that can be read, or runs of a task are scored by different metrics.
+        ValueError: a folder holds no run that can be read, one has no such metric, or runs of a task are scored by different
+            metrics.
     """
     tasks = grouped(read_methods(folders, window), lambda curves: curves.env)
-    return [row for runs in tasks.values() for row in _ranked(runs, test)]
+    return [row for runs in tasks.values() for row in _ranked(runs, test, metric)]
 
 
-def _ranked(runs: Sequence[Curves], test: Test) -> list[Row]:
-    if len({curves.deployed_metric for curves in runs}) > 1:
+def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]:
+    if metric is None and len({curves.deployed_metric for curves in runs}) > 1:
         raise InputError(f"runs of {runs[0].env} are scored by success and by return; rank them apart")
     longest = max(curves.steps[-1] for curves in runs)
-    pairs = [(curves, seed_scores(curves)) for curves in runs]
+    pairs = [(curves, seed_scores(curves, metric=metric)) for curves in runs]
     pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
-    rows = [_row(rank, curves, scores) for rank, (curves, scores) in enumerate(pairs, 1)]
+    rows = [_row(rank, curves, scores, metric) for rank, (curves, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
     for row, scores in tested:
@@ -88,12 +92,12 @@ def _least_p(first: int, second: int, test: Test) -> float:
     return smallest_p(first, second) if test == "permutation" else 0.0
 
 
-def _row(rank: int, curves: Curves, scores: np.ndarray) -> Row:
+def _row(rank: int, curves: Curves, scores: np.ndarray, metric: str | None) -> Row:
     """Return the row of a run that is not compared."""
-    interval = interval_of(curves, scores)
+    interval = interval_of(curves, scores, metric)
     return {
         "env": curves.env, "rank": rank, "method": curves.algo, "label": curves.label, "options": options_text(curves.options),
-        "metric": curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
+        "metric": metric or curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
         "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
         "other_seeds": len(scores),

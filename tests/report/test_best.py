@@ -1,5 +1,6 @@
 """The ranking of the runs of a sweep, on scores written by hand."""
 
+import json
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.scores import Window
 from earl_jax.report.best import best, best_text
+from tests.cli.process import succeed
 from tests.report.run_files import DOOR, TABLETOP, constant, write_run
 
 GOOD, CLOSE, BAD = [0.8, 0.85, 0.9, 0.95, 1.0], [0.7, 0.8, 0.9, 0.95, 1.0], [0.0, 0.05, 0.1, 0.15, 0.2]
@@ -50,6 +52,19 @@ def test_a_window_changes_the_ranking(tmp_path):
     leaders = [best([tmp_path], window=window)[0] for window in (Window(), Window(last=1))]
     assert [row["options"] for row in leaders] == ["reward_scale=1", "reward_scale=2"]
     assert "over the last evaluation." in best_text([leaders[1]])
+
+
+def test_another_metric_changes_the_ranking(tmp_path):
+    for scale, score, reward in ((1.0, 0.9, 0.1), (2.0, 0.2, 0.3)):
+        metrics = {"continuing/reward": reward}
+        write_run(tmp_path / str(scale), TABLETOP, "naive", constant(score), metrics=metrics, reward_scale=scale)
+    rows = json.loads(succeed("best", tmp_path, "--metric", "continuing/reward", "--json"))["rows"]
+    assert [(row["options"], row["metric"], row["score"]) for row in rows] == [
+        ("reward_scale=2", "continuing/reward", 0.3),
+        ("reward_scale=1", "continuing/reward", 0.1),
+    ]
+    with pytest.raises(ValueError, match="has no column 'lost'; it has"):
+        best([tmp_path], metric="lost")
 
 
 def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
