@@ -100,21 +100,21 @@ def _parts(row: Row) -> Iterator[str]:
         yield f"not compared{share}"
 
 
-def draw(groups: Sequence[Curves], path: Path) -> None:
+def draw(runs: Sequence[Curves], path: Path) -> None:
     """Draw the deployed scores of all cells, a row for each task: seeds thin, means, and the published ones in grey.
 
     Where nothing was released, a diamond is the printed score.
     """
-    runs = {(group.env, group.algo): group for group in groups}
+    cells = {(curves.env, curves.algo): curves for curves in runs}
     with matplotlib().rc_context({"font.size": 8}):
         figure, axes = new_figure(len(PAPER_TASKS), len(METHODS), (7.8, 8.6), sharex="row", sharey="row")
         for env, line in zip(PAPER_TASKS, axes, strict=True):
             for algo, axis in zip(METHODS, line, strict=True):
                 if algo in methods_on(env):
-                    _draw_cell(axis, runs.get((env, algo)))
+                    _draw_cell(axis, cells.get((env, algo)))
                 else:
                     axis.set_axis_off()
-            metric = next(group.deployed_metric for group in groups if group.env == env)
+            metric = next(curves.deployed_metric for curves in runs if curves.env == env)
             line[0].set_ylabel(f"{task_title(env)}\n{AXES[metric].split()[0]}")
             line[0].set_xlim(0, training_steps(env))
         for algo, axis in zip(METHODS, axes[0], strict=True):

@@ -69,19 +69,19 @@ def entries(root: Path = RESULTS) -> list[Curves]:
     Folders with the same task, method and options would be one method with more seeds; they are kept apart here,
     because their commits can differ.
     """
-    runs = map(read, folders(root))
-    groups = by_method([curves for curves in runs if curves.comparable and not curves.config.imports])
-    return [_named(group, groups) for group in groups]
+    read_runs = map(read, folders(root))
+    runs = by_method([curves for curves in read_runs if curves.comparable and not curves.config.imports])
+    return [_named(curves, runs) for curves in runs]
 
 
-def _named(group: Curves, groups: list[Curves]) -> Curves:
-    """Return `group` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
-    cell, own = (group.algo, group.env), group.options
-    peers = [other.options for other in groups if (other.algo, other.env) == cell]
+def _named(curves: Curves, runs: list[Curves]) -> Curves:
+    """Return `curves` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
+    cell, own = (curves.algo, curves.env), curves.options
+    peers = [other.options for other in runs if (other.algo, other.env) == cell]
     named = {name: own[name] for name in own if any(other.get(name) != own[name] for other in peers)}
     marks = [SCRIPTED] if cell == CORRECTED[:2] and own.get(CORRECTED[2]) != 0 else []
     text = "; ".join([*marks, options_text(named)] if named else marks)
-    return group._replace(label=f"{group.algo} ({text})" if text else group.algo)
+    return curves._replace(label=f"{curves.algo} ({text})" if text else curves.algo)
 
 
 def rows_of(runs: list[Curves]) -> list[Row]:
@@ -174,17 +174,17 @@ def tests(runs: list[Curves]) -> list[dict[str, Any]]:
     return with_verdicts([row for row in rows if row["steps"] >= CROSSING_WINDOW], family=("env", "question"))
 
 
-def _pairs(groups: list[Curves]) -> Iterator[tuple[Curves, Curves]]:
+def _pairs(runs: list[Curves]) -> Iterator[tuple[Curves, Curves]]:
     """Yield the pairs of runs that the questions compare."""
     longest: dict[tuple[str, str], Curves] = {}
-    for group in sorted(groups, key=lambda group: (-group.steps[-1], len(group.options))):
-        longest.setdefault((group.env, group.algo), group)
-    for group in groups:
-        own, naive = longest[group.env, group.algo], longest.get((group.env, "naive"))
-        if group is not own:
-            yield group, own
-        elif naive and group is not naive:
-            yield group, naive
+    for curves in sorted(runs, key=lambda curves: (-curves.steps[-1], len(curves.options))):
+        longest.setdefault((curves.env, curves.algo), curves)
+    for curves in runs:
+        own, naive = longest[curves.env, curves.algo], longest.get((curves.env, "naive"))
+        if curves is not own:
+            yield curves, own
+        elif naive and curves is not naive:
+            yield curves, naive
 
 
 def tests_text(rows: list[dict[str, Any]]) -> str:
