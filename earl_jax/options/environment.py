@@ -1,11 +1,14 @@
 """What a process may use of its machine: cores, a share of a device's memory, and jax, which is not imported before."""
 
 import os
+from pathlib import Path
 
 FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
 """Variable of jax: the part of a GPU's memory that this process may take."""
 PER_DEVICE = "EARL_JAX_PER_DEVICE"
 """Variable of a sweep's worker: the number of programs that share its GPU, or the memory of a machine without one."""
+CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
+"""The microseconds of cores that a container may use in a period, and those of the period; `max` without a limit."""
 
 
 def own_cores() -> list[int]:
@@ -13,6 +16,15 @@ def own_cores() -> list[int]:
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
+
+
+def core_count() -> int:
+    """Return the number of cores that this process may keep busy: those that it may use, or fewer in a limited container."""
+    try:
+        quota, period = map(int, CPU_LIMIT.read_text().split())
+    except (OSError, ValueError):
+        return len(own_cores())
+    return max(1, min(len(own_cores()), quota // period))
 
 
 def start_failure(error: Exception) -> str | None:

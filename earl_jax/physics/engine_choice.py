@@ -6,7 +6,7 @@ from typing import NamedTuple
 from jax import default_backend, local_device_count
 
 from earl_jax.errors import InputError, install_line
-from earl_jax.options.environment import own_cores
+from earl_jax.options.environment import core_count
 
 DEFAULT_ENGINES = {"cpu": "c", "gpu": "c"}
 """The engine that `auto` selects for few lanes on a backend, by benchmarks/results/physics; other backends (TPU) use
@@ -54,7 +54,7 @@ def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
     default = resolve_engine("auto")
     if default_backend() != "gpu" or cost is None:
         return default
-    times = {default: lanes * cost.host / (len(own_cores()) / local_device_count())}
+    times = {default: lanes * cost.host / (core_count() / local_device_count())}
     if cost.device is not None:
         times["mjx"] = cost.device * max(1.0, lanes / DEVICE_LANES)
     if cost.warp is not None and lanes <= DEVICE_LANES and has_warp():

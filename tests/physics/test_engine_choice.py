@@ -38,7 +38,7 @@ def test_auto_takes_the_engine_that_was_measured_to_be_the_fastest_beside_a_gpu(
     cost = make(task).engine_cost
     assert fastest_engine(cost, lanes) == "c", "on a CPU"
     monkeypatch.setattr(engine_choice, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(engine_choice, "own_cores", lambda: range(cores))
+    monkeypatch.setattr(engine_choice, "core_count", lambda: cores)
     monkeypatch.setattr(engine_choice, "has_warp", lambda: warp)
     assert fastest_engine(cost, lanes) == for_lanes(make(task), lanes).engine == engine
     assert fastest_engine(cost, 1001) != "warp", "more lanes can have more contacts than warp has room for"

@@ -43,8 +43,12 @@ def wait_for(condition):
         time.sleep(1e-4)
 
 
-def test_each_process_does_an_equal_part_of_the_rows_and_more_start_for_more_rows():
-    jobs = Jobs(where, 3)
+@pytest.fixture(scope="module")
+def jobs():
+    return Jobs(where, 3)
+
+
+def test_each_process_does_an_equal_part_of_the_rows_and_more_start_for_more_rows(jobs):
     for lanes in [1, 2, 1] + [7] * 2 * DEPTH + [2, 3, 1]:
         processes, parts = np.unique(jobs(lanes), return_counts=True)
         assert len(processes) == min(lanes, 3)
@@ -52,13 +56,19 @@ def test_each_process_does_an_equal_part_of_the_rows_and_more_start_for_more_row
         assert np.ptp(parts) <= 1
 
 
-def test_a_worker_that_had_no_part_in_many_jobs_takes_part_again():
-    jobs = Jobs(where, 2)
+def test_a_worker_that_had_no_part_in_many_jobs_takes_part_again(jobs):
     first = set(jobs(2))
     for _ in range(5 * DEPTH):
         jobs(1)
         time.sleep(2e-3)
     assert set(jobs(2)) == first
+
+
+def test_a_process_that_is_killed_is_an_error_that_ends_every_wait(jobs):
+    os.kill(int(jobs(2)[1]), signal.SIGKILL)
+    wait_for(lambda: jobs.workers.error)
+    assert jobs.workers.error == "a worker ended with code -9"
+    wait_for(lambda: jobs.workers.shared.finished[0] > jobs.number)
 
 
 def test_numbers_of_jobs_may_pass_the_span_of_a_word():
@@ -79,14 +89,6 @@ def test_an_error_is_noted_and_ends_every_wait(serve):
     with pytest.raises(AssertionError):
         jobs(2)
     assert jobs.workers.error == "ValueError('no such state')"
-
-
-def test_a_process_that_is_killed_is_an_error_that_ends_every_wait():
-    jobs = Jobs(where, 2)
-    os.kill(int(jobs(2)[1]), signal.SIGKILL)
-    wait_for(lambda: jobs.workers.error)
-    assert jobs.workers.error == "a worker ended with code -9"
-    wait_for(lambda: jobs.workers.shared.finished[0] > jobs.number)
 
 
 ENDED = """

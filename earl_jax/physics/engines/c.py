@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import default_backend
 
-from earl_jax.options.environment import own_cores
+from earl_jax.options.environment import core_count
 from earl_jax.physics.host_call import service
 from earl_jax.physics.state import Actuator, HostActuator, PendingStep, PhysicsState
 
@@ -150,7 +150,7 @@ class Host:
         mujoco: Any = importlib.import_module("mujoco")
         self.simulator, self.memory, self.model = simulator, memory, copy.copy(simulator.mujoco_model())
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.threads = threads or len(own_cores())
+        self.threads = threads or core_count()
         self.simulations, self.lock = functools.lru_cache(ROW_COUNTS)(self._simulations), threading.Lock()
 
     def __reduce__(self) -> tuple:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import default_backend
 
-from earl_jax.options.environment import own_cores
+from earl_jax.options.environment import core_count
 from earl_jax.physics.host_call import callback
 from earl_jax.physics.host_call.cuda import Stream, driver
 from earl_jax.physics.host_call.workers import Serve, Workers
@@ -57,8 +57,9 @@ class Service:
         """Return the stream of a call on a GPU, in which the work and the wait for its answer are queued."""
         stream = frame.stream
         if stream not in self.streams:
-            cores = len(own_cores()) // len(jax.local_devices())
-            self.streams[stream] = Stream(Workers(self.serve, self.width, max(1, cores - 1)), stream)
+            cores = core_count() // len(jax.local_devices())
+            count = cores - 1 if cores > 2 else max(1, cores)  # a core for the thread that fills the stream
+            self.streams[stream] = Stream(Workers(self.serve, self.width, count), stream)
         return self.streams[stream]
 
 
