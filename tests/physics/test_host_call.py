@@ -2,6 +2,7 @@
 
 import functools
 import os
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -133,3 +134,12 @@ def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_al
     result = tiny_train("naive", "sawyer_door", steps=60, eval_every=20)
     with np.load(file) as leaves:
         assert_equal_trees(list(leaves.values()), (result.metrics, result.train_state))
+
+
+@pytest.mark.parametrize(("cores", "devices", "count"), [(16, 1, 15), (16, 4, 3), (2, 1, 2), (1, 1, 1), (3, 8, 1)])
+def test_the_cores_of_a_device_but_one_have_a_worker_each(monkeypatch, cores, devices, count):
+    monkeypatch.setattr(service, "core_count", lambda: cores)
+    monkeypatch.setattr(jax, "local_devices", lambda: range(devices))
+    monkeypatch.setattr(service, "Workers", lambda serve, width, count: count)
+    monkeypatch.setattr(service, "Stream", lambda workers, stream: (workers, stream))
+    assert service.Service(double, 2).stream_of(SimpleNamespace(stream=7)) == (count, 7)
