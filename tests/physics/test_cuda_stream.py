@@ -11,7 +11,7 @@ from earl_jax.physics.host_call import cuda
 from earl_jax.physics.host_call.workers import Workers
 from earl_jax.physics.host_call.xla_ffi import Buffer
 
-LANES, COLUMNS, WIDTH = 3, 4, 2
+COLUMNS, WIDTH = 4, 2
 DRIVERS = []
 """The drivers of all tests: a worker may still write to their memory when its test has ended."""
 
@@ -73,9 +73,9 @@ def buffer(array):
 class Call:
     """One control step: the rows that the stream holds, its tickets and its answer."""
 
-    def __init__(self, value):
-        self.rows = np.full((LANES, COLUMNS), value, np.float32)
-        self.tickets, self.answer = np.zeros((LANES, 1), np.int32), np.zeros((LANES, WIDTH), np.float32)
+    def __init__(self, value, lanes=(3,)):
+        self.rows = np.full((*lanes, COLUMNS), value, np.float32)
+        self.tickets, self.answer = np.zeros((*lanes, 1), np.int32), np.zeros((*lanes, WIDTH), np.float32)
 
     def start(self, stream):
         stream.start(buffer(self.rows), buffer(self.tickets))
@@ -120,12 +120,25 @@ def test_the_answer_is_found_if_xla_has_moved_the_tickets_of_the_only_job():
         call.finish(stream)
 
 
-def test_too_many_jobs_in_progress_are_an_error():
+def test_a_job_that_is_in_progress_for_too_long_is_an_error():
     stream, calls = stream_of(double), [Call(value) for value in range(cuda.DEPTH + 1)]
     for call in calls[:-1]:
         call.start(stream)
-    with pytest.raises(RuntimeError, match=f"{cuda.DEPTH} control steps of one program are already in progress"):
+        if call is not calls[0]:
+            call.finish(stream)
+    with pytest.raises(RuntimeError, match=f"not finished before the {cuda.DEPTH}th after it starts"):
         calls[-1].start(stream)
+
+
+def test_jobs_of_other_axes_share_the_memory_of_jobs_with_as_many_rows(driver):
+    stream, locked = stream_of(double), []
+    driver.functions["cuMemHostRegister_v2"] = lambda address, *_: locked.append(address.value) or 0
+    for shape in ((6,), (2, 3), (6,), (3, 2), (2, 2)):
+        call = Call(5, shape)
+        call.start(stream)
+        call.finish(stream)
+        np.testing.assert_array_equal(call.answer, 10)
+    assert len(locked) == len(set(locked)) == 2
 
 
 def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call():

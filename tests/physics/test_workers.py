@@ -23,11 +23,13 @@ class Jobs:
     """Does what a stream and a GPU do: it writes rows and a word, and waits for the answer."""
 
     def __init__(self, serve, count, number=0):
-        self.workers, self.number = Workers(serve, 2, count), number
+        self.workers, self.number, self.layouts = Workers(serve, 2, count), number, {}
 
     def __call__(self, lanes):
         self.number += 1
-        layout = self.workers.layout(lanes, 3, self.number)
+        if lanes not in self.layouts:
+            self.layouts[lanes] = self.workers.new_layout(lanes, 3, self.number)
+        layout = self.layouts[lanes]
         layout.rows[self.number % DEPTH] = rows = np.random.default_rng(lanes).random((lanes, 3), np.float32)
         self.workers.shared.asked[self.number % DEPTH] = self.number % SPAN + SPAN * layout.number
         wait_for(lambda: self.workers.shared.finished[0] >= self.number)

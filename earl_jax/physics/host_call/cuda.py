@@ -5,6 +5,7 @@
 
 import ctypes
 import functools
+import math
 from ctypes import c_size_t, c_uint32, c_void_p
 from typing import Any, NamedTuple
 
@@ -63,7 +64,7 @@ class Stream:
     def __init__(self, workers: Workers, stream: int):
         self.workers, self.handle = workers, c_void_p(stream)
         self.number, self.in_progress = 0, dict[int, tuple[int, Slot]]()
-        self.slots = dict[tuple[int, ...], list[Slot]]()
+        self.slots = dict[tuple[int, int], list[Slot]]()
         shared = workers.shared
         _lock_pages(shared.words)
         self.asked = [_address(shared.asked[slot:]) for slot in range(DEPTH)]
@@ -72,10 +73,12 @@ class Stream:
     def start(self, rows: Buffer, tickets: Buffer) -> None:
         """Queue a job, which the workers start when the stream has written `rows`."""
         self._raise_failure()
-        if len(self.in_progress) == DEPTH:
-            raise RuntimeError(f"{DEPTH} control steps of one program are already in progress, which is the maximum")
-        self.number += 1
-        number = self.number
+        number = self.number = self.number + 1
+        oldest, _ = next(iter(self.in_progress.values()), (number, None))
+        if number - oldest >= DEPTH:
+            raise RuntimeError(
+                f"a control step is not finished before the {DEPTH}th after it starts, which needs its memory"
+            )
         slot = self._slot(rows, number)
         self.in_progress[tickets.data or 0] = number, slot
         _cuda("cuMemcpyDtoHAsync_v2", slot.rows, c_void_p(rows.data), slot.rows_size, self.handle)
@@ -98,10 +101,10 @@ class Stream:
 
     def _slot(self, rows: Buffer, number: int) -> Slot:
         """Return the memory for the job `number`; every `DEPTH`-th one of its shape shares it."""
-        shape = rows.shape
+        *lanes, columns = rows.shape
+        shape = math.prod(lanes), columns
         if shape not in self.slots:
-            columns = shape[-1]
-            layout = self.workers.layout(rows.count // columns, columns, number)
+            layout = self.workers.new_layout(*shape, number)
             _lock_pages(layout.memory)
             self.slots[shape] = [
                 Slot(_address(given), c_size_t(given.nbytes), _address(answer), c_size_t(answer.nbytes), layout.number)

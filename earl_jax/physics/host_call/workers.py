@@ -87,9 +87,7 @@ class Shared:
                 pause()
 
 
-def work(
-    shared: Shared, serve: Serve, index: int, count: int, first: int, idle: Callable[[float], None]
-) -> None:  # fmt: skip
+def work(shared: Shared, serve: Serve, index: int, count: int, first: int, idle: Callable[[float], None]) -> None:
     """Do the part of worker `index` of `count` in all jobs from `first` on; worker 0 also waits for the others.
 
     `idle` is called while there is no work, with the seconds since there was some.
@@ -127,23 +125,20 @@ class Workers:
         self.descriptor = os.memfd_create("earl_jax")
         os.ftruncate(self.descriptor, SIZE)
         self.shared, self.end = Shared(self.descriptor, width), CONTROL // PAGE
-        self.numbers, self.started = dict[tuple[int, int], int](), 0
+        self.started = 0
         self.error: str | None = None
 
-    def layout(self, lanes: int, columns: int, job: int) -> Layout:
-        """Return the memory for jobs of `lanes` rows of `columns` numbers; the next one, `job`, may be the first."""
-        shape = lanes, columns
-        if shape not in self.numbers:
-            end = self.end + pages(4 * DEPTH * lanes * (columns + self.shared.width))
-            number = len(self.numbers)
-            if number == MOST or end * PAGE > SIZE:
-                raise RuntimeError(f"no memory is left for jobs of {lanes} rows, after {number} other shapes")
-            self.shared.shapes[number] = self.end, *shape
-            self.end, self.numbers[shape] = end, number
-            while self.started < min(lanes, self.count):
-                self._start(self.started, job)
-                self.started += 1
-        return self.shared.layout(self.numbers[shape])
+    def new_layout(self, lanes: int, columns: int, job: int) -> Layout:
+        """Return memory for jobs of `lanes` rows of `columns` numbers, of which the next one, `job`, is the first."""
+        number, end = len(self.shared.layouts), self.end + pages(4 * DEPTH * lanes * (columns + self.shared.width))
+        if number == MOST or end * PAGE > SIZE:
+            raise RuntimeError(f"no memory is left for jobs of {lanes} rows, after {number} other shapes")
+        self.shared.shapes[number] = self.end, lanes, columns
+        self.end = end
+        while self.started < min(lanes, self.count):
+            self._start(self.started, job)
+            self.started += 1
+        return self.shared.layout(number)
 
     def _start(self, index: int, job: int) -> None:
         if self.payload is None:
