@@ -66,7 +66,7 @@ class Stream:
         self.number, self.in_progress = 0, dict[int, tuple[int, Slot]]()
         self.slots = dict[tuple[int, int], list[Slot]]()
         shared = workers.shared
-        _lock_pages(shared.words)
+        _lock_pages(shared.control)
         self.asked = [_address(shared.asked[slot:]) for slot in range(DEPTH)]
         self.finished = _address(shared.finished)
 

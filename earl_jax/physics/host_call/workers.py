@@ -24,7 +24,7 @@ SPAN = 1 << 24
 """A word of `Shared.asked` is a job's number modulo `SPAN`, plus `SPAN` times its layout."""
 SIZE, PAGE = 1 << 30, 4096
 """Bytes of the shared memory, and of its pages. Pages that nobody writes take no memory."""
-CONTROL = 4 * PAGE
+CONTROL = 3 * PAGE
 """Bytes of the words before the rows and answers."""
 MOST = 128
 """Largest number of layouts, and of workers."""
@@ -55,9 +55,10 @@ class Shared:
 
     def __init__(self, descriptor: int, width: int):
         self.memory, self.width = np.frombuffer(mmap.mmap(descriptor, SIZE), np.uint8), width
-        self.words = words = self.memory[:CONTROL].view(np.int32)
-        self.asked, self.finished, self.shapes = words[:DEPTH], words[64:65], words[256:1024].reshape(-1, 3)[:MOST]
-        self.done = words[1024:].reshape(-1, 16)[:MOST, 0]
+        self.control = self.memory[:CONTROL].view(np.int32)
+        lines = self.control.reshape(-1, 16)  # of a core's cache: no two sides write to the same one
+        self.asked, self.finished, self.done = lines[0, :DEPTH], lines[1, :1], lines[2 : 2 + MOST, 0]
+        self.shapes = lines[2 + MOST :].ravel()[: 3 * MOST].reshape(MOST, 3)
         self.layouts: dict[int, Layout] = {}
 
     def layout(self, number: int) -> Layout:
