@@ -12,37 +12,9 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
-from earl_jax.physics.host_call.workers import DEPTH, SPAN, Workers
+from earl_jax.physics.host_call.workers import DEPTH, SPAN
 from tests.cli.process import run_code
-from tests.physics.host_work import refuse, where
-
-DEADLINE_S = 20
-
-
-class Jobs:
-    """Does what a stream and a GPU do: it writes rows and a word, and waits for the answer."""
-
-    def __init__(self, serve, count, number=0):
-        self.workers, self.number, self.layouts = Workers(serve, 2, count), number, {}
-
-    def __call__(self, lanes):
-        self.number += 1
-        if lanes not in self.layouts:
-            self.layouts[lanes] = self.workers.new_layout(lanes, 3, self.number)
-        layout = self.layouts[lanes]
-        layout.rows[self.number % DEPTH] = rows = np.random.default_rng(lanes).random((lanes, 3), np.float32)
-        self.workers.shared.asked[self.number % DEPTH] = self.number % SPAN + SPAN * layout.number
-        wait_for(lambda: self.workers.shared.finished[0] >= self.number)
-        answers = layout.answers[self.number % DEPTH]
-        np.testing.assert_array_equal(answers[:, 0], 2 * rows[:, 0])
-        return answers[:, 1]
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(1e-4)
+from tests.physics.host_work import Jobs, refuse, wait_for, where
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +68,7 @@ def test_an_error_is_noted_and_ends_every_wait(serve):
 ENDED = """
 import os, sys
 sys.path.append(sys.argv[1])
-from tests.physics.host_work import where
-from tests.physics.test_workers import Jobs
+from tests.physics.host_work import Jobs, where
 print(*map(int, Jobs(where, 2)(2)), flush=True)
 os._exit(0)
 """
