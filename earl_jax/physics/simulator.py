@@ -37,7 +37,7 @@ class Simulator:
         """Return the state one control step later and the sensors [nsensordata] of its last substep.
 
         `command` is the controls [nu], or the command that the actuator takes. Pure and unbatched: under vmap, `mjx`
-        and `warp` simulate all lanes in one program, and `c` simulates them in one threaded call.
+        and `warp` simulate all lanes in one program, and `c` simulates them in one call.
         """
         return self.finish_step(state, self.start_step(state, command))
 

@@ -1,1 +1,1 @@
-"""The physics engines: `c` on the host's threads, `mjx` and `warp` on the accelerator."""
+"""The physics engines: `c` on the host, `mjx` and `warp` on the accelerator."""

@@ -1,4 +1,7 @@
-"""MuJoCo's C engine in float64 on the host's threads; its input and output are one row for each lane."""
+"""MuJoCo's C engine in float64 on the host; its input and output are one row for each lane.
+
+It runs on threads of this process, and beside a GPU in processes of one thread each (`host_call.workers`).
+"""
 
 import copy
 import functools
