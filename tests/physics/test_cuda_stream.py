@@ -126,8 +126,11 @@ def test_a_job_that_is_in_progress_for_too_long_is_an_error():
         call.start(stream)
         if call is not calls[0]:
             call.finish(stream)
-    with pytest.raises(RuntimeError, match=f"not finished before the {cuda.DEPTH}th after it starts"):
+    with pytest.raises(RuntimeError, match=f"not finished before the {cuda.DEPTH}th after it, which"):
         calls[-1].start(stream)
+    calls[-1].start(stream)
+    calls[-1].finish(stream)
+    np.testing.assert_array_equal(calls[-1].answer, 2 * cuda.DEPTH)
 
 
 def test_jobs_of_other_axes_share_the_memory_of_jobs_with_as_many_rows(driver):

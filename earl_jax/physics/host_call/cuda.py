@@ -73,13 +73,13 @@ class Stream:
     def start(self, rows: Buffer, tickets: Buffer) -> None:
         """Queue a job, which the workers start when the stream has written `rows`."""
         self._raise_failure()
-        number = self.number = self.number + 1
-        oldest, _ = next(iter(self.in_progress.values()), (number, None))
+        number = self.number + 1
+        address, (oldest, _) = next(iter(self.in_progress.items()), (0, (number, None)))
         if number - oldest >= DEPTH:
-            raise RuntimeError(
-                f"a control step is not finished before the {DEPTH}th after it starts, which needs its memory"
-            )
+            del self.in_progress[address]  # if an error ended its program, the next one works
+            raise RuntimeError(f"a control step is not finished before the {DEPTH}th after it, which needs its memory")
         slot = self._slot(rows, number)
+        self.number = number
         self.in_progress[tickets.data or 0] = number, slot
         _cuda("cuMemcpyDtoHAsync_v2", slot.rows, c_void_p(rows.data), slot.rows_size, self.handle)
         _cuda("cuMemsetD32Async", c_void_p(tickets.data), number, c_size_t(tickets.count), self.handle)
