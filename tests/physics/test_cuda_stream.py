@@ -10,6 +10,7 @@ import pytest
 from earl_jax.physics.host_call import cuda
 from earl_jax.physics.host_call.workers import Workers
 from earl_jax.physics.host_call.xla_ffi import Buffer
+from tests.physics.host_work import double, refuse
 
 COLUMNS, WIDTH = 4, 2
 DRIVERS = []
@@ -87,14 +88,6 @@ class Call:
 def stream_of(serve):
     """Return a stream whose jobs a thread does, as no process can import a function of a function."""
     return cuda.Stream(Workers(lambda rows: serve(rows), WIDTH, 2), 7)
-
-
-def double(rows):
-    return 2 * rows[:, :WIDTH]
-
-
-def refuse(rows):
-    raise ValueError("no such state")
 
 
 def test_jobs_are_answered_in_any_order_and_memory_is_reused():

@@ -15,14 +15,11 @@ from earl_jax.physics.host_call import service
 from tests.cli.process import run_code
 from tests.conftest import assert_equal_trees, tiny_train
 from tests.envs.programs import first_state, program
+from tests.physics.host_work import double, refuse
 
 HOST_ERRORS = (ValueError, RuntimeError)
 """The errors that jax raises for an error inside a program, depending on its dispatch."""
 ROWS = jnp.arange(12.0).reshape(4, 3)
-
-
-def double(rows):
-    return 2 * rows[:, :2]
 
 
 @pytest.fixture
@@ -56,9 +53,6 @@ def test_rows_of_other_types_reach_the_host_as_float32(double_service):
 
 
 def test_an_error_on_the_host_is_raised_by_the_program():
-    def refuse(rows):
-        raise ValueError("no such state")
-
     service.register("test.refuse", refuse, 2)
     with pytest.raises(HOST_ERRORS, match="ValueError: no such state"):
         jax.block_until_ready(jax.jit(lambda row: service.step("test.refuse", row, 2))(ROWS))
@@ -139,7 +133,7 @@ def test_where_xla_refuses_the_foreign_function_a_callback_trains_bit_for_bit_al
 @pytest.mark.parametrize(("cores", "devices", "count"), [(16, 1, 15), (16, 4, 3), (2, 1, 2), (1, 1, 1), (3, 8, 1)])
 def test_the_cores_of_a_device_but_one_have_a_worker_each(monkeypatch, cores, devices, count):
     monkeypatch.setattr(service, "core_count", lambda: cores)
-    monkeypatch.setattr(jax, "local_devices", lambda: range(devices))
+    monkeypatch.setattr(jax, "local_device_count", lambda: devices)
     monkeypatch.setattr(service, "Workers", lambda serve, width, count: count)
     monkeypatch.setattr(service, "Stream", lambda workers, stream: (workers, stream))
     assert service.Service(double, 2).stream_of(SimpleNamespace(stream=7)) == (count, 7)

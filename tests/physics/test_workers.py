@@ -75,7 +75,9 @@ os._exit(0)
 
 
 def test_processes_end_with_the_one_that_started_them():
-    for process in run_code(ENDED, os.getcwd()).split():
+    processes = run_code(ENDED, os.getcwd()).split()
+    assert len(processes) == 2
+    for process in processes:
         wait_for(lambda process=process: not os.path.exists(f"/proc/{process}"))
 
 

@@ -57,7 +57,7 @@ class Service:
         """Return the stream of a call on a GPU, in which the work and the wait for its answer are queued."""
         stream = frame.stream
         if stream not in self.streams:
-            cores = core_count() // len(jax.local_devices())
+            cores = core_count() // jax.local_device_count()
             count = cores - 1 if cores > 2 else max(1, cores)  # a core for the thread that fills the stream
             self.streams[stream] = Stream(Workers(self.serve, self.width, count), stream)
         return self.streams[stream]
