@@ -102,7 +102,7 @@ demos: $(STAMP)
 	$(BIN)/earl-jax demos sawyer_peg --engine c --out assets/demos/sawyer_peg.npz
 
 catalog: $(STAMP)
-	$(BIN)/python -m earl_jax.cli.descriptions
+	$(BIN)/python -c 'from earl_jax.cli import descriptions; descriptions.store()'
 
 clean:
 	rm -rf $(VENV) $(NEWEST) $(DOCS) .cache site

@@ -1,25 +1,44 @@
-"""Descriptions of tasks, methods and learners from their classes; as a program, it stores the package's own for `list`."""
+"""The names of all tasks, methods, learners and presets, and descriptions of their classes.
+
+Importing the classes loads jax, which takes about two seconds. `make catalog` therefore stores the descriptions of the
+package's own classes in catalog.json, and a test compares the two.
+"""
 
 import ast
 import dataclasses
+import functools
 import inspect
 import json
 import re
 import textwrap
 from importlib.metadata import EntryPoint
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from earl_jax import algos, envs
-from earl_jax.algos.learner import learner_class
-from earl_jax.cli.catalog import CATALOG, LOCATE, TASK_NUMBERS, names
+from earl_jax.algos.learner import learner_class, list_learners, locate_learner
+from earl_jax.options.presets import PRESETS
 from earl_jax.options.values import literals
 
+CATALOG = Path(__file__).with_name("catalog.json")
+LOCATE = {"task": envs.locate_env, "method": algos.locate_algo, "learner": locate_learner}
+TASK_NUMBERS = ("observation_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon")
+"""The attributes of a task that its description has."""
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
+
+
+def names() -> dict[str, list[str]]:
+    """Return the names of all tasks, methods, learners and presets, by kind."""
+    return {"task": envs.list_envs(), "method": algos.list_algos(), "learner": list_learners(), "preset": list(PRESETS)}
+
+
+@functools.cache
+def stored() -> dict[str, Any]:
+    """Return the stored descriptions by class, and under `shared` the options of every learner."""
+    return json.loads(CATALOG.read_text())
 
 
 def task(name: str) -> dict[str, Any]:
@@ -86,6 +105,8 @@ def _options(cls: type) -> dict[str, dict[str, Any]]:
 
     Where the field has no docstring, the meaning is the sentence of a class's that names the option.
     """
+    import numpy as np  # without it, `list` starts faster
+
     docstrings, meanings = _documentation(cls)
     sentences = [sentence for text in docstrings for sentence in SENTENCE.split(" ".join(text.split()))]
     options = {}
@@ -127,6 +148,7 @@ def _documentation(cls: type) -> tuple[list[str], dict[str, str]]:
     return docstrings, meanings
 
 
-if __name__ == "__main__":
+def store() -> None:
+    """Write the catalog, a line for each class."""
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in catalog().items()]
     CATALOG.write_text("{" + ",\n".join(lines) + "}\n")

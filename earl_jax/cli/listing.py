@@ -9,9 +9,10 @@ from typing import Any
 from earl_jax import assets
 from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import Positional, emit
-from earl_jax.cli.catalog import LOCATE, names, stored
+from earl_jax.cli.descriptions import DESCRIBE, LOCATE, names, stored
 from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
+from earl_jax.options.registry import class_name
 from earl_jax.options.values import value_text
 
 WIDTH = 80
@@ -61,13 +62,11 @@ def describe(kind: str, name: str) -> dict[str, Any]:
     head: dict[str, Any] = {"kind": kind, "name": name, "package": ""}
     try:
         target, head["package"] = LOCATE[kind](name)
-        path = target.value if isinstance(target, EntryPoint) else f"{target.__module__}:{target.__qualname__}"
+        path = target.value if isinstance(target, EntryPoint) else class_name(target)
         head |= {"class": path, "policies": _policies(name)}
         if path in stored():
             return head | stored()[path]
-        from earl_jax.cli import descriptions
-
-        return head | descriptions.DESCRIBE[kind](name)
+        return head | DESCRIBE[kind](name)
     except Exception as error:  # the code of another package
         return head | {"error": str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"}
 

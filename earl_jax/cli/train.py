@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from earl_jax.cli.arguments import Logs, Positional, Seeds, Texts, emit, parse_minutes, parse_options, stopping
-from earl_jax.cli.catalog import stored
+from earl_jax.cli.descriptions import stored
 from earl_jax.errors import InputError
 from earl_jax.options.imports import resume_command
 from earl_jax.options.presets import ALGO, Preset, named_preset

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import earl_jax
-from earl_jax.cli import catalog, descriptions, listing
+from earl_jax.cli import descriptions, listing
 from tests.cli.process import one_line, run, run_code, succeed
 from tests.conftest import write_files
 
@@ -47,7 +47,7 @@ def everything():
 
 
 def test_the_catalog_is_what_the_classes_are():
-    assert json.loads(catalog.CATALOG.read_text()) == descriptions.catalog(), "run `make catalog`"
+    assert json.loads(descriptions.CATALOG.read_text()) == descriptions.catalog(), "run `make catalog`"
 
 
 def test_every_name_is_described_with_the_meaning_of_its_options(everything):
