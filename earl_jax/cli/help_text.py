@@ -4,7 +4,7 @@ import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 
@@ -73,9 +73,8 @@ def _metavar(parameter: inspect.Parameter) -> str | None:
         return None
     if not parts & {str, Path, ...}:
         return VALUES.get(parameter.name)
-    literals = [f"{{{','.join(get_args(part))}}}" for part in parts if get_origin(part) is Literal]
     is_positional = get_args(tyro.conf.Positional[int])[1] in metadata
     own = parameter.name.upper() if is_positional else "PATH" if Path in parts else "NAME"
-    name = VALUES.get(parameter.name) or next(iter(literals), own)
+    name = VALUES.get(parameter.name, own)
     several = f"{name} ..." if ... in parts else name
     return f"[{several}]" if is_positional and parameter.default is None else several
