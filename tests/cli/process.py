@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 import warnings
 
 from earl_jax import cli
@@ -28,6 +29,14 @@ def free_port():
     with socket.socket() as listener:
         listener.bind(("localhost", 0))
         return listener.getsockname()[1]
+
+
+def wait_until(condition, seconds=240):
+    """Wait until `condition` holds, or for some seconds, and return whether it does."""
+    deadline = time.monotonic() + seconds
+    while not (holds := condition()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return bool(holds)
 
 
 def start(*arguments):

@@ -5,7 +5,6 @@ import re
 import shutil
 import signal
 import sys
-import time
 import warnings
 
 import numpy as np
@@ -15,7 +14,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import TASK, one_line, run, start, succeed, training
+from tests.cli.process import TASK, one_line, run, start, succeed, training, wait_until
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -66,9 +65,7 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     whole, _ = finished
     folder = tmp_path / "killed"
     process = start(*training(folder))
-    deadline = time.monotonic() + 240
-    while not list(folder.glob("checkpoints/0*")) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    assert wait_until(lambda: list(folder.glob("checkpoints/0*")))
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL

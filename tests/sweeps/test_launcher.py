@@ -4,13 +4,12 @@ import itertools
 import json
 import os
 import signal
-import time
 from types import SimpleNamespace
 
 import pytest
 
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import one_line, run, run_code, run_process, start, succeed
+from tests.cli.process import one_line, run, run_code, run_process, start, succeed, wait_until
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -37,9 +36,7 @@ def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid,
     out = succeed("sweep", grid, "--out", whole, by=run_process)
     assert "2 runs: 0 done before, 2 done now, 0 failed" in out
     process = start("sweep", grid, "--out", killed)
-    deadline = time.monotonic() + 240
-    while not list(killed.glob("*/*/*/checkpoints/0*")) and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert wait_until(lambda: list(killed.glob("*/*/*/checkpoints/0*")))
     process.send_signal(signal.SIGKILL)  # only the launcher, so that its worker must notice
     process.communicate()
     assert read_tables(killed) != read_tables(whole)

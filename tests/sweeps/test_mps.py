@@ -3,20 +3,12 @@
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from earl_jax.sweeps.mps import MpsError, mps
-
-
-def comes_true(condition):
-    """Return whether `condition` holds within 10 seconds."""
-    deadline = time.monotonic() + 10
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    return condition()
+from tests.cli.process import wait_until
 
 
 def test_the_daemon_serves_all_gpus_and_ends_with_the_context(gpus, monkeypatch):
@@ -51,8 +43,8 @@ def test_a_daemon_that_ignores_quit_is_ended_by_its_process_id(gpus, monkeypatch
     with mps() as variables:
         pid = int(Path(variables["CUDA_MPS_PIPE_DIRECTORY"], "nvidia-cuda-mps-control.pid").read_text())
         command = Path(f"/proc/{pid}/cmdline")
-        assert comes_true(command.read_bytes)  # it is empty for a moment, until the daemon is loaded
-    assert comes_true(lambda: not command.exists() or not command.read_bytes())
+        assert wait_until(command.read_bytes, 10)  # it is empty for a moment, until the daemon is loaded
+    assert wait_until(lambda: not command.exists() or not command.read_bytes(), 10)
 
 
 def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
@@ -62,4 +54,4 @@ def test_the_daemon_ends_after_the_kill_of_its_launcher(gpus):
     folder = Path(eval(process.stdout.readline())["CUDA_MPS_PIPE_DIRECTORY"]).parent
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    assert comes_true(lambda: (gpus / "log").read_text().endswith("quit\n") and not folder.exists())
+    assert wait_until(lambda: (gpus / "log").read_text().endswith("quit\n") and not folder.exists(), 10)

@@ -7,12 +7,11 @@ import shutil
 import signal
 import socket
 import subprocess
-import time
 
 import pytest
 
 from earl_jax.sweeps import slurm
-from tests.cli.process import ENVIRONMENT, free_port, run_process, succeed
+from tests.cli.process import ENVIRONMENT, free_port, run_process, succeed, wait_until
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -47,10 +46,7 @@ def ask(*command):
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + 90
-    while not condition():
-        assert time.monotonic() < deadline, (ask("squeue"), ask("sinfo"))
-        time.sleep(0.1)
+    assert wait_until(condition, 90), (ask("squeue"), ask("sinfo"))
 
 
 def queue_is_empty():
