@@ -75,7 +75,6 @@ def sweep(
         slurm_arrays.submit(out, tasks, options, emit)
         return Outcome()
     states, stopped_by = _run_locally(tasks, per_device, emit)
-    states = {name: "waiting" for task in tasks for name in task["runs"]} | states
     failed = tuple(name for name, state in states.items() if state == "failed")
     outcome = Outcome(failed, tuple(name for name, state in states.items() if state not in ("done", "failed")))
     if stopped_by:
@@ -147,9 +146,10 @@ def describe(plan: dict[str, Any]) -> str:
 def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> tuple[dict[str, str], int | None]:
     """Train the runs of `tasks`, as many tasks at a time as there are slots.
 
-    Return the last state of each run that has started, by name, and the number of the signal that stopped them, if any.
+    Return the last state of each run by name, `waiting` if it has not started, and the number of the signal that stopped
+    them, if any.
     """
-    states: dict[str, str] = {}
+    states = {name: "waiting" for task in tasks for name in task["runs"]}
     envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
     with open_slots(per_device, envs, emit) as slots, Workers() as workers:
         tasks = [{**task, "progress": len(slots) == 1} for task in tasks]

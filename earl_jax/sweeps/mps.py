@@ -100,7 +100,7 @@ def _answers(environment: Mapping[str, str]) -> bool:
     """Return whether a daemon that programs with `environment` would use answers."""
     try:
         reply = subprocess.run(
-            [CONTROL], input=b"get_server_list\n", capture_output=True, timeout=SECONDS, env=dict(environment)
+            [CONTROL], input=b"get_server_list\n", capture_output=True, timeout=SECONDS, env=environment
         )
     except (OSError, subprocess.SubprocessError):
         return False

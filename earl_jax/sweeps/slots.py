@@ -69,7 +69,7 @@ def _memory_fraction(environment: Mapping[str, str]) -> float:
 
 
 def make_slots(
-    per_device: int, gpus: Sequence[str], cores: Sequence[int], variables: Mapping[str, str] | None = None
+    per_device: int, gpus: Sequence[str], cores: Sequence[int], variables: Mapping[str, str] = {}
 ) -> list[Slot]:
     """Return `per_device` slots on each of `gpus`, or on a machine without one, in the order in which they are taken.
 
@@ -82,7 +82,7 @@ def make_slots(
         for index, gpu in enumerate(gpus or [None]):
             first = (index * per_device + position) * share
             own = sorted(cores[(first + offset) % len(cores)] for offset in range(share))
-            result.append(Slot(gpu, tuple(own), per_device, variables or {}))
+            result.append(Slot(gpu, tuple(own), per_device, variables))
     return result
 
 
