@@ -40,6 +40,7 @@ SHARED = {
     "last": "Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. 1 is "
     "the paper's last policy.",
     "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
+    "max_lanes": "Largest number of lanes (runs x seeds) in one program. By default there is no limit.",
     "metric": "Column of metrics.csv to show, compare or rank by, highest first, such as interventions. By default the deployed "
     "score, to which plot and table add the continuing one.",
     "minutes": "Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "

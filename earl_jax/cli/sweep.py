@@ -28,7 +28,6 @@ def sweep(
         grid: TOML file of tasks, methods and options (docs/sweeps.md).
         out: Parent folder of the run folders, OUT/<task>/<method>/<options>.
         launcher: local runs the programs on this machine; slurm submits an array job.
-        max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
         slurm: Options of sbatch as name=value pairs: time (minutes), partition, ... By default none.
         dry_run: Print the programs with their lanes, folders and memory, and start nothing.
     """
@@ -139,7 +138,6 @@ def reproduce(
         tasks: Tasks to include. By default those of the scale.
         seeds: Number of seeds. By default 2, 3 or 5, as the scale has.
         steps: Training steps of each seed. By default those of the scale.
-        max_lanes: Largest number of lanes (runs x seeds) in one program. By default there is no limit.
     """
     limit = parse_minutes(minutes)
     from earl_jax.paper import reproduce as paper
