@@ -1,4 +1,4 @@
-"""Seeds as a user gives them, and their check, which `train`, configs, sweeps and the command line share."""
+"""Seeds as a user gives them, and their check, which configs and sweeps share."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from earl_jax.errors import InputError
 from earl_jax.options.seeds import MOST_SEEDS, seed_list
 from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid
-from earl_jax.training import train
 
 
 @pytest.mark.parametrize(
@@ -41,20 +40,9 @@ def test_other_seeds_are_refused(seeds, message):
         seed_list(seeds)
 
 
-def in_a_config(seeds, tmp_path):
-    RunConfig("tabletop_organization", {}, "naive", {}, tuple(seeds), 40, 40, 1, 40)
-
-
-def in_a_grid(seeds, tmp_path):
-    (tmp_path / "grid.toml").write_text(f"envs = 'e'\nalgos = 'a'\nseeds = {seeds}")
-    grid.read(tmp_path / "grid.toml")
-
-
-@pytest.mark.parametrize(
-    "use",
-    [in_a_config, in_a_grid, lambda seeds, _: train("tabletop_organization", "naive", seeds=seeds)],
-    ids=["config", "grid", "train"],
-)
-def test_every_way_to_start_a_run_has_the_same_check(use, tmp_path):
-    with pytest.raises(InputError, match=r"seed 3 is given twice$"):
-        use([3, 3], tmp_path)
+def test_a_config_which_every_run_has_and_a_grid_have_the_same_check(tmp_path):
+    with pytest.raises(InputError, match=r"^seed 3 is given twice$"):
+        RunConfig("tabletop_organization", {}, "naive", {}, (3, 3), 40, 40, 1, 40)
+    (tmp_path / "grid.toml").write_text("envs = 'e'\nalgos = 'a'\nseeds = [3, 3]")
+    with pytest.raises(InputError, match=r"grid\.toml: seed 3 is given twice$"):
+        grid.read(tmp_path / "grid.toml")
