@@ -192,14 +192,11 @@ def _video_logs(count: int | None) -> list["VideoLog"]:
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
     """Print the score of `result`, if it has an evaluation, and how to continue it after a time limit."""
     values, text = _score(result) if len(result.steps) else ({}, "no evaluation yet")
-    values = {
-        "out": str(out), "engine": result.engine, "steps": result.step, **values, "stopped": not result.finished
-    }  # fmt: skip
+    values = {"out": str(out), "engine": result.engine, "steps": result.step, **values, "stopped": not result.finished}
     if not result.finished:
-        command = resume_command(out)
-        values["resume"] = command
+        values["resume"] = resume_command(out)
         text += f"\nstopped at step {result.step} of {result.config.steps}, the minutes have run out; "
-        text += f"continue with: {command}"
+        text += f"continue with: {values['resume']}"
     emit(values, as_json, f"{out}: {text}")
 
 
