@@ -47,6 +47,11 @@ RELEASED_REPLAY = "replay_capacity_1000000"
 DENSE_AGAIN = f"{KITCHEN}/fbrl", f"{KITCHEN}/r3l", f"{LIGHTBULB}/oracle"
 RUN_AGAIN = TABLETOP, DOOR, PEG, *DENSE_AGAIN
 """Tasks and cells that have the released replay, which is the default since 2026-11-27."""
+KEEP_ALL = (
+    *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
+    f"{KITCHEN}/naive", f"{KITCHEN}/oracle", f"{LIGHTBULB}/fbrl",
+)  # fmt: skip
+"""Cells that keep all transitions because their runs are longer, and that also ran with the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
@@ -191,9 +196,9 @@ DIFFERENCES = (
         for algo in algos
         for pair in _released_replay(f"{env}/{algo}")
     ), *(
-        pair
-        for algo in ("naive", "fbrl", "r3l", "oracle")
-        for pair in _both_scores((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",))
+        pair for cell in KEEP_ALL for pair in _both_scores((cell,), (f"{cell}/{RELEASED_REPLAY}",))
+    ), *(
+        pair for algo in ("naive", "oracle") for pair in _both_scores((f"{KITCHEN}/{algo}/{RELEASED_REPLAY}",), PUBLISHED)
     ), *(pair for cell in DENSE_AGAIN for pair in _both_scores((_all_kept(cell),), (cell,))))),
     Difference("20", "FBRL on the door on engine mjx", _both_scores((f"{DOOR}/fbrl",), (f"{DOOR}/fbrl/mjx",))),
     Difference("21", "the kitchen's backward goal of 13 on fresh seeds, with the released replay", (
