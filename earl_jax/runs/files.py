@@ -15,8 +15,6 @@ from earl_jax.errors import InputError
 LOCK, PART = ".lock", ".part"
 WITHOUT_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}
 """Errors of file systems that have no locks."""
-WRONG_KIND = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO, errno.ESPIPE}
-"""Errors of opening a link, a folder or a pipe, which depend on the system."""
 
 
 class RunWarning(UserWarning):
@@ -33,15 +31,12 @@ def format_warning(message: Warning | str, category: type[Warning], *details: An
     return DEFAULT_FORMAT(message, category, *details)
 
 
-def _wrong_kind(path: Path, wanted: str = "regular file") -> InputError:
-    return InputError(f"{path} is a link or not a {wanted}; remove it")
-
-
 def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
     """Raise an InputError if there is something else at `path` than what `kind` says, a regular file or a folder."""
     with contextlib.suppress(FileNotFoundError):
         if stat.S_IFMT(path.lstat().st_mode) != kind:
-            raise _wrong_kind(path, "folder" if kind == stat.S_IFDIR else "regular file")
+            wanted = "folder" if kind == stat.S_IFDIR else "regular file"
+            raise InputError(f"{path} is a link or not a {wanted}; remove it")
 
 
 def check_local(path: Path) -> None:
@@ -50,23 +45,13 @@ def check_local(path: Path) -> None:
         raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
 
 
-@contextlib.contextmanager
-def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> Iterator[BinaryIO]:
-    """Open the regular file at `path`; a ValueError if a link, a pipe or a folder is there."""
-    with contextlib.ExitStack() as stack:
-        try:
-            handle = stack.enter_context(open(path, mode, opener=_open_unfollowed))
-        except OSError as error:
-            if error.errno in WRONG_KIND:
-                raise _wrong_kind(path) from error
-            raise
-        if not stat.S_ISREG(os.fstat(handle.fileno()).st_mode):
-            raise _wrong_kind(path)
-        yield handle
+def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> BinaryIO:
+    """Return the open file at `path`; a ValueError if a link, a pipe or a folder is there."""
+    check_kind(path)
+    return open(path, mode, opener=_open_again)
 
 
-def _open_unfollowed(path: str, flags: int) -> int:
-    flags |= os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe would block
+def _open_again(path: str, flags: int) -> int:
     try:
         return os.open(path, flags, 0o666)
     except OSError as error:
@@ -75,10 +60,10 @@ def _open_unfollowed(path: str, flags: int) -> int:
     return os.open(path, flags, 0o666)  # NFS says so if another host has just replaced the file
 
 
-def read_bytes(path: Path, limit: int | None = None) -> bytes:
+def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of the regular file at `path`. Errors as `opened`, or it has more than `limit` bytes."""
     with opened(path) as handle:
-        if limit is not None and os.fstat(handle.fileno()).st_size > limit:
+        if os.fstat(handle.fileno()).st_size > limit:
             raise InputError(f"{path} is larger than {limit >> 20} MiB, the limit")
         return handle.read()
 
@@ -101,13 +86,11 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     check_kind(path)
     try:
         part.unlink(missing_ok=True)  # a kill left it, or it is a link
-        try:
-            _write(part, "wb", content)
-            os.replace(part, path)
-        except OSError:
-            part.unlink(missing_ok=True)
-            raise
+        _write(part, "wb", content)
+        os.replace(part, path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
         raise OSError(f"{path} can't be written: {error.strerror or error}") from error
 
 
@@ -132,27 +115,23 @@ def locked(path: Path) -> Iterator[None]:
         ValueError: another process has locked it, or its lock is a link.
         OSError: the folder is not writable.
     """
-    with contextlib.ExitStack() as stack:
-        try:
-            handle = stack.enter_context(opened(path / LOCK, "ab"))
-        except OSError as error:
-            raise OSError(f"{path / LOCK} can't be written to: {error.strerror or error}") from error
-        _lock(handle.fileno(), path)
-        yield
-
-
-def _lock(number: int, path: Path) -> None:
     import fcntl  # Windows lacks it
 
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(f"{path} is in use by another process") from None
+        handle = opened(path / LOCK, "ab")
     except OSError as error:
-        if error.errno not in WITHOUT_LOCKS:
-            raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
-        message = f"{path} is on a file system without locks: make sure that no other process writes to it"
-        warnings.warn(message, RunWarning, stacklevel=4)
+        raise OSError(f"{path / LOCK} can't be written to: {error.strerror or error}") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{path} is in use by another process") from None
+        except OSError as error:
+            if error.errno not in WITHOUT_LOCKS:
+                raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
+            message = f"{path} is on a file system without locks: make sure that no other process writes to it"
+            warnings.warn(message, RunWarning, stacklevel=3)
+        yield
 
 
 def inside(folder: Path, name: str) -> Path:

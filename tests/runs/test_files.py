@@ -78,7 +78,7 @@ def test_a_file_that_is_another_or_a_pipe_is_not_opened(tmp_path, kind):
     with pytest.raises(ValueError, match=kind):
         append(path, "new")
     with pytest.raises(ValueError, match=kind):
-        read_bytes(path)
+        read_bytes(path, 99)
     assert (tmp_path / "victim").read_text() == "mine"
 
 
@@ -116,7 +116,7 @@ def test_a_stale_handle_is_opened_again_once(tmp_path, monkeypatch, failures):
 
     monkeypatch.setattr(os, "open", stale_open)
     if failures == 1:
-        assert read_bytes(tmp_path / "metrics.csv") == b"rows"
+        assert read_bytes(tmp_path / "metrics.csv", 99) == b"rows"
     else:
         with pytest.raises(OSError, match=r"Stale file handle: '.*metrics\.csv'"):
-            read_bytes(tmp_path / "metrics.csv")
+            read_bytes(tmp_path / "metrics.csv", 99)
