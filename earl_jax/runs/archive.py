@@ -6,7 +6,6 @@ others; an npz has a checksum of every array.
 
 import contextlib
 import dataclasses
-import io
 import logging
 import math
 import os
@@ -25,7 +24,6 @@ from earl_jax.runs.files import opened
 Arrays = dict[str, Any]
 """NumPy arrays by their names."""
 FILE, STEP = "arrays.npz", "step"
-LONGEST_READ = 1 << 20
 
 
 class DamagedError(InputError):
@@ -38,16 +36,6 @@ class DamagedError(InputError):
 def first_line(error: Exception) -> str:
     """Return what `error` says, as one line without the file's name."""
     return (getattr(error, "strerror", None) or str(error).strip() or repr(error)).splitlines()[0]
-
-
-class _Sparing(io.FileIO):
-    """A file that gives no more than `LONGEST_READ` bytes at once: zipfile reads its list of members in one piece."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return the next `size` bytes; raise a ValueError if that are too many."""
-        if size is not None and size > LONGEST_READ:
-            raise ValueError("its list of arrays is too long")
-        return super().read(size)
 
 
 class NpzHandler(ocp.CheckpointHandler):
@@ -73,25 +61,22 @@ class SaveArrays(ocp.args.CheckpointArgs):
 
 
 def _arrays(path: Path, most: float) -> Arrays:
-    """Return the arrays of the file at `path`, which have at most `most` bytes.
+    """Return the arrays of the file at `path`, which has at most `most` bytes.
 
     Raises:
-        ValueError: the file is missing, its arrays are larger, or one does not match its checksum.
+        ValueError: the file is missing, larger or compressed, or an array does not match its checksum.
     """
     try:
-        with (
-            opened(path) as handle,
-            _Sparing(handle.fileno(), closefd=False) as reader,
-            zipfile.ZipFile(reader) as archive,
-        ):
-            members = archive.infolist()
-            if any(info.compress_type != zipfile.ZIP_STORED for info in members):
-                raise ValueError("its arrays are compressed")
-            if sum(info.file_size for info in members) > most:
+        with opened(path) as handle:
+            if os.fstat(handle.fileno()).st_size > most:  # also of a list of members, which zipfile reads in one piece
                 raise ValueError("it does not belong to this run: its arrays are larger")
-            return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
+            with zipfile.ZipFile(handle) as archive:
+                members = archive.infolist()
+                if any(info.compress_type != zipfile.ZIP_STORED for info in members):
+                    raise ValueError("its arrays are compressed")
+                return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
     except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
-        raise ValueError(f"{path.parent.name}/{FILE} can't be read: {error or repr(error)}") from error
+        raise ValueError(f"{path.parent.name}/{FILE} can't be read: {str(error) or repr(error)}") from error
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
@@ -101,7 +86,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         shape, _, dtype = np.lib.format.read_array_header_1_0(member)
         if member.tell() + math.prod(shape) * dtype.itemsize != info.file_size:
             raise ValueError(f"{info.filename} has another size than its array")
-    with archive.open(info) as member:
+    with archive.open(info) as member:  # a seek to the start would end the check of the checksum
         return np.lib.format.read_array(member, allow_pickle=False)
 
 

@@ -228,7 +228,7 @@ DAMAGE = {
     "more bytes than its shape": (stated(40), "state.npy has another size than its array"),
     "fewer bytes than its shape": (stated(5000), "state.npy has another size than its array"),
     "160 GB": (stated(16 * 10**8), "state.npy has another size than its array"),
-    "a list of 1 GiB": (file("lanes", long_list), "its list of arrays is too long"),
+    "a list of 1 GiB": (file("lanes", long_list), "its arrays are larger"),
 }
 """Damage to a checkpoint, and what the warning says."""
 
