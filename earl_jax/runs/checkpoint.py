@@ -126,17 +126,14 @@ def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: 
     names = ("lanes", "replay") if with_replay else ("lanes",)
     most = {name: _most_bytes(getattr(like, name)) for name in names}
     parts = [archive.read(folder, step, most) for folder in folders]
-    lanes = [
-        _lanes(folder, part["lanes"], size, like.lanes)
-        for folder, part, size in zip(folders, parts, sizes, strict=True)
-    ]
+    lanes = _joined(folders, [part["lanes"] for part in parts], sizes, like.lanes)
     replay = like.replay
     if with_replay:
         try:
             replay = spread([part["replay"] for part in parts], sizes, like.replay)
         except (KeyError, ValueError, TypeError, IndexError) as error:
             raise archive.DamagedError(folders[0], step, f"its replay has other arrays ({error})") from error
-    return like.replace(lanes=_joined(*lanes), replay=replay, step=jnp.asarray(step, jnp.int32))
+    return like.replace(lanes=lanes, replay=replay, step=jnp.asarray(step, jnp.int32))
 
 
 def _most_bytes(tree: Any) -> int:
@@ -144,20 +141,14 @@ def _most_bytes(tree: Any) -> int:
     return (1 << 20) + 2 * sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
-@jax.jit
-def _joined(*parts: Any) -> Any:
-    """Return the lanes of all `parts`, by one program for all leaves."""
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-
-
-def _lanes(folder: Path, arrays: dict[str, np.ndarray], size: int, like: Any) -> Any:
-    """Return the `arrays` of a checkpoint in `folder` as `size` lanes in the structure of `like`."""
-    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((size, *leaf.shape[1:]), leaf.dtype), like)
-    expected = jax.eval_shape(named_arrays, shapes)
-    for name in expected.keys() & arrays.keys():
-        if arrays[name].dtype == f"V{expected[name].dtype.itemsize}":  # as NumPy writes bfloat16
-            arrays[name] = arrays[name].view(expected[name].dtype)
-    described, wanted = ({name: (leaf.dtype, leaf.shape) for name, leaf in each.items()} for each in (arrays, expected))
-    if described != wanted:
-        raise InputError(f"a checkpoint in {folder} does not belong to this run: its arrays have other shapes")
-    return typed(arrays, shapes)
+def _joined(folders: Sequence[Path], parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Any) -> Any:
+    """Return the arrays `parts` of checkpoints in `folders`, with their `sizes` lanes joined, in the structure of `like`."""
+    expected = jax.eval_shape(named_arrays, like)
+    for folder, arrays, size in zip(folders, parts, sizes, strict=True):
+        for name in expected.keys() & arrays.keys():
+            if arrays[name].dtype == f"V{expected[name].dtype.itemsize}":  # as NumPy writes bfloat16
+                arrays[name] = arrays[name].view(expected[name].dtype)
+        wanted = {name: (leaf.dtype, (size, *leaf.shape[1:])) for name, leaf in expected.items()}
+        if {name: (array.dtype, array.shape) for name, array in arrays.items()} != wanted:
+            raise InputError(f"a checkpoint in {folder} does not belong to this run: its arrays have other shapes")
+    return typed({name: np.concatenate([arrays[name] for arrays in parts]) for name in expected}, like)
