@@ -49,8 +49,7 @@ def unknown_entries(path: Path) -> list[str]:
 def _below(path: Path) -> Iterator[Path]:
     """Yield all entries of the folders in which a run writes."""
     for name in (CHECKPOINTS, TENSORBOARD, VIDEOS):
-        for top, folders, files in os.walk(path / name):
-            yield from (Path(top, entry) for entry in folders + files)
+        yield from (path / name).rglob("*")
 
 
 def check_entries(path: Path) -> None:
