@@ -32,11 +32,9 @@ def save_policies(
     Raises:
         OSError: the file could not be written; an older one is unchanged.
     """
-    scalars = {"step": step, "seeds": list(seeds), "obs_size": obs_size, "action_size": action_size}
-    if visits is not None:
-        scalars["visits"] = visits
+    maps = {} if visits is None else {"visits": visits}
     buffer = io.BytesIO()
-    np.savez(buffer, **{name: np.asarray(value) for name, value in scalars.items()}, **_named(actors))
+    np.savez(buffer, step=step, seeds=seeds, obs_size=obs_size, action_size=action_size, **maps, **_named(actors))
     write_atomically(path, buffer.getvalue())
 
 
