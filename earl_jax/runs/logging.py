@@ -7,7 +7,6 @@ TensorBoard purges the events after the checkpoint. Weights & Biases continues t
 
 import dataclasses
 import importlib
-import importlib.util
 import os
 import struct
 import warnings
@@ -17,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from earl_jax.errors import InputError, brief, install_line
+from earl_jax.errors import InputError, brief, optional
 from earl_jax.runs.contents import TENSORBOARD, WANDB
 from earl_jax.runs.files import RunWarning, make_folder
 from earl_jax.runs.folder import RunFolder
@@ -150,9 +149,9 @@ def check_logs(logs: Sequence[Any]) -> None:
     for log in logs:
         if isinstance(log, str) and log not in LOGS:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
-        if isinstance(log, str) and importlib.util.find_spec(LIBRARIES[log]) is None:
-            raise InputError(f"the log {log} needs {LIBRARIES[log]}: {install_line(log)}")
-        if not isinstance(log, str) and not (hasattr(log, "log") and hasattr(log, "close")):
+        if isinstance(log, str):
+            optional(LIBRARIES[log], f"the log {log} needs", log)
+        elif not (hasattr(log, "log") and hasattr(log, "close")):
             raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
 
 
