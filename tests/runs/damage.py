@@ -54,7 +54,6 @@ TABLE = {
     "table with a seed of a fraction": _cell("seed", "0.5"),
     "table with a step of NaN": _cell("step", "nan"),
     "table with a negative step": _cell("step", "-40"),
-    "table with code in a cell": _cell("faults", "<script>alert(1)</script>"),
     "table with an open quote": _cell("faults", '"'),
     "table with null bytes": _bytes(lambda data: data.replace(b"0", b"\0")),
     "table with bytes that are no text": _bytes(lambda data: data.replace(b"0", b"\xff", 3)),

@@ -82,14 +82,6 @@ def test_a_file_that_is_another_or_a_pipe_is_not_opened(tmp_path, kind):
     assert (tmp_path / "victim").read_text() == "mine"
 
 
-def test_a_pipe_that_another_process_reads_is_not_written(tmp_path):
-    os.mkfifo(tmp_path / "metrics.csv")
-    reader = os.open(tmp_path / "metrics.csv", os.O_RDONLY | os.O_NONBLOCK)
-    with pytest.raises(ValueError, match="not a regular file"):
-        append(tmp_path / "metrics.csv", "new")
-    os.close(reader)
-
-
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOTSUP", "EOPNOTSUPP", "ENOLCK"])
 def test_a_file_system_without_locks_is_used_with_a_warning(tmp_path, monkeypatch, code):
     monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(getattr(errno, code), code)))

@@ -20,9 +20,13 @@ def file(tmp_path):
     return save(tmp_path / "policies.npz")
 
 
-def test_policies_are_read_as_they_were_written(file):
+@pytest.mark.parametrize("stored", [np.float32, np.float16])
+def test_policies_are_read_in_the_dtype_of_the_learner(file, stored):
+    save(file, jax.tree.map(stored, ACTORS))
     assert policies_step(file) == 40
-    assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
+    actors = load_policies(file, jax.eval_shape(lambda: ACTORS))
+    assert_equal_trees(actors, ACTORS)
+    assert actors["params"]["hidden_0"]["kernel"].dtype == np.float32
     with np.load(file, allow_pickle=False) as arrays:
         assert arrays["seeds"].tolist() == [3, 7]
         assert "actor['params']['hidden_0']['kernel']" in arrays.files
@@ -33,11 +37,6 @@ def test_a_damaged_file_is_one_error(file, damage):
     file.write_bytes(file.read_bytes()[:-40] if damage is None else damage)
     with pytest.raises(ValueError, match=r"policies\.npz is damaged"):
         policies_step(file)
-
-
-def test_actors_stored_in_half_precision_are_read_in_the_dtype_of_the_learner(file):
-    save(file, jax.tree.map(np.float16, ACTORS))
-    assert_equal_trees(load_policies(file, jax.eval_shape(lambda: ACTORS)), ACTORS)
 
 
 @pytest.mark.parametrize("like", [np.zeros((2, 3, 3), np.float32), np.zeros((2, 3, 2), np.float64)])
