@@ -150,7 +150,7 @@ def describe(folder: Path) -> dict[str, Any]:
     return {
         "rows": sum(max(0, len(table.splitlines()) - 1) for table in tables(folder).values()),
         "newest": max(map(checkpoint.newest, checkpoints), default=0),
-        "writing": any(folder.rglob(f"*{checkpoint.UNFINISHED}*")) or any(folder.rglob("*.part")),
+        "writing": any(folder.rglob("*.part")),
     }
 
 

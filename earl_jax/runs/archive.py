@@ -1,29 +1,24 @@
-"""The checkpoints in a folder on the disk: Orbax names, commits and removes them, and their arrays are npz files.
+"""A checkpoint on the disk: a folder named by its step, with a file of arrays for each part of the train state.
 
-Orbax's own handler of arrays returns changed values for some flipped bits, and prints tracebacks of its threads for
-others; an npz has a checksum of every array.
+The files are npz, which have a checksum of every array.
 """
 
-import contextlib
-import dataclasses
-import logging
 import math
 import os
+import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
-import orbax.checkpoint as ocp
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import opened
+from earl_jax.runs.files import PART, opened
 
 Arrays = dict[str, Any]
 """NumPy arrays by their names."""
-FILE, STEP = "arrays.npz", "step"
+FILE = "arrays.npz"
 
 
 class DamagedError(InputError):
@@ -38,26 +33,24 @@ def first_line(error: Exception) -> str:
     return (getattr(error, "strerror", None) or str(error).strip() or repr(error)).splitlines()[0]
 
 
-class NpzHandler(ocp.CheckpointHandler):
-    """Writes the arrays of one part of a checkpoint."""
-
-    def save(self, directory: os.PathLike, args: "SaveArrays") -> None:
-        """Write the arrays to a file in `directory`; they are on the disk when this returns."""
-        with Path(directory, FILE).open("wb") as handle:
-            np.savez(handle, **args.arrays)
-            handle.flush()
-            os.fsync(handle.fileno())
-
-    def restore(self, directory: os.PathLike, *args: Any) -> Any:
-        """Do nothing, because `read` reads the files by itself."""
-
-
-@ocp.args.register_with_handler(NpzHandler, for_save=True, for_restore=True)  # Orbax saves none without both
-@dataclasses.dataclass
-class SaveArrays(ocp.args.CheckpointArgs):
-    """The arrays that a part of a checkpoint receives."""
-
-    arrays: Arrays
+def write(folder: Path, step: int, parts: Mapping[str, Arrays]) -> None:
+    """Write the checkpoint of `step`, in place of an older one of that step. It gets its name when it is complete."""
+    path = folder / f"{step:09d}"
+    unfinished = path.with_name(path.name + PART)
+    try:
+        unfinished.mkdir()
+        for name, arrays in parts.items():
+            (unfinished / name).mkdir()
+            with (unfinished / name / FILE).open("wb") as handle:
+                np.savez(handle, **arrays, step=step)
+                handle.flush()
+                os.fsync(handle.fileno())
+        if path.exists():
+            shutil.rmtree(path)
+        unfinished.rename(path)
+    except Exception:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
 
 
 def _arrays(path: Path, most: float) -> Arrays:
@@ -90,56 +83,6 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         return np.lib.format.read_array(member, allow_pickle=False)
 
 
-@contextlib.contextmanager
-def _manager(folder: Path) -> Iterator[ocp.CheckpointManager]:
-    """Yield Orbax's manager of the checkpoints in `folder`, for this host alone, without its log.
-
-    It removes what a kill left. It saves synchronously: asynchronous saving aborts when the clock jumps.
-    """
-    host = jax.process_index()
-    one_host = {"primary_host": host, "active_processes": {host}, "barrier_sync_key_prefix": f"host{host}"}
-    options = ocp.CheckpointManagerOptions(
-        max_to_keep=2,
-        step_format_fixed_length=9,
-        create=False,
-        save_root_metadata=False,
-        lightweight_initialize=True,
-        enable_async_checkpointing=False,
-        cleanup_tmp_directories=True,
-        multiprocessing_options=ocp.options.MultiprocessingOptions(**(one_host if jax.process_count() > 1 else {})),
-    )
-    log = logging.getLogger("absl")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        with ocp.CheckpointManager(folder.resolve(), options=options) as manager:
-            yield manager
-    finally:
-        log.setLevel(level)
-
-
-def write(folder: Path, step: int, parts: dict[str, Arrays]) -> None:
-    """Write the checkpoint of `step`, in place of an older one of that step, and keep the newest of the others.
-
-    The first one in `folder` is read back.
-
-    Raises:
-        Exception: it could not be written; those of other steps are unchanged.
-    """
-    args = ocp.args.Composite(**{name: SaveArrays({**part, STEP: np.asarray(step)}) for name, part in parts.items()})
-    with _manager(folder) as manager:
-        older = manager.all_steps()
-        if step in older:
-            manager.delete(step)
-        try:
-            manager.save(step, args=args, force=True)
-        except OSError:
-            if step not in manager.all_steps():
-                raise  # else an older one could not be removed: on NFS, files that another host reads stay
-    if not older:
-        read(folder, step, dict.fromkeys(parts, math.inf))
-
-
 def read(folder: Path, step: int, most: Mapping[str, float]) -> dict[str, Arrays]:
     """Return the parts of the checkpoint of `step` that `most` names, with the bytes that each can have at most.
 
@@ -149,7 +92,7 @@ def read(folder: Path, step: int, most: Mapping[str, float]) -> dict[str, Arrays
     path = folder / f"{step:09d}"
     try:
         parts = {name: _arrays(path / name / FILE, size) for name, size in most.items()}
-        written = {int(part.pop(STEP)) for part in parts.values()}
+        written = {int(part.pop("step")) for part in parts.values()}
         if written != {step}:
             raise InputError(f"it is of step {min(written)}")
     except Exception as error:  # a step that is missing or text makes NumPy and Python raise others

@@ -6,6 +6,8 @@ newest are kept; if one is damaged, training continues from the other. Nothing i
 A train state is any `flax.struct` tree with the fields `lanes`, `replay` and `step`.
 """
 
+import contextlib
+import math
 import re
 import shutil
 import stat
@@ -20,14 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.runs.files import RunWarning, check_kind, make_folder
+from earl_jax.runs import archive
+from earl_jax.runs.files import PART, RunWarning, check_kind, make_folder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.snapshot import filled, named_arrays, spread, typed
 
 PARTS = ("lanes", "replay", "_CHECKPOINT_METADATA", "commit_success.txt")
-"""What is in a checkpoint."""
-UNFINISHED = ".orbax-checkpoint-tmp"
-"""What the names of checkpoints contain until they are complete."""
+"""What is in a checkpoint; the last two are Orbax's, which wrote those of earlier versions."""
 NAME = "[0-9]{9,10}"
 
 
@@ -39,8 +40,6 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
     Raises:
         OSError: the checkpoint could not be written; older ones are unchanged.
     """
-    from earl_jax.runs import archive  # Orbax takes a second to import
-
     step = int(gathered(state.step))
     done = folder / f"{step:09d}"
     lanes = gathered(named_arrays(jax.tree.map(lambda leaf: leaf[span], state.lanes)))
@@ -49,24 +48,33 @@ def save(folder: Path, state: Any, span: slice = slice(None)) -> Path:
         return done
     try:
         make_folder(folder)
-        archive.write(folder, step, {"lanes": lanes, "replay": replay})
-    except Exception as error:  # Orbax raises various exceptions if the disk is full
-        for part in folder.glob(f"*{UNFINISHED}*"):
-            shutil.rmtree(part, ignore_errors=True)
+        for unfinished in folder.glob(f"*{PART}*"):  # a kill left it
+            shutil.rmtree(unfinished, ignore_errors=True)
+        _write(folder, step, {"lanes": lanes, "replay": replay})
+    except (OSError, ValueError) as error:
         cause = archive.first_line(error)
         raise OSError(f"checkpoint {done} can't be written: {cause}; older checkpoints are unchanged") from error
     return done
 
 
+def _write(folder: Path, step: int, parts: dict[str, archive.Arrays]) -> None:
+    """Write the checkpoint of `step` and keep the newest of the others; the first one in `folder` is read back."""
+    older = [each for each in saved_steps(folder) if each != step]
+    archive.write(folder, step, parts)
+    if not older:
+        archive.read(folder, step, dict.fromkeys(parts, math.inf))
+    for each in older[:-1]:
+        with contextlib.suppress(OSError):  # on NFS, files that another host reads stay
+            shutil.rmtree(folder / f"{each:09d}")
+
+
 def try_out(folder: Path) -> None:
     """Write a checkpoint without arrays below `folder`, read it and remove it; an OSError if the folder can hold none."""
-    from earl_jax.runs import archive
-
     try:
         make_folder(folder)
-        with tempfile.TemporaryDirectory(prefix=f"trial{UNFINISHED}", dir=folder, ignore_cleanup_errors=True) as trial:
-            archive.write(Path(trial), 0, {"lanes": {}, "replay": {}})
-    except Exception as error:
+        with tempfile.TemporaryDirectory(prefix=f"trial{PART}", dir=folder, ignore_cleanup_errors=True) as trial:
+            _write(Path(trial), 0, {"lanes": {}, "replay": {}})
+    except (OSError, ValueError) as error:
         cause = archive.first_line(error)
         raise OSError(f"{folder} can't hold checkpoints: {cause}; mend this, or choose another folder") from error
 
@@ -100,8 +108,6 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
         ValueError: no checkpoint is intact, their steps differ, or one belongs to another run; the message names the
             file.
     """
-    from earl_jax.runs.archive import DamagedError
-
     latest = {newest(folder) for folder in folders}
     if len(latest) > 1:
         raise InputError(f"checkpoints of steps {sorted(latest)} can't continue in one program")
@@ -109,7 +115,7 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
     for step in sorted(set.intersection(*(set(saved_steps(folder)) for folder in folders)), reverse=True):
         try:
             state = _read_state(folders, step, sizes, like, with_replay)
-        except DamagedError as error:
+        except archive.DamagedError as error:
             causes.append(str(error))
             continue
         if causes:
@@ -121,8 +127,6 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
 
 
 def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: Any, with_replay: bool) -> Any:
-    from earl_jax.runs import archive
-
     names = ("lanes", "replay") if with_replay else ("lanes",)
     most = {name: _most_bytes(getattr(like, name)) for name in names}
     parts = [archive.read(folder, step, most) for folder in folders]

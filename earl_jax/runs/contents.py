@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from earl_jax.errors import InputError
-from earl_jax.runs.checkpoint import NAME, PARTS, UNFINISHED, saved_steps
+from earl_jax.runs.checkpoint import NAME, PARTS, saved_steps
 from earl_jax.runs.files import LOCK, PART, check_kind
 from earl_jax.runs.table import lines_of
 
@@ -23,7 +23,7 @@ OWN_NAMES = (
     rf"{TENSORBOARD}/events\.out\.tfevents\.[^/]*",
     rf"{VIDEOS}/{NAME}\.gif({re.escape(PART)})?",
     rf"{CHECKPOINTS}/{NAME}(/({'|'.join(PARTS)})(/.*)?)?",
-    rf"{CHECKPOINTS}/[^/]*{UNFINISHED}.*",
+    rf"{CHECKPOINTS}/[^/]*{re.escape(PART)}.*",
     r"(.*/)?\.nfs[^/]*",  # NFS names deleted files so while another process reads them
 )
 """Patterns of the paths that a run writes."""

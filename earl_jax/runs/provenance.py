@@ -14,7 +14,7 @@ import jax
 
 CHANGED = "-dirty"
 """The end of a commit or of a release whose files were changed, as `git describe --dirty` writes it."""
-PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco", "mujoco-mjx", "numpy")
+PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
 
 
 def provenance() -> dict[str, Any]:

@@ -52,7 +52,10 @@ def test_a_start_that_a_crash_left_ends_with_the_identical_table(command, whole,
 
 
 LONG = "x" * 200
-NAMES = ("run with spaces", "run\nnewline", "😀", "x" * 256, "/".join([LONG] * 25), "run\x1b[31m", "~", "$HOME", "*")
+NAMES = (
+    *("run with spaces", "run\nnewline", "😀", "x" * 256, "/".join([LONG] * 25)),
+    *("run\x1b[31m", "~", "$HOME", "*", "\udcff"),
+)
 
 
 @pytest.mark.parametrize("name", NAMES, ids=functools.partial(ascii))
@@ -70,13 +73,13 @@ def test_a_folder_of_any_name_holds_the_run_or_is_refused(name, whole, tmp_path,
 
 UNUSABLE = {
     "gs://bucket/run": "is an address, and runs are written to local folders",
-    "\udcff/run": "can't hold checkpoints: 'utf-8' codec can't encode",
     "/".join([LONG] * 20): "can't hold checkpoints: File name too long; mend this, or choose another folder",
 }
 
 
-@pytest.mark.parametrize("name", UNUSABLE, ids=["an address", "no text", "too long"])
+@pytest.mark.parametrize("name", UNUSABLE, ids=["an address", "too long"])
 def test_a_folder_that_cannot_hold_checkpoints_is_refused_before_training(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    one_line(run(*training(name[: 4040 - len(str(tmp_path))])), UNUSABLE[name])
+    path = name if "://" in name else f"{tmp_path}/{name}"[:4040]
+    one_line(run(*training(path)), UNUSABLE[name])
     assert not list(tmp_path.rglob("config.json"))

@@ -135,7 +135,7 @@ IGNORED = {
     "checkpoint named in Arabic digits": lambda folder: (folder / "checkpoints/٠٠٠٠٠٠٩٩٩").mkdir(parents=True),
     "checkpoint named by a short number": lambda folder: (folder / "checkpoints/999").mkdir(parents=True),
     "checkpoint that is a file": lambda folder: (folder / "checkpoints/000000999").write_text("x"),
-    "unfinished checkpoint": lambda folder: (folder / "checkpoints/000000999.orbax-checkpoint-tmp").mkdir(),
+    "unfinished checkpoint": lambda folder: (folder / "checkpoints/000000999.part").mkdir(),
     "unfinished config": lambda folder: (folder / "config.json.part").write_text("{"),
 }
 """Entries that no command takes for a checkpoint or a config."""
@@ -158,7 +158,7 @@ def _link(name, is_folder):
     return damage
 
 
-UNFINISHED = "checkpoints/000000120.orbax-checkpoint-tmp"
+UNFINISHED = "checkpoints/000000120.part"
 LINKED_FILES = [
     *(f"{name}{end}" for name in ("config.json", "metrics.csv", "policies.npz") for end in ("", ".part")),
     *(".lock", "checkpoints/000000040", "checkpoints/000000080/lanes", "tensorboard/events.out.tfevents.0"),

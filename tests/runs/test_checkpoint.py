@@ -45,7 +45,7 @@ def test_a_saved_state_is_restored(tmp_path, state):
     assert int(restored.step) == 40
 
 
-@pytest.mark.parametrize("name", ["a[1]", "[proj]", "a\\b", "*", "gs:", "a\nb"])
+@pytest.mark.parametrize("name", ["a[1]", "[proj]", "a\\b", "*", "gs:", "a\nb", "\udcff"])
 def test_a_folder_of_any_name_is_written_and_read(tmp_path, state, name):
     checkpoint.save(tmp_path / name / "checkpoints", state)
     assert_equal_trees(checkpoint.restore(tmp_path / name / "checkpoints", state).lanes, state.lanes)
@@ -82,7 +82,7 @@ def test_lanes_are_restored_together_from_a_step_that_is_whole_in_every_folder(t
         assert int(checkpoint.restore_together(two_folders, [1, 1], state).step) == 40
 
 
-UNFINISHED = ("000000160.orbax-checkpoint-tmp", "trial.orbax-checkpoint-tmp_x")
+UNFINISHED = ("000000160.part", "trial.part_x")
 
 
 def test_the_two_newest_checkpoints_are_kept_and_an_unfinished_one_is_ignored_and_removed(tmp_path, state):

@@ -152,7 +152,7 @@ def fill(folder):
     append_rows(folder, 40)
     (folder.path / "policies.npz").write_bytes(b"x")
     (folder.path / "checkpoints/000000040/lanes").mkdir(parents=True)
-    (folder.path / "checkpoints/000000080.orbax-checkpoint-tmp").mkdir()
+    (folder.path / "checkpoints/000000080.part").mkdir()
     (folder.path / "tensorboard").mkdir()
     (folder.path / "tensorboard/events.out.tfevents.1").write_bytes(b"x")
     (folder.path / "wandb").mkdir()
@@ -164,9 +164,7 @@ BEFORE_RESULTS = {
     "damaged config": lambda folder: folder.config_file.write_text("{"),
     "header": lambda folder: folder.metrics.write_text("step,seed,deployed/success\n40,3,0."),
     "logs": lambda folder: (folder.path / "tensorboard").mkdir(),
-    "unfinished checkpoint": lambda folder: (folder.path / "checkpoints/000000040.orbax-checkpoint-tmp/lanes").mkdir(
-        parents=True
-    ),
+    "unfinished checkpoint": lambda folder: (folder.path / "checkpoints/000000040.part/lanes").mkdir(parents=True),
 }
 RESULTS = {
     "rows": lambda folder: append_rows(folder, 40),
