@@ -111,10 +111,8 @@ CONFIG = [
 
 CONFIG_FILES = [
     (b"", "config.json is damaged: "),
-    (bytes(range(256)), "config.json is damaged: "),
     (b"\xff" * 100_000, "config.json is damaged: UnicodeDecodeError: 'utf-8' codec can't decode byte 0xff"),
     (b"[]", "config.json is damaged: "),
-    (b"[" * 5000, "config.json is damaged: "),
     (b"\xef\xbb\xbf{}", "it names no format"),
     (b'{"steps": 1', "config.json is damaged: "),
     (b" " * (17 << 20), "config.json is larger than 16 MiB, the limit"),
