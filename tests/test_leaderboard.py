@@ -8,6 +8,7 @@ import pytest
 from benchmarks.paper import leaderboard
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.report.leaderboard import shipped_rows
+from earl_jax.report.tables import csv_text
 from tests.report.run_files import DOOR, change_config, write_page_run
 
 SCORES = np.tile(np.linspace(0.0, 0.9, 10), (5, 1)) + 0.02 * np.arange(5)[:, None]
@@ -32,7 +33,7 @@ def change(folder, provenance=None, **values):
 
 
 def test_the_rows_that_ship_are_read_as_they_were_written():
-    assert leaderboard.rows_text(shipped_rows()) == leaderboard.ROWS.read_text()
+    assert csv_text(shipped_rows()) == leaderboard.ROWS.read_text()
 
 
 def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
@@ -51,8 +52,10 @@ def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
 def test_the_row_of_a_wheels_run_has_its_release(tmp_path, run):
     change(run, provenance={"commit": None, "release": "0.1.0"})
     leaderboard.add(run, tmp_path / "results")
-    [row] = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path / "results")) if row.source == "earl_jax"]
-    assert row.commit == "0.1.0"
+    [row] = [
+        row for row in leaderboard.rows_of(leaderboard.entries(tmp_path / "results")) if row["source"] == "earl_jax"
+    ]
+    assert row["commit"] == "0.1.0"
 
 
 def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
@@ -90,8 +93,8 @@ def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(t
          ("fbrl", {"fixed_phases": True}), ("cfbrl", {})]
     ):  # fmt: skip
         written(tmp_path / "leaderboard" / DOOR / str(number), SCORES, algo, env=DOOR, **options)
-    rows = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path)) if row.source == "earl_jax"]
-    chosen = sorted((row.method.partition(" ")[0], row.chosen) for row in rows)
+    rows = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path)) if row["source"] == "earl_jax"]
+    chosen = sorted((row["method"].partition(" ")[0], row["chosen"]) for row in rows)
     assert chosen == [
         ("cfbrl", "all options"),
         ("fbrl", "reward scale"),

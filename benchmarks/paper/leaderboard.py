@@ -26,7 +26,7 @@ from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
-from earl_jax.report.leaderboard import HEADER, OURS, Row, commit_of, ranked, run_row, score_text, values_of
+from earl_jax.report.leaderboard import COLUMNS, OURS, commit_of, ranked, run_row, score_text, texts
 from earl_jax.report.pooling import pooling_key
 from earl_jax.report.published import (
     RECONSTRUCTED,
@@ -37,12 +37,14 @@ from earl_jax.report.published import (
 )
 from earl_jax.report.runs import Curves, by_method, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
-from earl_jax.report.tables import csv_text, markdown_table, millions, number_text, step_interval
+from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text, step_interval
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
 FOLDERS = "paper/*/*", "cloning/*", "leaderboard/*/*"
 PAPER = "EARL, 2022"
+EMPTY: Row = dict.fromkeys(("env", *COLUMNS, "score"), "-")
+"""A row that has nothing."""
 ROWS = ROOT / "assets" / "published" / "leaderboard.csv"
 SPARSE = tuple(env for env in PAPER_TASKS if make(env).sparse)
 CORRECTED = "cfbrl", "sawyer_peg", "corrected"
@@ -102,22 +104,22 @@ def published_rows() -> list[Row]:
 def _paper_row(env: str, algo: str) -> Row:
     score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
     assert score is not None
-    length, crossings = (published_steps(env) or (0, 0))[0], ["-"] * len(LEVELS)
+    length, crossings = (published_steps(env) or (0, 0))[0], {}
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
     if released := released_curves(env, algo):
         deployed = interval_of(released, seed_scores(released, step=length))
-        crossings = map(step_interval, level_crossings(released).values())
-    return Row(
-        env=env,
-        method=algo,
-        source=PAPER,
-        seeds=SEEDS,
-        steps=length,
-        deployed=score_text(env, *deployed),
-        continuing=rewards.text if rewards and rewards.mean not in ("-", "") else "-",
-        crossings=tuple(crossings),
-        score=float(deployed.value),
-    )
+        crossings = {f"to_{level}": step_interval(step) for level, step in level_crossings(released).items()}
+    return EMPTY | {
+        "env": env,
+        "method": algo,
+        "source": PAPER,
+        "seeds": SEEDS,
+        "steps": length,
+        "deployed": score_text(env, *deployed),
+        "continuing": rewards.text if rewards and rewards.mean not in ("-", "") else "-",
+        **crossings,
+        "score": round(float(deployed.value), 6),
+    }
 
 
 def _newer_row(row: dict[str, str]) -> Row:
@@ -126,36 +128,31 @@ def _newer_row(row: dict[str, str]) -> Row:
     error = float(row["stderr"] or "nan") * math.sqrt(seeds / (seeds - 1))
     half = float(stats.t.ppf(0.975, seeds - 1)) * error
     low, high = rate_interval(mean, error, seeds) if make(row["env"]).sparse else (mean - half, mean + half)
-    return Row(
-        env=row["env"],
-        method=row["method"],
-        source=f"{row['source']}, {row['year']}",
-        seeds=seeds,
-        steps=int(row["steps"]),
-        deployed=score_text(row["env"], mean, float(low), float(high)),
-        crossings=tuple(millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS),
-        score=mean,
-    )
-
-
-def rows_text(rows: list[Row]) -> str:
-    """Return the rows as the file that ships with the package."""
-    return csv_text(list(map(values_of, rows)))
+    return EMPTY | {
+        "env": row["env"],
+        "method": row["method"],
+        "source": f"{row['source']}, {row['year']}",
+        "seeds": seeds,
+        "steps": int(row["steps"]),
+        "deployed": score_text(row["env"], mean, float(low), float(high)),
+        **{f"to_{level}": millions(float(row[f"steps_to_{level}"] or "nan")) for level in LEVELS},
+        "score": round(mean, 6),
+    }
 
 
 def scores_text(rows: list[Row]) -> str:
     """Return a table for each task that opens at a click, with intervals of the deployed score alone."""
     parts = []
     for env, of_task in ranked(rows).items():
-        header, *lines = [_shown(texts) for texts in (HEADER, *(row.texts for row in of_task))]
+        header, *lines = [_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))]
         summary = f"<details markdown><summary>{len(lines)} rows</summary>"
         parts.append(f"### {env}\n\n{summary}\n\n{markdown_table(header, lines)}\n\n</details>")
     return "\n\n".join(parts)
 
 
-def _shown(texts: Sequence[str]) -> list[str]:
-    """Return the texts of the columns of the page."""
-    named = dict(zip(HEADER, texts, strict=True))
+def _shown(cells: Sequence[str]) -> list[str]:
+    """Return the cells of the columns of the page."""
+    named = dict(zip(COLUMNS.values(), cells, strict=True))
     named["from"] = named["commit"] if named["from"] == OURS else named["from"]
     return [named[name] if name in WHOLE else named[name].partition(" [")[0] for name in PAGE]
 
@@ -249,7 +246,7 @@ def files() -> dict[Path, str]:
     runs = entries()
     rows, tested = rows_of(runs), tests(runs)
     tables = {"scores": scores_text(rows), "tests": tests_text(tested)}
-    return {**pages_with(tables), ROWS: rows_text(rows), TESTS: csv_text(tested)}
+    return {**pages_with(tables), ROWS: csv_text(rows), TESTS: csv_text(tested)}
 
 
 def main(run: Annotated[Path | None, tyro.conf.arg(name="add", metavar="RUN")] = None) -> None:

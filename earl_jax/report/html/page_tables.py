@@ -8,12 +8,13 @@ from typing import Any
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.report.comparison import COLUMNS, pair_row, verdict_text, with_verdicts
 from earl_jax.report.html.curves import PANELS, Line
-from earl_jax.report.leaderboard import HEADER, OURS, Row, ranked, run_row, shipped_rows
+from earl_jax.report.leaderboard import COLUMNS as BOARD
+from earl_jax.report.leaderboard import OURS, ranked, run_row, shipped_rows, texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
-from earl_jax.report.runs import Curves, common_step, label
+from earl_jax.report.runs import common_step, label
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.tables import error_text, number_text, steps_text
+from earl_jax.report.tables import Row, error_text, number_text, steps_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import made_by
 
@@ -40,7 +41,7 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
     return {"lead": lead, "text": text, "note": note, "head": HEAD, "rows": table_rows}
 
 
-def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
+def _paper_row(row: Row, line: Line | None) -> TableRow:
     published = _typeset(PublishedScore(row["published_mean"], row["published_stderr"]).text)
     if line is None:
         return None, row["label"], ["not run", "", "", published, _verdict(row)]
@@ -52,7 +53,7 @@ def _paper_row(row: dict[str, Any], line: Line | None) -> TableRow:
     return line, row["label"], [size, mean, interval, published, _verdict(row)]
 
 
-def _verdict(row: dict[str, Any]) -> str:
+def _verdict(row: Row) -> str:
     share = share_of_steps(row)
     if row["p_holm"] is None or math.isnan(row["p_holm"]):
         return share
@@ -67,23 +68,24 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     method, the numbers and the commit of a line of the page is that run, and is shown once.
     """
     env = lines[0].curves.env
-    shipped = [row for row in shipped_rows() if row.env == env]
-    own = {_board_row(line.curves): line for line in lines if shipped and line.curves.comparable}
-    shown = {_identity(row) for row in own}
-    rows = ranked([*own, *(row for row in shipped if row.source != OURS or _identity(row) not in shown)])
-    table_rows = [(own.get(row), row.method, row.texts[1:]) for row in rows.get(env, ())]
+    shipped = [row for row in shipped_rows() if row["env"] == env]
+    own = [_board_row(line) for line in lines if shipped and line.curves.comparable]
+    shown = [_identity(row) for row in own]
+    rows = ranked([*own, *(row for row in shipped if row["source"] != OURS or _identity(row) not in shown)])
+    table_rows = [(row.get("line"), row["method"], texts(row)[1:]) for row in rows.get(env, ())]
     left_out = [line.curves.label for line in lines if not line.curves.comparable]
-    return {"head": HEADER[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
+    return {"head": [*BOARD.values()][1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
 
 
-def _board_row(curves: Curves) -> Row:
-    """Return the row of a run, under the name of its method with all of its changed options."""
-    return run_row(curves._replace(label=label(curves.algo, curves.options)), HERE)
+def _board_row(line: Line) -> Row:
+    """Return the row of a line, under the name of its method with all of its changed options."""
+    curves = line.curves
+    return run_row(curves._replace(label=label(curves.algo, curves.options)), HERE) | {"line": line}
 
 
-def _identity(row: Row) -> tuple[object, ...]:
+def _identity(row: Row) -> list[Any]:
     """Return what tells the runs of two rows apart: a name can have more or fewer of the options."""
-    return row._replace(method=row.method.partition(" (")[0], source="", score=0.0)
+    return [row["method"].partition(" (")[0], *(row[name] for name in BOARD if name not in ("method", "source"))]
 
 
 def difference_table(lines: Sequence[Line]) -> dict[str, Any]:

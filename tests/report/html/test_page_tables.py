@@ -85,7 +85,7 @@ def test_a_run_stands_in_its_place_among_the_rows_that_ship(tmp_path):
     board = leaderboard(read_lines(run))
     rows = cells(board)
     assert board["left_out"] == []
-    assert len(rows) == 1 + sum(row.env == TABLETOP for row in shipped_rows())
+    assert len(rows) == 1 + sum(row["env"] == TABLETOP for row in shipped_rows())
     [own] = [row for row in rows if row["line"]]
     assert own["method"] == "fbrl (layer_norm=True)"
     assert own["deployed [95 %]"].startswith("0.600")
