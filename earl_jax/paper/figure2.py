@@ -16,13 +16,23 @@ from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval
 from earl_jax.metrics.scores import final_scores
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
-from earl_jax.paper.figure2_picture import draw
 from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
-from earl_jax.report.style import ordered
-from earl_jax.report.tables import interval_text, markdown_table
+from earl_jax.report.style import (
+    AXES,
+    draw_band,
+    legend_below,
+    legend_entries,
+    new_figure,
+    ordered,
+    reach,
+    step_axis,
+    task_title,
+)
+from earl_jax.report.tables import interval_text, markdown_table, steps_text
 from earl_jax.runs.config import RunConfig
 
 TASKS = ("cheetah_run", "fish_swim")
@@ -46,6 +56,8 @@ OTHER_NOTE = "The paper's learner is SAC of arXiv 1801.01290. The list above nam
 """What the page says of the learner, where all runs have SAC and where not."""
 MISSING = "-"
 TESTED = ("p", "adjusted p")
+PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
+"""Colour and line of each TD update by `timeout_bootstrap`."""
 
 
 class Point(NamedTuple):
@@ -60,7 +72,7 @@ class Point(NamedTuple):
     @property
     def scores(self) -> np.ndarray:
         """The final returns [seeds], by the default `Window`."""
-        return final_scores(self.run.steps[: self.returns.shape[-1]], self.returns)
+        return final_scores(self.run.steps, self.returns)
 
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""
@@ -92,36 +104,46 @@ def report(folders: Sequence[Path]) -> Report:
         ValueError: a folder is no run, or one of another method or without resets, runs of one point differ in other options,
             or matplotlib is not installed.
     """
-    points = _points(read_all(folders))
+    arms = _arms(read_all(folders))
+    points = [point for arm in arms.values() for point in arm]
     rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=len(point.scores)) for point in points]
     curves = [
         point.row(scores, step=step)
         for point in points
         for step, scores in zip(point.run.steps.tolist(), point.returns.T, strict=True)
     ]
-    return Report(_parts(points), draw(rows, curves, UPDATES), {"": rows, "_curves": curves})
+    parts = {
+        "returns": _returns(arms),
+        "findings": _findings(arms),
+        "effects": _effects(arms),
+        "missing": _missing(arms),
+        "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
+        "learner": SAC_NOTE if all(isinstance(_learner(point.run), SAC) for point in points) else OTHER_NOTE,
+    }
+    return Report(parts, _draw(arms), {"": rows, "_curves": curves})
 
 
-def _points(runs: Sequence[Curves]) -> list[Point]:
+def _arms(runs: Sequence[Curves]) -> Arms:
     """Return a point per task, update and horizon, in order; the lanes of one run may differ in `timeout_bootstrap`."""
     points: dict[tuple[str, bool, int], Point] = {}
     for curves in runs:
-        config = curves.config
+        config, returns = curves.config, curves.metrics["deployed/return"]
         if config.algo != "naive":
             raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
-        returns, horizon = curves.metrics["deployed/return"], config.build_env().train_horizon
+        env, horizon = config.env, config.build_env().train_horizon
         if not horizon:
-            raise InputError(f"figure 2 needs resets, and a run on {config.env} has none: train_horizon=0")
+            raise InputError(f"figure 2 needs resets, and a run on {env} has none: train_horizon=0")
         updates = np.resize(np.asarray(config.build_method().learner.timeout_bootstrap, bool), len(returns))
         for update in np.unique(updates).tolist():
-            key = (config.env, update, horizon)
+            key = (env, update, horizon)
             if key in points:
-                raise InputError(
-                    f"runs on {config.env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options"
-                )
+                raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")
             points[key] = Point(*key, curves, returns[updates == update])
     envs = ordered((env for env, _, _ in points), TASKS)
-    return sorted(points.values(), key=lambda point: (envs.index(point.env), not point.bootstrap, point.horizon))
+    arms: Arms = {(env, update): [] for env in envs for update in UPDATES}
+    for key, point in sorted(points.items()):
+        arms[key[:2]].append(point)
+    return arms
 
 
 def _run_note(run: Curves) -> str:
@@ -192,28 +214,12 @@ def verdict(finding: str, effect: str, published: str | None) -> str:
     return {"above": "agrees", "below": "differs"}.get(finding, CANNOT_TELL)
 
 
-def _parts(points: Sequence[Point]) -> dict[str, str]:
-    arms: Arms = {(env, update): [] for env in dict.fromkeys(point.env for point in points) for update in UPDATES}
-    for point in points:
-        arms[point.env, point.bootstrap].append(point)
-    return {
-        "returns": _returns(arms),
-        "findings": _findings(arms),
-        "effects": _effects(arms),
-        "missing": _missing(arms),
-        "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
-        "learner": SAC_NOTE if all(isinstance(_learner(point.run), SAC) for point in points) else OTHER_NOTE,
-    }
-
-
 def _returns(arms: Arms) -> str:
     horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
     lines = []
     for (env, update), arm in arms.items():
-        texts = {
-            point.horizon: f"{interval_text(*mean_interval(point.scores), '.1f')} ({len(point.scores)})"
-            for point in arm
-        }
+        scores = {point.horizon: point.scores for point in arm}
+        texts = {h: f"{interval_text(*mean_interval(own), '.1f')} ({len(own)})" for h, own in scores.items()}
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
     return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
 
@@ -246,6 +252,47 @@ def _missing(arms: Arms) -> str:
         missing = [f"{horizon:,}" for horizon in HORIZONS if horizon not in present]
         lines += [f"- {env}, {UPDATES[update]}: {'; '.join(missing)}"] if missing else []
     return "\n".join(["Not run, by H_T:", "", *lines]) if lines else "Every point of the published figure was run."
+
+
+def _draw(arms: Arms) -> Any:
+    """Return a figure with a row per task: learning curves of each TD update by horizon, then final returns."""
+    envs = list(dict.fromkeys(env for env, _ in arms))
+    figure, axes = new_figure(len(envs), len(UPDATES) + 1, (4.6 * (len(UPDATES) + 1), 3.7 * len(envs) + 0.4))
+    horizons = sorted({point.horizon for arm in arms.values() for point in arm})
+    for env, line in zip(envs, axes, strict=True):
+        for update, axis in zip(UPDATES, line, strict=False):
+            for point in arms[env, update]:
+                draw_band(axis, point.run.steps, mean_interval(point.returns), _colour(point.horizon, horizons))
+            axis.set(title=f"{task_title(env)}, {UPDATES[update]}", ylabel=AXES["deployed/return"])
+            axis.sharey(line[0])
+            axis.grid(alpha=0.3)
+            step_axis(axis)
+        _draw_final(line[-1], env, arms)
+    lines = {f"Reset every {steps_text(horizon)}": {"color": _colour(horizon, horizons)} for horizon in horizons}
+    names = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
+    legend_below(figure, lines | names, -(-(len(horizons) + 2) // 2))
+    return figure
+
+
+def _colour(horizon: int, horizons: Sequence[int]) -> Any:
+    """Return the colour of a horizon, from the darkest of the shortest to the brightest of the longest."""
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
+
+
+def _draw_final(axis: Any, env: str, arms: Arms) -> None:
+    """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
+    for update, name in UPDATES.items():
+        arm, (colour, style) = arms[env, update], PLOT_STYLES[update]
+        estimate = Estimate(*np.reshape([mean_interval(point.scores) for point in arm], (-1, 3)).T)
+        x = [point.horizon * (1.03 if update else 0.97) for point in arm]
+        axis.errorbar(x, estimate.value, reach(estimate), fmt=style, color=colour, label=name, capsize=3, markersize=5)
+    axis.set(title=f"{task_title(env)}, final", xscale="log", xlabel="Steps between resets", ylabel="Final return")
+    ticks = sorted({point.horizon for update in UPDATES for point in arms[env, update]})
+    axis.set_xticks(ticks, [steps_text(horizon) for horizon in ticks])
+    axis.set_xticks([], minor=True)
+    axis.grid(alpha=0.3)
 
 
 FIGURE2 = Artefact("figure2", TASKS, blocks, report)

@@ -74,7 +74,7 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     rows = ranked([*own, *(row for row in shipped if row["source"] != OURS or _identity(row) not in shown)])
     table_rows = [(row.get("line"), row["method"], texts(row)[1:]) for row in rows.get(env, ())]
     left_out = [line.curves.label for line in lines if not line.curves.comparable]
-    return {"head": [*BOARD.values()][1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
+    return {"head": list(BOARD.values())[1:], "rows": table_rows, "left_out": left_out, "marked": len(own)}
 
 
 def _board_row(line: Line) -> Row:
