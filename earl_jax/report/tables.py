@@ -52,13 +52,27 @@ class Table(NamedTuple):
 
     def text(self, width: int | None = None) -> str:
         """Return the table with its notes below, for a terminal of `width` columns, or as markdown without a width."""
+        table = markdown_table(self.header, self.lines) if width is None else self._shown(width)
         notes = "\n".join(wrapped(note, width) for note in self.notes)
-        return f"{shown_table(self.header, self.lines, width)}\n\n{notes}"
+        return f"{table}\n\n{notes}"
 
     def latex(self) -> str:
-        """Return the table in LaTeX, with the notes above it as comments."""
+        """Return the table as a LaTeX `tabular` for the package booktabs, with the notes above it as comments."""
         notes = [f"% {line}" for note in self.notes for line in textwrap.wrap(note, 100)]
-        return "\n".join([*notes, latex_table(self.header, self.lines)])
+        lines = (self.header, *self.lines)
+        head, *rows = [" & ".join(str(cell).translate(LATEX) for cell in line) + r" \\" for line in lines]
+        head = [r"\begin{tabular}{" + "l" * len(self.header) + "}", r"\toprule", head, r"\midrule"]
+        return "\n".join([*notes, *head, *rows, r"\bottomrule", r"\end{tabular}"])
+
+    def _shown(self, width: int) -> str:
+        """Return the table in `width` columns, or where it is wider, each row as a block with a line for each of its cells."""
+        lines = [[str(cell) for cell in line] for line in (self.header, *self.lines)]
+        kept = [i for i in range(len(self.header)) if i == 0 or any(row[i] not in EMPTY for row in lines[1:])]
+        names, *rows = [[line[i] for i in kept] for line in lines]
+        sizes = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+        if sum(sizes) + len(GAP) * (len(sizes) - 1) > width:
+            return "\n\n".join(_block(names, row, width) for row in rows)
+        return "\n".join(GAP.join(map(str.ljust, line, sizes)).rstrip() for line in (names, *rows))
 
 
 def tabulate(
@@ -177,29 +191,6 @@ def markdown_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str
     """Return a markdown table."""
     rows = ["| " + " | ".join(str(cell).replace("|", r"\|") for cell in line) + " |" for line in (header, *lines)]
     return "\n".join([rows[0], "|" + " --- |" * len(header), *rows[1:]])
-
-
-def latex_table(header: Sequence[str], lines: Sequence[Sequence[Any]]) -> str:
-    """Return a LaTeX `tabular` for the package booktabs."""
-    rows = [" & ".join(str(cell).translate(LATEX) for cell in line) + r" \\" for line in (header, *lines)]
-    rows = [r"\begin{tabular}{" + "l" * len(header) + "}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
-    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
-
-
-def shown_table(header: Sequence[str], lines: Sequence[Sequence[Any]], width: int | None) -> str:
-    """Return a table for a terminal of `width` columns, or a markdown table without a width.
-
-    Where the columns are too wide together, each row is a block with a line for each of its cells.
-    """
-    if width is None:
-        return markdown_table(header, lines)
-    rows = [[str(cell) for cell in line] for line in lines]
-    kept = [i for i in range(len(header)) if i == 0 or any(row[i] not in EMPTY for row in rows)]
-    names, rows = [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
-    sizes = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
-    if sum(sizes) + len(GAP) * (len(sizes) - 1) > width:
-        return "\n\n".join(_block(names, row, width) for row in rows)
-    return "\n".join(GAP.join(map(str.ljust, line, sizes)).rstrip() for line in (names, *rows))
 
 
 def _block(names: Sequence[str], row: Sequence[str], width: int) -> str:

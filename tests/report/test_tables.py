@@ -144,7 +144,7 @@ def test_steps_are_written_in_short_without_an_exponent(steps, text):
 
 
 def test_signs_that_latex_prints_as_others_are_in_mathematics():
-    assert r"$<$0.001 & a$|$b $>$ c\_d \\" in tables.latex_table(["p", "x"], [["<0.001", "a|b > c_d"]])
+    assert r"$<$0.001 & a$|$b $>$ c\_d \\" in tables.Table(["p", "x"], [["<0.001", "a|b > c_d"]]).latex()
 
 
 def test_one_seed_has_no_standard_error(tmp_path):
