@@ -17,7 +17,7 @@ from earl_jax.metrics import visitation
 from earl_jax.metrics.comparison import LEVEL, Sample
 from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, mean_text, runs_of
 from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
-from earl_jax.report.style import COLOURS, method_order, method_title, new_figure, task_order, task_title
+from earl_jax.report.style import COLOURS, legend_below, method_order, method_title, new_figure, task_order, task_title
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_visits
@@ -100,19 +100,19 @@ def report_of(maps: Sequence[VisitMap]) -> Report:
 
 def seed_rows(part: VisitMap) -> list[Row]:
     """Return a row per seed with the `MEASURES` of its map, None for a distance that its task has no places for."""
-    visits, bounds, starts, goals = part.visits, part.map.bounds, part.map.starts, part.map.goals
-    rows = [{"env": part.env, "algo": part.algo, "seed": n, "steps": int(own.sum())} for n, own in enumerate(visits)]
-    distances = {name: [None] * len(rows) for name in ("distance", "near_goal")}
-    if starts is not None and goals is not None:
-        distances["distance"] = visitation.mean_distance(visits, bounds, np.concatenate([starts, goals]))
-    if goals is not None and part.env in GOAL_RADIUS:
-        distances["near_goal"] = visitation.share_near(visits, bounds, goals, GOAL_RADIUS[part.env])
-    measures = {**distances, "corners": visitation.share_in_corners(visits)}
+    bounds, starts, goals = part.map.bounds, part.map.starts, part.map.goals
     (x_low, y_low), (x_high, y_high) = bounds.tolist()
-    grid = {"bins": visits.shape[1], "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
-    for row, own in zip(rows, visits, strict=True):
-        scores = {name: values[row["seed"]] for name, values in measures.items()} | visitation.measure(own)
-        row |= {name: scores[name] for name in MEASURES} | grid
+    rows = []
+    for seed, visits in enumerate(part.visits):
+        distance = near_goal = None
+        if starts is not None and goals is not None:
+            distance = visitation.mean_distance(visits, bounds, np.concatenate([starts, goals]))
+        if goals is not None and part.env in GOAL_RADIUS:
+            near_goal = visitation.share_near(visits, bounds, goals, GOAL_RADIUS[part.env])
+        measures = {"distance": distance, "corners": visitation.share_in_corners(visits), "near_goal": near_goal}
+        key = {"env": part.env, "algo": part.algo, "seed": seed, "steps": int(visits.sum())}
+        grid = {"bins": len(visits), "x_low": x_low, "x_high": x_high, "y_low": y_low, "y_high": y_high}
+        rows.append({**key, **measures, **visitation.measure(visits), **grid})
     return rows
 
 
@@ -185,8 +185,8 @@ def _draw(maps: Sequence[VisitMap]) -> Any:
             larger = difference(*(own[algo] for algo in PAIR))
             _draw_map(line[-1], task_map, larger, " minus ".join(map(method_title, PAIR)), **signs)
         figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="Share of visits in a bin")
-    handles = [Patch(color=COLOURS[algo], label=f"More visits of {method_title(algo)}") for algo in PAIR]
-    figure.legend(handles=handles, loc="outside lower right", ncols=2, frameon=False)
+    patches = {f"More visits of {method_title(algo)}": Patch(color=COLOURS[algo]) for algo in PAIR}
+    legend_below(figure, patches, 2, loc="outside lower right")
     return figure
 
 
