@@ -65,8 +65,8 @@ def gather(
             curves = read(path, window)
             key = pooling_key(curves.config)
             parts = [*pools.get(key, ()), curves]
-            _check_repeated(parts)
             run = pooled(parts)
+            _check_repeated(run, curves.seeds)
             check(run)
             pools[key], runs[key] = parts, run
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
@@ -80,24 +80,15 @@ def gather(
     return list(runs.values()), left_out
 
 
-def _check_repeated(parts: Sequence[Curves]) -> None:
-    """Raise an InputError if the last of `parts` has a seed whose numbers another one has too, as a copied folder would."""
-    *others, last = parts
-    for other in others:
-        for seed in last.config.seeds:
-            if seed in other.config.seeds and _same_life(seed, last, other):
-                paths = [curves.runs[0].path for curves in (last, other)]
-                raise InputError(f"{paths[0]} has the same numbers of seed {seed} as {paths[1]}; a seed counts once")
-
-
-def _same_life(seed: int, first: Curves, second: Curves) -> bool:
-    """Return whether two runs have steps in common, and equal numbers of `seed` there in all metrics that both have."""
-    steps, *shown = np.intersect1d(first.steps, second.steps, return_indices=True)
-    places = [(curves, curves.config.seeds.index(seed), at) for curves, at in zip((first, second), shown, strict=True)]
-    return len(steps) > 0 and all(
-        np.array_equal(*(curves.metrics[name][row, at] for curves, row, at in places), equal_nan=True)
-        for name in first.metrics.keys() & second.metrics.keys()
-    )
+def _check_repeated(run: Curves, added: int) -> None:
+    """Raise an InputError if one of the `added` last seeds has the numbers of an earlier one, as in a copied folder."""
+    seeds = [(seed, folder.path) for folder in run.runs for seed in folder.config.seeds]
+    lives: dict[tuple[int | bytes, ...], Path] = {}
+    for row, (seed, path) in enumerate(seeds):
+        life = (seed, *(values[row].tobytes() for values in run.metrics.values()))
+        if row >= len(seeds) - added and life in lives:
+            raise InputError(f"{path} has the same numbers of seed {seed} as {lives[life]}; a seed counts once")
+        lives[life] = path
 
 
 def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
