@@ -61,10 +61,10 @@ def in_process(planner_in_process, monkeypatch):
     monkeypatch.setattr(processes.Workers, "run", train)
 
 
-def planned_runs(name, scale, tmp_path, *tasks, **options):
+def planned_runs(name, scale, tmp_path, *tasks, steps=None, **options):
     """Return the path of the grid of an artefact at a scale, and its runs."""
     path = tmp_path / "grid.toml"
-    path.write_text(reproduce.grid_text(name, scale, tasks, options=options))
+    path.write_text(reproduce.grid_text(name, scale, tasks, steps=steps, options=options))
     return path, grid.read(path)
 
 
@@ -121,9 +121,8 @@ def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
 
 
 def test_runs_that_are_shorter_than_the_time_between_evaluations_keep_their_length(tmp_path):
-    path = tmp_path / "grid.toml"
-    path.write_text(reproduce.grid_text("figure2", "full", steps=5_000))
-    assert {(run.schedule.steps, run.schedule.eval_every) for run in grid.read(path)} == {(5_000, 5_000)}
+    _, runs = planned_runs("figure2", "full", tmp_path, steps=5_000)
+    assert {(run.schedule.steps, run.schedule.eval_every) for run in runs} == {(5_000, 5_000)}
 
 
 def test_figure_2_has_a_program_for_all_horizons_of_a_task_and_the_fish_keeps_its_target_between_resets(tmp_path):
