@@ -66,8 +66,7 @@ def _line(curves: Curves) -> list[str]:
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():
         crossings += [step_interval(estimate), millions(published.get(level))]
-    released, digits = released_beside(curves), 3 if curves.deployed_metric == SUCCESS else 1
-    texts = [_released_text(number, curves, released, places) for number, places in ((1, digits), (2, 4))]
+    digits = 3 if curves.deployed_metric == SUCCESS else 1
     return [
         curves.env,
         curves.label,
@@ -76,14 +75,15 @@ def _line(curves: Curves) -> list[str]:
         *crossings,
         mean_text(deployed_area(curves.steps, scores), digits),
         mean_text(rewards[:, -1], 4),
-        texts[1],
+        _released_text(2, curves, 4),
         mean_text(seed_scores(curves), digits),
-        texts[0],
+        _released_text(1, curves, digits),
     ]
 
 
-def _released_text(number: int, curves: Curves, released: Curves | None, digits: int) -> str:
+def _released_text(number: int, curves: Curves, digits: int) -> str:
     """Return the mean score of the released runs over the steps of `curves`, as in table `number`; `-` without any."""
+    released = released_beside(curves)
     step = common_step(curves, released) if released else None
     if not released or not step or (number == 2 and CONTINUING not in released.metrics):
         return "-"
