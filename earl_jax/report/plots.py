@@ -150,12 +150,11 @@ def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, publi
     beside = False
     metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:
-        name = line.curves.deployed_metric if panel == "deployed" else metric
         released = released_beside(line.curves) if published else None
-        if released is not None and name in released.metrics:
-            draw_curves(axis, released, name, smooth, RELEASED, each=True)
+        if released is not None and metric in released.metrics:
+            draw_curves(axis, released, metric, smooth, RELEASED, each=True)
             beside = True
-        draw_curves(axis, line.curves, name, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
+        draw_curves(axis, line.curves, metric, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
     axis.set(ylabel=AXES.get(metric, metric), xlim=(0, None))
     if metric in RATES:
         axis.set_ylim(-0.03, 1.03)
