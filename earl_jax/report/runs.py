@@ -73,12 +73,8 @@ class Curves(NamedTuple):
     @property
     def options(self) -> dict[str, Any]:
         """Those options, those of the method, and its class if its name does not build it."""
-        config = self.config
-        return {
-            **self.task_options,
-            **config.options,
-            **({"algo_class": config.algo_class} if config.algo_class else {}),
-        }
+        own_class = {"algo_class": self.config.algo_class} if self.config.algo_class else {}
+        return {**self.task_options, **self.config.options, **own_class}
 
     @property
     def comparable(self) -> bool:
