@@ -112,7 +112,7 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
         folder.config.build_setting()
     except InputError as error:  # it names the choices, but not the run
         raise InputError(f"{path}: {error}") from error
-    return Curves(folder.config.with_reward_type(metrics), table.steps, metrics, (folder,), window)
+    return Curves(folder.config, table.steps, metrics, (folder,), window)
 
 
 def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:

@@ -1,7 +1,6 @@
 """The configuration of a run: all values that config.json needs to repeat it."""
 
 import dataclasses
-import functools
 import json
 import shlex
 import warnings
@@ -50,12 +49,12 @@ class RunConfig:
     eval_every: int
     eval_episodes: int
     checkpoint_every: int
+    reward_type: str = dataclasses.field(compare=False)
+    """That of the task, so that its runs can be read without its class."""
     setting: dict[str, Any] = dataclasses.field(default_factory=lambda: {"name": Deployment.name})
     """The name of the setting, and its options that differ from the defaults."""
     env_class: str | None = None
     algo_class: str | None = None
-    reward_type: str | None = dataclasses.field(default=None, compare=False)
-    """That of the task, so that its runs can be read without its class."""
     imports: list[Record] = dataclasses.field(default_factory=list, compare=False)
     """The files of `--import` with which the run was trained. No command runs what a config names."""
 
@@ -72,7 +71,7 @@ class RunConfig:
         for field in ("env_class", "algo_class"):
             if not isinstance(getattr(self, field), str | None):
                 raise InputError(f"{field} must be text or null, not {brief(getattr(self, field))}")
-        if self.reward_type not in (None, *DEPLOYED):
+        if self.reward_type not in tuple(DEPLOYED):
             raise InputError(f"reward_type must be one of {', '.join(DEPLOYED)}, not {brief(self.reward_type)}")
         check_records(self.imports)
         reserved = RESERVED & {*self.env_options, *self.options}
@@ -172,24 +171,10 @@ class RunConfig:
         if method is not None:
             _require_equal("algo", {"name": self.algo, **self.options}, {"name": method.name, **method_options(method)})
 
-    @functools.cached_property
+    @property
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
-        return DEPLOYED[self.reward_type or reward_type(self.build_env())]
-
-    def with_reward_type(self, metrics: Mapping[str, np.ndarray]) -> "RunConfig":
-        """Return this config with its reward type: as it was recorded, else that of the task or, if it is unknown, of `metrics`.
-
-        Only a success earns a sparse reward.
-        """
-        if self.reward_type:
-            return self
-        try:
-            kind = reward_type(self.build_env())
-        except InputError:
-            successes, returns = (np.asarray(metrics.get(name, 0)) > 0 for name in DEPLOYED.values())
-            kind = self.env_options.get("reward_type", "sparse" if np.array_equal(successes, returns) else "dense")
-        return dataclasses.replace(self, reward_type=kind)
+        return DEPLOYED[self.reward_type]
 
     def _require_imported(self, kind: str, name: Any, known: Callable[[], list[str]]) -> None:
         """Raise an InputError that names the files of this run if `name` is unknown; without files, do nothing."""

@@ -239,28 +239,18 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     """Return the config in `file`, a config.json, and the names of the run's logs; a ValueError says what is invalid."""
     try:
         values = json.loads(read_bytes(file, LARGEST_CONFIG))
-        if values.get("format", ...) not in (2, FORMAT):
+        if values.get("format", ...) != FORMAT:
             named = f"its format is {brief(values['format'])}" if "format" in values else "it names no format"
-            raise InputError(f"{named}, and this version of earl_jax reads 2 and {FORMAT}")
+            raise InputError(f"{named}, and this version of earl_jax reads {FORMAT}")
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
                 raise InputError(f"{name} must be a list")
-        if values["format"] == 2 and isinstance(values.get("options"), dict):
-            values["options"] = _options_of_format_2(values["options"])
         return RunConfig.from_stored(values), tuple(map(str, values.get("logs", ())))
     except KeyError as error:
         raise InputError(f"{file} is damaged: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         cause = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         raise InputError(f"{file} is damaged: {cause}") from error
-
-
-def _options_of_format_2(options: dict[str, Any]) -> dict[str, Any]:
-    """Return options of a method as format 3 names them; by the defaults of format 2, a replay kept all transitions."""
-    if options.get("replay_capacity") is None:
-        return {**options, "replay_capacity": None}
-    defaults = {"replay_capacity": 1_000_000, "keep_demos": False}.items()
-    return dict(item for item in {"keep_demos": True, **options}.items() if item not in defaults)
 
 
 def require_same_settings(file: Path) -> None:

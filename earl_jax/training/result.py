@@ -168,8 +168,7 @@ def load(folder: str | Path) -> Result:
     run = RunFolder.open(Path(folder))
     table = run.table()
     step = max(table.step, newest(run.checkpoints))
-    config = run.config.with_reward_type(table.metrics)
-    return Result(config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
+    return Result(run.config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
 
 
 def select_seed(state: Any, i: int) -> Any:

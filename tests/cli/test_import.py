@@ -7,11 +7,10 @@ import sys
 import pytest
 
 from earl_jax import cli, envs
-from earl_jax.report.runs import read
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import one_line, run, succeed, training
 from tests.conftest import MINE, own_registries, write_mine
-from tests.report.run_files import change_config, write_page_run
+from tests.report.run_files import change_config
 
 READERS = {"table": ["--json"], "best": ["--json"], "plot": ["--out", "x.png"], "report": ["--out", "x.html"]}
 
@@ -40,13 +39,6 @@ def test_a_run_is_read_without_its_classes(own):
     assert (row["env"], row["algo"], row["seeds"]) == ("meadow", "patient", 2)
     assert json.loads(outputs["best"][1])["rows"][0]["metric"] == "deployed/success"
     assert "No maps of meadow: unknown task" in (own / "x.html").read_text()
-
-
-@pytest.mark.parametrize(("returns", "metric"), [(3.0, "deployed/success"), (-1.0, "deployed/return")])
-def test_the_reward_type_of_an_unknown_task_without_a_record_is_that_of_its_metrics(tmp_path, returns, metric):
-    folder = write_page_run(tmp_path / "run", "naive", [[0.5, 1.0]], metrics={"deployed/return": returns})
-    change_config(folder, env="maze", reward_type=None, imports=None)
-    assert read(folder).deployed_metric == metric
 
 
 @pytest.mark.parametrize("command", [["resume"], ["evaluate"], ["render", "--acting", "policy"]])

@@ -23,6 +23,7 @@ CONFIG = RunConfig(
     eval_every=40,
     eval_episodes=2,
     checkpoint_every=80,
+    reward_type="sparse",
     setting={"name": "continuing", "budget": 20.0, "goal_change": 50},
 )
 
@@ -49,7 +50,7 @@ def folder(tmp_path):
 
 
 def values(config):
-    return RunConfig(**config.values).values
+    return RunConfig(**config.values, reward_type=config.reward_type).values
 
 
 def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, folder):

@@ -42,7 +42,7 @@ def test_other_seeds_are_refused(seeds, message):
 
 def test_a_config_which_every_run_has_and_a_grid_have_the_same_check(tmp_path):
     with pytest.raises(InputError, match=r"^seed 3 is given twice$"):
-        RunConfig("tabletop_organization", {}, "naive", {}, (3, 3), 40, 40, 1, 40)
+        RunConfig("tabletop_organization", {}, "naive", {}, (3, 3), 40, 40, 1, 40, "sparse")
     (tmp_path / "grid.toml").write_text("envs = 'e'\nalgos = 'a'\nseeds = [3, 3]")
     with pytest.raises(InputError, match=r"grid\.toml: seed 3 is given twice$"):
         grid.read(tmp_path / "grid.toml")

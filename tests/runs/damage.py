@@ -104,8 +104,8 @@ CONFIG = [
     ("options", '{"name": "x"}', "there is no option 'name'"),
     ("logs", "5", "logs must be a list"),
     ("logs", '"tensorboard"', "logs must be a list"),
-    *(("format", text, f"its format is {text}, and this version of earl_jax reads 2") for text in ("0", "4", "[2]")),
-    ("format", None, "it names no format, and this version of earl_jax reads 2 and 3"),
+    *(("format", text, f"its format is {text}, and this version of earl_jax reads 3") for text in ("0", "2", "[3]")),
+    ("format", None, "it names no format, and this version of earl_jax reads 3"),
 ]
 """Entries of config.json, the text of another value (None removes the entry), and what the message says of it."""
 

@@ -105,21 +105,6 @@ def test_a_truncated_table_is_continued_without_losing_or_repeating_a_row(folder
     assert folder.metrics.read_bytes() == original
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({}, {"replay_capacity": None}),
-        ({"replay_capacity": 50}, {"replay_capacity": 50, "keep_demos": True}),
-        ({"replay_capacity": 1_000_000, "keep_demos": False}, {}),
-    ],
-)
-def test_a_run_of_format_2_keeps_the_replay_that_it_had_by_default(folder, options, expected):
-    values = json.loads(folder.config_file.read_text())
-    values |= {"format": 2, "options": {**options, "discount": 0.9}}
-    folder.config_file.write_text(json.dumps(values))
-    assert RunFolder.open(folder.path).config.options == {**expected, "discount": 0.9}
-
-
 def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):
     (tmp_path / "latest").symlink_to(folder.path)
     assert RunFolder.open(tmp_path / "latest").config.seeds == (3, 5)
