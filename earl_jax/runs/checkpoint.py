@@ -27,8 +27,8 @@ from earl_jax.runs.files import PART, RunWarning, check_kind, make_folder
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.snapshot import filled, named_arrays, spread, typed
 
-PARTS = ("lanes", "replay", "_CHECKPOINT_METADATA", "commit_success.txt")
-"""What is in a checkpoint; the last two are Orbax's, which wrote those of earlier versions."""
+PARTS = ("lanes", "replay")
+"""What is in a checkpoint."""
 NAME = "[0-9]{9,10}"
 
 

@@ -26,7 +26,7 @@ from earl_jax.runs.files import RunWarning
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
 RECORDS = frozenset({"reward_type", "imports"})
-"""Fields that do not tell runs apart; folders of earlier versions lack them."""
+"""Fields that do not tell runs apart."""
 DEPLOYED = {"sparse": "deployed/success", "dense": "deployed/return"}
 """The deployed metric of a task by its reward type."""
 
