@@ -9,7 +9,7 @@ from earl_jax.metrics.scores import Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.cli.process import one_line, run, succeed
-from tests.report.run_files import TABLETOP, read_csv, write_run
+from tests.report.run_files import TABLETOP, constant, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
 
@@ -33,6 +33,12 @@ def test_a_row_summarises_the_curves(tmp_path):
     assert text.count("| - | - | 50.0 |") == 1
     assert "The score of a seed is its mean over the evaluations of the last tenth of the run, at least 5." in text
     assert tables.tabulate([folder], Window(last=1))[0]["deployed"] == pytest.approx(1.05)
+
+
+def test_a_run_without_the_rewards_since_an_evaluation_has_a_row_without_steps_per_reward(tmp_path):
+    run = write_run(tmp_path, TABLETOP, "naive", constant(1.0), metrics={"continuing/reward": 0.01})
+    [row] = tables.tabulate([run])
+    assert (row["continuing"], row["steps_per_reward"]) == (0.01, None)
 
 
 def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_own(tmp_path):
