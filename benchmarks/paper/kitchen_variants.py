@@ -1,4 +1,4 @@
-"""A variant of the kitchen for difference 13: `earl-jax train TASK --algo fbrl --import benchmarks/paper/kitchen_variants.py`."""
+"""Variants of the kitchen for difference 13: `earl-jax train TASK --algo fbrl --import benchmarks/paper/kitchen_variants.py`."""
 
 import dataclasses
 from typing import ClassVar
@@ -8,22 +8,26 @@ import numpy as np
 
 import earl_jax
 from earl_jax.envs.features import Starts
-from earl_jax.envs.kitchen.franka_kitchen import FrankaKitchen
+from earl_jax.envs.kitchen.franka_kitchen import PAIRS, FrankaKitchen, with_open
 from earl_jax.envs.state import State
 
 
+class KitchenVariant(FrankaKitchen):
+    """The kitchen with other initial states, to which methods return."""
+
+    @property
+    def model(self) -> str:
+        return FrankaKitchen.name
+
+
 @dataclasses.dataclass(frozen=True)
-class MeanReturnKitchen(FrankaKitchen):
+class MeanReturnKitchen(KitchenVariant):
     """The kitchen for methods that return to the mean of its six initial states, with four appliances half open.
 
     The goal of the backward agent in VaPRL's released script is this mean. Episodes start as in the kitchen.
     """
 
     name: ClassVar[str] = "mean_return_kitchen"
-
-    @property
-    def model(self) -> str:
-        return FrankaKitchen.name
 
     @property
     def initial_states(self) -> np.ndarray:
@@ -41,4 +45,23 @@ class MeanReturnKitchen(FrankaKitchen):
         return FrankaKitchen(**dataclasses.asdict(self))
 
 
-earl_jax.register_env(MeanReturnKitchen.name, MeanReturnKitchen)
+@dataclasses.dataclass(frozen=True)
+class OnePairKitchen(KitchenVariant):
+    """The kitchen with one of its six initial states: resets and backward phases lead to `PAIRS[pair]`.
+
+    Up to the second reset the backward agent returns to the start of its life. In the kitchen the goal of each backward
+    phase is one of the six.
+    """
+
+    pair: int = 0
+    """Index into `PAIRS`."""
+
+    name: ClassVar[str] = "one_pair_kitchen"
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        return with_open(PAIRS[self.pair : self.pair + 1])
+
+
+for variant in (MeanReturnKitchen, OnePairKitchen):
+    earl_jax.register_env(variant.name, variant)

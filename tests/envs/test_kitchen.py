@@ -65,6 +65,15 @@ def test_the_variant_that_returns_to_the_mean_start_starts_as_the_kitchen(regist
     assert variant.starts.count == 6
 
 
+def test_the_variant_with_one_pair_starts_from_it_and_returns_to_it(registries):
+    from benchmarks.paper.kitchen_variants import OnePairKitchen
+
+    variant = OnePairKitchen(noise=False, pair=3)
+    np.testing.assert_array_equal(variant.initial_states, ENV.initial_states[3:4])
+    np.testing.assert_allclose(variant.reset(KEY).obs[9:23], ENV.initial_states[3, 9:], atol=0.01)
+    assert variant.starts.count == 1
+
+
 def test_reset_is_the_state_after_ten_released_steps_of_no_action():
     model = physics.load_model("franka_kitchen", 0.002)
     joints = np.asarray(starts(EXACT).data.qpos[:, 9:])
