@@ -1,8 +1,9 @@
 """Profile a training step: `python -m benchmarks.speed.profile --envs sawyer_door --lanes 5 50 500 --out FILE`.
 
 For every task and number of lanes it measures milliseconds of the whole step, of the step without learning (random actions,
-physics, storing) and of the host's physics alone. A profiler's trace of the whole step gives the milliseconds of the device's
-kernels by the named scopes of the loop, their number, and the idle time of the device. Writes FILE.json and FILE.csv.
+physics, storing) and of the host's physics alone, on threads of this process, while beside a GPU other processes do it. A
+profiler's trace of the whole step gives the milliseconds of the device's kernels by the named scopes of the loop, their
+number, and the idle time of the device. Writes FILE.json and FILE.csv.
 """
 
 import collections
