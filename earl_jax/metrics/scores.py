@@ -75,6 +75,12 @@ class Window(NamedTuple):
 DEFAULT = Window()
 
 
+def require_window(window: Any) -> None:
+    """Raise an InputError if `window` is not a `Window`."""
+    if not isinstance(window, Window):
+        raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
+
+
 def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> Any:
     """Return the score [...] of each seed: the mean of `values [..., E]` over the evaluations of `window` at the end."""
     return values[..., -window.count(steps) :].mean(axis=-1)
@@ -103,8 +109,7 @@ class Score(NamedTuple):
         Raises:
             ValueError: there is no evaluation, or `window` is no `Window`.
         """
-        if not isinstance(window, Window):
-            raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
+        require_window(window)
         if not len(steps):
             raise InputError("there is no evaluation yet, so there is no score")
         scores, count = final_scores(steps, metrics[metric], window), window.count(steps)

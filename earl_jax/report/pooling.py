@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, read
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
@@ -55,8 +55,9 @@ def gather(
     or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
 
     Raises:
-        ValueError: a folder does not exist or holds no run, or no run can be read.
+        ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.
     """
+    require_window(window)
     pools: dict[str, list[Curves]] = {}
     runs: dict[str, Curves] = {}
     left_out: dict[Path, str] = {}

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.scores import Window
 from earl_jax.report.best import best, best_text
@@ -36,6 +37,11 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
     assert rows[2]["least_p"] == pytest.approx(2 * 2 / math.comb(10, 5))
     assert rows[0]["score"] == pytest.approx(0.9)
     assert (rows[0]["low"], rows[0]["high"]) == mean_interval(np.array(GOOD), rate=True)[1:]
+
+
+def test_a_window_of_another_kind_is_refused_before_any_run_is_read(tmp_path):
+    with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 5"):
+        best([tmp_path], window=5)
 
 
 def test_runs_that_share_the_highest_score_are_tied(tmp_path):
