@@ -26,7 +26,7 @@ from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
-from earl_jax.report.leaderboard import COLUMNS, OURS, commit_of, ranked, run_row, score_text, texts
+from earl_jax.report.leaderboard import COLUMNS, OURS, commit_of, crossing_texts, ranked, run_row, score_text, texts
 from earl_jax.report.pooling import pooling_key
 from earl_jax.report.published import (
     RECONSTRUCTED,
@@ -36,8 +36,8 @@ from earl_jax.report.published import (
     released_curves,
 )
 from earl_jax.report.runs import Curves, by_method, options_text, read
-from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores
-from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text, step_interval
+from earl_jax.report.scores import LEVELS, interval_of, seed_scores
+from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import CHANGED, short_commit
 
@@ -108,7 +108,7 @@ def _paper_row(env: str, algo: str) -> Row:
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
     if released := released_curves(env, algo):
         deployed = interval_of(released, seed_scores(released, step=length))
-        crossings = {f"to_{level}": step_interval(step) for level, step in level_crossings(released).items()}
+        crossings = crossing_texts(released)
     return EMPTY | {
         "env": env,
         "method": algo,

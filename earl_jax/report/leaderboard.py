@@ -62,11 +62,16 @@ def run_row(curves: Curves, source: str = OURS) -> Row:
         "wide": wide,
         "continuing": interval_text(*interval_of(curves, curves.metrics[CONTINUING][:, -1], CONTINUING)),
         "alive": alive,
-        **{f"to_{level}": step_interval(step) for level, step in level_crossings(curves).items()},
+        **crossing_texts(curves),
         "chosen": chosen_words(curves),
         "commit": short_commit(commit_of(curves)) or "-",
         "score": round(float(seed_scores(curves).mean()), 6),
     }
+
+
+def crossing_texts(curves: Curves) -> dict[str, str]:
+    """Return the cells of a row that say when the runs reach each of `LEVELS`."""
+    return {f"to_{level}": step_interval(step) for level, step in level_crossings(curves).items()}
 
 
 def commit_of(curves: Curves) -> str:
