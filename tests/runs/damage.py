@@ -91,6 +91,7 @@ CONFIG = [
     ("seeds", "[NaN]", "seeds must be whole numbers, not [nan]"),
     ("seeds", None, "it has no 'seeds'"),
     ("steps", None, "it has no 'steps'"),
+    ("reward_type", None, "it has no 'reward_type'"),
     ("env", '"nowhere"', "unknown task 'nowhere'; choose from "),
     ("env", "5", "env must be a str, not 5"),
     ("algo", '"nothing"', "unknown method 'nothing'; choose from "),
