@@ -51,7 +51,7 @@ KEEP_ALL = (
     *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
     f"{KITCHEN}/naive", f"{KITCHEN}/oracle", f"{LIGHTBULB}/fbrl",
 )  # fmt: skip
-"""Cells that keep all transitions because their runs are longer, and that also ran with the released replay."""
+"""Cells that keep all transitions, and of which a variant has the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
