@@ -49,7 +49,7 @@ RUN_AGAIN = TABLETOP, DOOR, PEG, *DENSE_AGAIN
 """Tasks and cells that have the released replay, which is the default since 2026-11-27."""
 KEEP_ALL = (
     *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
-    f"{KITCHEN}/naive", f"{KITCHEN}/oracle", f"{LIGHTBULB}/fbrl",
+    f"{KITCHEN}/naive", f"{KITCHEN}/oracle", *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
 )  # fmt: skip
 """Cells that keep all transitions, and of which a variant has the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
@@ -149,7 +149,7 @@ DIFFERENCES = (
         ),
         *(
             Pair((_all_kept(f"{KITCHEN}/fbrl"),), (f"{KITCHEN}/fbrl/{name}",), CONTINUING)
-            for name in ("random_10000", "precision_float32", "entropy_per_action_-1")
+            for name in ("random_10000", "precision_float32", "entropy_per_action_-1", "one_pair")
         ),
         *_both_scores((_all_kept(f"{KITCHEN}/fbrl"),), (f"{KITCHEN}/fbrl/mean_return",)),
         Pair((f"{KITCHEN}/fbrl/mean_return",), PUBLISHED, CONTINUING),
