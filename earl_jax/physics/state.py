@@ -5,7 +5,6 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 
@@ -60,7 +59,9 @@ class Actuator(Protocol):
     """Converts a command into controls of each substep, like a motor with feedback; pure, hashable, broadcasting.
 
     It is called before every substep: by `mjx` and `warp` with JAX arrays, by `c` with NumPy arrays of all lanes at
-    once. It may also have a method `bind(qpos, qvel, ctrl)` that returns a `HostActuator`, which `c` uses instead.
+    once. It may also have a method `drive(qpos, qvel, ctrl, command, memory, substeps, step)` for `c`, with an equal result
+    up to rounding: it writes `ctrl [n, nu]` before each of `substeps` calls of `step()`, which change `qpos [n, nq]` and
+    `qvel [n, nv]`, and returns the memory [n, m]; all arrays are float64.
     """
 
     def __call__(self, xp: Any, qpos: Any, qvel: Any, command: Any, memory: Any) -> tuple[Any, Any]:
@@ -68,24 +69,4 @@ class Actuator(Protocol):
 
         `xp` is the array module, `numpy` or `jax.numpy`.
         """
-        ...
-
-
-class HostActuator(Protocol):
-    """An actuator bound to arrays of all lanes on the host, which it reads and writes in place before every substep.
-
-    The arrays are `qpos [n, nq]`, `qvel [n, nv]` and `ctrl [n, nu]`, float64. Results equal those of the `Actuator` up
-    to rounding.
-    """
-
-    def start(self, command: np.ndarray, memory: np.ndarray) -> None:
-        """Begin a control step with `command [n, c]` and `memory [n, m]`, float64."""
-        ...
-
-    def apply(self) -> None:
-        """Write the controls of the next substep."""
-        ...
-
-    def finish(self) -> np.ndarray:
-        """Return the memory [n, m] after the control step."""
         ...

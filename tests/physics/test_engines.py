@@ -133,8 +133,8 @@ def test_states_and_controls_of_other_shapes_are_refused_by_name(engine):
 
 
 @dataclasses.dataclass(frozen=True)
-class Unbound:
-    """An actuator without a method `bind`."""
+class Called:
+    """An actuator without a method `drive`."""
 
     motors: MinitaurMotors
 
@@ -143,12 +143,12 @@ class Unbound:
 
 
 @pytest.mark.parametrize("overheat", [True, False])
-def test_bound_motors_move_the_robot_as_an_actuator_that_c_calls_before_every_substep(overheat):
+def test_motors_drive_the_robot_as_an_actuator_that_c_calls_before_every_substep(overheat):
     env = make("minitaur_pen", engine="c", overheat=overheat)
     state, command = first_state(env).data, jnp.linspace(0, 2, 8)
     hot = jnp.array([0.0, 1.0, 498.0, 499.0, 500.0, 501.0, 0.0, 0.0])
     state = state.replace(memory=state.memory.at[:8].set(hot))
-    unbound = dataclasses.replace(env.simulator, actuator=Unbound(env.simulator.actuator))
-    (actual, _), (expected, _) = jax.jit(unbound.step)(state, command), jax.jit(env.simulator.step)(state, command)
+    called = dataclasses.replace(env.simulator, actuator=Called(env.simulator.actuator))
+    (actual, _), (expected, _) = jax.jit(called.step)(state, command), jax.jit(env.simulator.step)(state, command)
     assert np.abs(np.asarray(expected.qvel - state.qvel)).max() > 0.1
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), actual, expected)

@@ -5,6 +5,7 @@ motors' sign; the joints of the left legs have the opposite one (`DIRECTION`).
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -31,15 +32,6 @@ OVERHEAT_SECONDS = 1.0
 """Uninterrupted seconds of heating after which a motor shuts down until the next reset."""
 SIGNED_CURRENTS = np.concatenate([-CURRENTS[:0:-1], CURRENTS]).astype(np.float64)
 SIGNED_TORQUES = np.concatenate([-TORQUES[:0:-1], TORQUES]).astype(np.float64)
-ZERO, ONE, HEATING = np.array(0.0), np.array(1.0), np.array(OVERHEAT_TORQUE)
-
-
-def _interval(limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return -limit and limit as arrays."""
-    return np.array(-limit), np.array(limit)
-
-
-REPORTED = _interval(MAX_REPORTED_TORQUE)
 
 
 def legs_to_motors(xp: Any, action: Any) -> Any:
@@ -62,67 +54,6 @@ def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any, kp: fl
     reported = xp.clip(TORQUE_CONSTANT / RESISTANCE * applied, -MAX_REPORTED_TORQUE, MAX_REPORTED_TORQUE)
     current = xp.clip(applied - (TORQUE_CONSTANT + viscosity) * speed, -MAX_VOLTS, MAX_VOLTS) / RESISTANCE
     return xp.sign(current) * xp.interp(xp.abs(current), CURRENTS, TORQUES), reported
-
-
-class BoundMotors:
-    """A `HostActuator` with the results of `MinitaurMotors`.
-
-    It computes in the joints' signs, because each function of the model is odd. It omits the limit of 50 V, because the
-    torque is constant from 11 V on. All operands are arrays, with which NumPy is several times faster on few motors than
-    with Python's numbers, and a mask is copied, which is faster than a product with it.
-    """
-
-    def __init__(self, settings: "MinitaurMotors", qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray):
-        self.angle, self.speed, self.ctrl = qpos[:, POSITIONS], qvel[:, SPEEDS], ctrl
-        self.settings, self.max_hot = settings, np.array(float(settings.max_hot))
-        self.max_lead, self.max_effort = _interval(MAX_LEAD), _interval(1.0 / settings.kp)
-        self.effort, self.current, self.scratch = (np.empty(ctrl.shape) for _ in range(3))
-        self.cools, self.stopped = np.empty(ctrl.shape, bool), np.empty(ctrl.shape, bool)
-        self.damping, self.slowed = np.empty((2, *ctrl.shape)), np.empty((2, *ctrl.shape))
-
-    def start(self, command: np.ndarray, memory: np.ndarray) -> None:
-        self.target, self.hot, self.battery = command * DIRECTION, memory[:, :MOTORS].copy(), memory[:, -2:]
-        self.volts = self.settings.kp * self.battery[:, :1]
-        self.amperes = self.volts / RESISTANCE
-        self.damping[0] = self.settings.kd / self.settings.kp
-        self.damping[1] = (TORQUE_CONSTANT + self.battery[:, 1:]) / RESISTANCE
-        np.greater(self.hot, self.max_hot, out=self.stopped)
-
-    def apply(self) -> None:
-        effort, current = self.effort, self.current
-        np.multiply(self.speed, self.damping, out=self.slowed)
-        np.subtract(self.target, self.angle, out=effort)
-        _clip_in_place(effort, self.max_lead)
-        np.subtract(effort, self.slowed[0], out=effort)
-        _clip_in_place(effort, self.max_effort)
-        np.multiply(effort, self.amperes, out=current)
-        np.subtract(current, self.slowed[1], out=current)
-        torque = np.interp(current, SIGNED_CURRENTS, SIGNED_TORQUES)
-        self._heat(torque)
-        if self.settings.overheat:
-            np.copyto(torque, ZERO, where=self.stopped)
-        self.ctrl[:] = torque
-
-    def _heat(self, torque: np.ndarray) -> None:
-        """Count the substeps of heating; the count of a motor that has shut down stays constant."""
-        count = self.scratch
-        np.abs(torque, out=count)
-        np.less_equal(count, HEATING, out=self.cools)
-        np.add(self.hot, ONE, out=count)
-        np.copyto(count, ZERO, where=self.cools)
-        np.copyto(count, self.hot, where=self.stopped)
-        self.hot, self.scratch = count, self.hot
-        np.greater(count, self.max_hot, out=self.stopped)
-
-    def finish(self) -> np.ndarray:
-        reported = TORQUE_CONSTANT / RESISTANCE * self.effort * self.volts
-        _clip_in_place(reported, REPORTED)
-        return np.concatenate([self.hot, reported * DIRECTION, self.battery], axis=1)
-
-
-def _clip_in_place(x: np.ndarray, interval: tuple[np.ndarray, np.ndarray]) -> None:
-    np.maximum(x, interval[0], out=x)
-    np.minimum(x, interval[1], out=x)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,6 +85,41 @@ class MinitaurMotors:
         controls = controls * (hot <= self.max_hot) if self.overheat else controls
         return controls, xp.concatenate([hot, reported, voltage, viscosity], axis=-1)
 
-    def bind(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> BoundMotors:
-        """Return the same motors for arrays of all lanes on the host, as `HostActuator` describes."""
-        return BoundMotors(self, qpos, qvel, ctrl)
+    def drive(
+        self,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        ctrl: np.ndarray,
+        command: np.ndarray,
+        memory: np.ndarray,
+        substeps: int,
+        step: Callable[[], None],
+    ) -> np.ndarray:
+        """Return the memory [n, 18] after `substeps` calls of `step()` on the host, as `Actuator` describes.
+
+        It computes in the joints' signs, because each function of the model is odd, and omits the limit of 50 V, because
+        the torque is constant from 11 V on. A control step of one lane takes two thirds of the time of one that calls the
+        motors before every substep.
+        """
+        angle, speed, target = qpos[:, POSITIONS], qvel[:, SPEEDS], command * DIRECTION
+        hot, volts, viscosity = memory[:, :MOTORS], self.kp * memory[:, -2:-1], memory[:, -1:]
+        amperes, back_emf = volts / RESISTANCE, (TORQUE_CONSTANT + viscosity) / RESISTANCE
+        effort, max_hot = np.zeros_like(target), self.max_hot
+        stopped = hot > max_hot
+        for _ in range(substeps):
+            effort = _within(_within(target - angle, MAX_LEAD) - self.kd / self.kp * speed, 1.0 / self.kp)
+            current = effort * amperes - back_emf * speed
+            exerted = np.interp(current, SIGNED_CURRENTS, SIGNED_TORQUES)
+            hot = np.where(stopped, hot, (hot + 1) * (np.abs(exerted) > OVERHEAT_TORQUE))
+            stopped = hot > max_hot
+            if self.overheat:
+                exerted[stopped] = 0.0
+            ctrl[:] = exerted
+            step()
+        reported = _within(TORQUE_CONSTANT / RESISTANCE * effort * volts, MAX_REPORTED_TORQUE)
+        return np.concatenate([hot, reported * DIRECTION, memory[:, -2:]], axis=1)
+
+
+def _within(x: np.ndarray, limit: float) -> np.ndarray:
+    """Return `x` clipped to [-limit, limit], on few numbers in a fraction of the time of `numpy.clip`."""
+    return np.minimum(np.maximum(x, -limit), limit)

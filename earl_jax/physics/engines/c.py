@@ -17,7 +17,7 @@ from jax import default_backend
 
 from earl_jax.options.environment import core_count
 from earl_jax.physics.host_call import service
-from earl_jax.physics.state import Actuator, HostActuator, PendingStep, PhysicsState
+from earl_jax.physics.state import PendingStep, PhysicsState
 
 if TYPE_CHECKING:
     from earl_jax.physics import Simulator
@@ -67,22 +67,6 @@ def _register_host(simulator: "Simulator", state: PhysicsState) -> tuple[str, in
     return name, width
 
 
-class UnboundActuator:
-    """The `HostActuator` of an `Actuator` that has no method `bind`."""
-
-    def __init__(self, actuator: Actuator, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray):
-        self.actuator, self.qpos, self.qvel, self.ctrl = actuator, qpos, qvel, ctrl
-
-    def start(self, command: np.ndarray, memory: np.ndarray) -> None:
-        self.command, self.memory = command, memory
-
-    def apply(self) -> None:
-        self.ctrl[:], self.memory = self.actuator(np, self.qpos, self.qvel, self.command, self.memory)
-
-    def finish(self) -> np.ndarray:
-        return self.memory
-
-
 class Simulations:
     """`count` simulations of MuJoCo's `model` on `threads` threads, of which the calling thread is one.
 
@@ -92,7 +76,7 @@ class Simulations:
 
     def __init__(self, simulator: "Simulator", model: Any, memory: int, count: int, threads: int):
         batch: Any = importlib.import_module("mujoco.batch")
-        self.substeps, self.timestep = simulator.substeps, model.opt.timestep
+        self.actuator, self.substeps, self.timestep = simulator.actuator, simulator.substeps, model.opt.timestep
         self.batch = batch.Batch(model, count, threads)
         self.outputs = [self._rows(field) for field in BOUND]
         self.warmstart, self.ctrl = self._rows("qacc_warmstart"), self._rows("ctrl")
@@ -106,9 +90,6 @@ class Simulations:
         columns = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
         self.memory, self.command = columns.pop(len(before)), slice(ends[-1], None)
         self.inputs = [(part, column) for part, column in zip(before + after, columns, strict=True) if part.size]
-        actuator: Any = simulator.actuator
-        bind = getattr(actuator, "bind", functools.partial(UnboundActuator, actuator))
-        self.actuator: HostActuator | None = None if actuator is None else bind(self.qpos, self.qvel, self.ctrl)
 
     def _rows(self, field: str) -> np.ndarray:
         """Return a live view [count, k] of `field` of all simulations."""
@@ -133,13 +114,14 @@ class Simulations:
         before = speeds[:, last - 1] if last else first
         return (speeds[:, last] - before) / self.timestep
 
-    def _drive(self, actuator: HostActuator, command: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    def _drive(self, actuator: Any, command: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Simulate all substeps with the controls that `actuator` computes, and return its memory."""
-        actuator.start(command, memory)
+        if hasattr(actuator, "drive"):
+            return actuator.drive(self.qpos, self.qvel, self.ctrl, command, memory, self.substeps, self.batch.step)
         for _ in range(self.substeps):
-            actuator.apply()
+            self.ctrl[:], memory = actuator(np, self.qpos, self.qvel, command, memory)
             self.batch.step()
-        return actuator.finish()
+        return memory
 
 
 class Host:
