@@ -1,8 +1,7 @@
 """The kitchen's rewards, and the positions of hand and handles for given joints, computed without simulation."""
 
-import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,14 +28,6 @@ SLIDE = 2
 """MuJoCo's type of a slide joint."""
 
 
-class Link(NamedTuple):
-    """A body in the chain from the world body to a site: its frame in its parent, and MuJoCo's joint if it has one."""
-
-    pos: np.ndarray
-    rotation: np.ndarray
-    joint: Any
-
-
 def observed(qpos: Any) -> Any:
     """Return the state [..., 23] without noise for the MJCF's joints `qpos [..., 18]`."""
     return qpos[..., JOINT] * GEAR
@@ -44,12 +35,14 @@ def observed(qpos: Any) -> Any:
 
 def site_positions(state: jax.Array) -> jax.Array:
     """Return the positions [8, 3] of the handles `SITES`, in metres, for the object numbers of `state [23]`."""
-    return jnp.stack([_point_position(state[FIRST], *_chain(site)) for site in SITES])
+    sites = [load_model(MODEL).site(name) for name in SITES]
+    return jnp.stack([_point_position(state[FIRST], site.bodyid[0], site.pos) for site in sites])
 
 
 def dragging_position(state: jax.Array) -> jax.Array:
     """Return the position [3], in metres, of the mocap body whose weld holds the flange where `state [23]` has it."""
-    model, flange = load_model(MODEL), _point_position(state[FIRST], *_chain("tip")[:1], np.zeros(3))
+    model = load_model(MODEL)
+    flange = _point_position(state[FIRST], model.site("tip").bodyid[0], np.zeros(3))
     without_force = _rotation_matrix(model.body("mocap").quat) @ model.equality("drag").data[3:6]
     return flange - jnp.asarray(without_force, jnp.float32)
 
@@ -84,34 +77,24 @@ def _by_component(objects: jax.Array) -> jax.Array:
     return jnp.linalg.norm(MEMBERS * objects, axis=1)
 
 
-@functools.cache
-def _chain(site: str) -> tuple[tuple[Link, ...], np.ndarray]:
-    """Return the bodies from the world body to that of `site`, and the site's position [3] in the last body's frame."""
-    model = load_model(MODEL)
-    index, links = model.site(site).bodyid[0], []
-    while index:
-        body, address = model.body(index), model.body_jntadr[index]
-        joint = model.joint(address) if address >= 0 else None
-        links.append(Link(body.pos, _rotation_matrix(body.quat), joint))
-        index = body.parentid[0]
-    return tuple(links[::-1]), model.site(site).pos
+def _point_position(qpos: jax.Array, body: int, end: np.ndarray) -> jax.Array:
+    """Return the world position [3] of `end [3]` in the frame of the body with this number, at joints `qpos [18]`.
 
-
-def _point_position(qpos: jax.Array, links: tuple[Link, ...], end: np.ndarray) -> jax.Array:
-    """Return the world position [3] of `end [3]` in the frame of the last of `links`, at joints `qpos [18]`.
-
-    The coordinates are separate scalars, with a barrier at each joint: a GPU needs one kernel for a link, where the
-    products of matrices take three, and without barriers XLA computes each link again for every later one.
+    The coordinates are separate scalars, with a barrier at each joint: a GPU needs one kernel for a body, where the
+    products of matrices take three, and without barriers XLA computes each body again for every later one.
     """
-    point = tuple(end.tolist())
-    for link in reversed(links):
-        if link.joint is not None:
-            value, axis = qpos[int(link.joint.qposadr[0])], link.joint.axis.tolist()
-            if link.joint.type[0] == SLIDE:
+    model, point = load_model(MODEL), tuple(end.tolist())
+    while body:
+        joint = model.body_jntadr[body]
+        if joint >= 0:
+            value, axis = qpos[int(model.jnt_qposadr[joint])], model.jnt_axis[joint].tolist()
+            if model.jnt_type[joint] == SLIDE:
                 point = tuple(x + value * along for x, along in zip(point, axis, strict=True))
             else:
                 point = jax.lax.optimization_barrier(_rotated(point, axis, value))
-        point = tuple(_dot(row, point) + x for row, x in zip(link.rotation.tolist(), link.pos.tolist(), strict=True))
+        rotation, pos = _rotation_matrix(model.body_quat[body]), model.body_pos[body]
+        point = tuple(_dot(row, point) + x for row, x in zip(rotation.tolist(), pos.tolist(), strict=True))
+        body = model.body_parentid[body]
     return jnp.stack([jnp.asarray(x, jnp.float32) for x in point])
 
 
