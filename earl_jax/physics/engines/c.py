@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from earl_jax.physics import Simulator
 
 CHANGED = ("time", "qpos", "qvel", "act", "qacc_warmstart", "memory")
-"""The fields of a row that a control step changes; the constant fields and the command follow."""
+"""The fields of a row that a control step changes; the constant fields and the command follow. MuJoCo's data has all but
+the last of both."""
 CONSTANT = ("mocap_pos", "mocap_quat", "constants")
-BOUND = ("time", "qpos", "qvel", "act")
-"""The fields that are read from MuJoCo's batch after a control step."""
 ROW_COUNTS = 8
 """The largest number of numbers of rows for which a host keeps threads and data."""
 
@@ -78,18 +77,17 @@ class Simulations:
         batch: Any = importlib.import_module("mujoco.batch")
         self.actuator, self.substeps, self.timestep = simulator.actuator, simulator.substeps, model.opt.timestep
         self.batch = batch.Batch(model, count, threads)
-        self.outputs = [self._rows(field) for field in BOUND]
-        self.warmstart, self.ctrl = self._rows("qacc_warmstart"), self._rows("ctrl")
-        self.qpos, self.qvel = self.outputs[1:3]
+        *self.outputs, self.warmstart = (self._rows(field) for field in CHANGED[:-1])
+        _, self.qpos, self.qvel, _ = self.outputs
+        self.ctrl, self.memory = self._rows("ctrl"), np.zeros((count, memory))
         self.sensors = self._rows("sensordata") if model.nsensordata else np.zeros((count, 0))
         self.recorded = {"qvel": np.zeros((count, self.substeps, model.nv))}
-        mocap = [self._rows(field) for field in ("mocap_pos", "mocap_quat")]
+        mocap = [self._rows(field) for field in CONSTANT[:-1]]
         varied = [self.batch.expand(field).reshape(count, -1) for field in simulator.varied]
-        before, after = [*self.outputs, self.warmstart], [*mocap, *varied]
-        ends = np.cumsum([*(part.shape[1] for part in before), memory, *(part.shape[1] for part in after)])
-        columns = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
-        self.memory, self.command = columns.pop(len(before)), slice(ends[-1], None)
-        self.inputs = [(part, column) for part, column in zip(before + after, columns, strict=True) if part.size]
+        parts = [*self.outputs, self.warmstart, self.memory, *mocap, *varied]
+        ends = np.cumsum([part.shape[1] for part in parts])
+        self.inputs = [(part, slice(end - part.shape[1], end)) for part, end in zip(parts, ends, strict=True)]
+        self.command = slice(ends[-1], None)
 
     def _rows(self, field: str) -> np.ndarray:
         """Return a live view [count, k] of `field` of all simulations."""
@@ -99,11 +97,11 @@ class Simulations:
         """Return the rows [count, m] one control step after `rows [count, k]`, float32."""
         for part, columns in self.inputs:
             part[:] = rows[:, columns]
-        command, memory = rows[:, self.command].astype(np.float64), rows[:, self.memory].astype(np.float64)
+        command = rows[:, self.command].astype(np.float64)
         if self.actuator is None:
-            warmstart = self._hold(command)
+            warmstart, memory = self._hold(command), self.memory
         else:
-            warmstart, memory = self.warmstart, self._drive(self.actuator, command, memory)
+            warmstart, memory = self.warmstart, self._drive(self.actuator, command, self.memory)
         return np.concatenate([*self.outputs, warmstart, memory, self.sensors], axis=1, dtype=np.float32)
 
     def _hold(self, command: np.ndarray) -> np.ndarray:
