@@ -1,4 +1,4 @@
-"""The tasks as brax environments: `wrap("sawyer_door")` for brax's wrappers and trainers, and other users of its Env.
+"""The tasks as brax environments, for brax's wrappers and trainers, and other users of its Env.
 
 Written for brax 0.14.2. On jax 0.10 and later brax's own trainers stop with `AttributeError:
 jax.device_put_replicated`, which jax removed. On jax 0.9.2 its SAC and PPO train through this adapter (docs/adapters.md
@@ -22,20 +22,6 @@ NO_TIME_LIMIT = 2**30
 """More steps than any lifetime has, and exact in float32, in which brax counts steps."""
 
 
-def wrap(task: str | Env, mode: str = "train", **options: Any) -> "ResetFreeEnv":
-    """Return `task` as a brax env with the modes of `adapters.gymnasium.ResetFreeEnv`: a lifetime or episodes.
-
-    Args:
-        task: a name of `list_envs()` or an `Env`.
-        mode: `train` for one lifetime, or `eval` for episodes that brax's `EpisodeWrapper` ends.
-        options: `setting`, `attempt_steps`, and options of the task.
-
-    Raises:
-        ValueError: an unknown mode, setting, option or name; the message lists the choices.
-    """
-    return ResetFreeEnv(Session.of(task, mode=mode, **options))
-
-
 def wrap_for_training(
     env: BraxEnv, episode_length: int, action_repeat: int = 1, randomization_fn: Any = None
 ) -> BraxEnv:
@@ -48,14 +34,23 @@ def wrap_for_training(
 
 
 class ResetFreeEnv(BraxEnv):
-    """A `Session` with its whole state in `pipeline_state`, so that a wrapper that restores it restores the goal too.
+    """A task as one lifetime or as episodes, in the modes of `adapters.gymnasium.ResetFreeEnv`.
 
+    `pipeline_state` holds the whole state, so that a wrapper that restores it restores the goal too.
     brax's `AutoResetWrapper` returns a lane to its very first state: the same start, goal and randomness each time.
     brax's `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`) only; `reset` takes typed keys as well.
     """
 
-    def __init__(self, session: Session):
-        self.session = session
+    def __init__(self, task: str | Env, **options: Any):
+        """Make the environment of `task`, a name of `list_envs()` or an `Env`.
+
+        `options` are `mode` (`train` for one lifetime, `eval` for episodes that brax's `EpisodeWrapper` ends), `setting`,
+        `attempt_steps`, and options of the task.
+
+        Raises:
+            ValueError: an unknown mode, setting, option or name; the message lists the choices.
+        """
+        self.session = Session.of(task, **options)
 
     def reset(self, rng: jax.Array) -> BraxState:
         """Return a state with s0 ~ rho and a task goal drawn uniformly, from a raw or a typed key `rng`."""

@@ -16,8 +16,8 @@ if __name__ == "__main__":
     task = {"task": "tabletop_organization", "reward_type": "dense"}
     rows = []
     sac.train(
-        environment=brax.wrap(**task),
-        eval_env=brax.wrap(**task, mode="eval"),
+        environment=brax.ResetFreeEnv(**task),
+        eval_env=brax.ResetFreeEnv(**task, mode="eval"),
         wrap_env_fn=brax.wrap_for_training,
         num_timesteps=STEPS,
         episode_length=200,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from brax.envs.wrappers import training
 
-from earl_jax.adapters.brax import wrap, wrap_for_training
+from earl_jax.adapters.brax import ResetFreeEnv, wrap_for_training
 from earl_jax.protocol import Deployment
 from tests.adapters.test_gymnasium import TABLETOP, Fragile
 from tests.conftest import assert_equal_trees
@@ -26,7 +26,7 @@ def rollout(env, keys, steps, action=MOVE):
 
 
 def test_raw_and_typed_keys_start_the_same_lifetime():
-    env = wrap(TABLETOP)
+    env = ResetFreeEnv(TABLETOP)
     reset = jax.jit(env.reset)
     assert_equal_trees(reset(jax.random.PRNGKey(3)), reset(jax.random.key(3)))
     keys = [jax.random.key_data(reset(jax.random.PRNGKey(seed)).pipeline_state.key) for seed in (3, 4)]
@@ -34,7 +34,7 @@ def test_raw_and_typed_keys_start_the_same_lifetime():
 
 
 def test_sizes_backend_and_interventions_of_a_lifetime():
-    env = wrap(TABLETOP, train_horizon=4)
+    env = ResetFreeEnv(TABLETOP, train_horizon=4)
     assert (env.observation_size, env.action_size, env.backend) == (12, 3, "kinematic")
     _, states = rollout(env, KEY, 9)
     np.testing.assert_allclose(states.obs[:, 0], 0.2 * np.array([1, 2, 3, 0, 1, 2, 3, 0, 1]), atol=1e-6)
@@ -44,16 +44,16 @@ def test_sizes_backend_and_interventions_of_a_lifetime():
 
 @pytest.mark.slow
 def test_done_marks_a_fault_and_the_end_of_a_lifetime():
-    fragile = wrap(Fragile(), mode="eval")
+    fragile = ResetFreeEnv(Fragile(), mode="eval")
     _, states = rollout(fragile, KEY, 3)
     np.testing.assert_array_equal(states.done, [0, 0, 1])
-    budget = wrap(TABLETOP, setting=Deployment(budget=2.0))
+    budget = ResetFreeEnv(TABLETOP, setting=Deployment(budget=2.0))
     _, states = rollout(budget, KEY, 3, jnp.array([0, 0, 0, 1.0]))
     np.testing.assert_array_equal(states.done, [0, 1, 1])
 
 
 def test_braxs_wrappers_end_episodes_and_restore_state_and_goal():
-    env = training.EvalWrapper(training.wrap(wrap(TABLETOP, mode="eval"), episode_length=5))
+    env = training.EvalWrapper(training.wrap(ResetFreeEnv(TABLETOP, mode="eval"), episode_length=5))
     state = jax.jit(env.reset)(jax.random.split(KEY, 3))
     first, step = state, jax.jit(env.step)
     goals = first.obs[:, 6:]
@@ -69,6 +69,6 @@ def test_braxs_wrappers_end_episodes_and_restore_state_and_goal():
 @pytest.mark.slow
 def test_braxs_trainers_do_not_truncate_a_lifetime():
     for mode, done in (("train", 0.0), ("eval", 1.0)):
-        env = wrap_for_training(wrap(TABLETOP, mode), episode_length=3)
+        env = wrap_for_training(ResetFreeEnv(TABLETOP, mode=mode), episode_length=3)
         final, _ = rollout(env, jax.random.split(KEY), 3, jnp.tile(MOVE, (2, 1)))
         np.testing.assert_array_equal(final.done, done)
