@@ -15,53 +15,43 @@ import jax.numpy as jnp
 import numpy as np
 from jax import default_backend
 
-AFFECTED_JAXLIB = (0, 10)
 FIXED_JAXLIB = (0, 12)
-"""The first release of jaxlib with the slow fusion, and the first one measured to be as fast without the barrier."""
+"""The first release of jaxlib that was measured to be as fast without the barrier."""
 
 
-def guard_kinematics() -> bool:
-    """Add a barrier to MJX's `scan.body_tree`, once and only if this process needs it; return whether it is present.
-
-    Raises:
-        ImportError: MJX has no `scan.body_tree`; the message names its version.
-    """
+@functools.cache
+def guard_kinematics() -> None:
+    """Add a barrier to MJX's `scan.body_tree`, once and only if this process needs it."""
     if not needs_guard():
-        return False
-    scan, body_tree = _module_with("scan", "body_tree")
-    if not hasattr(body_tree, "__wrapped__"):
+        return
+    scan: Any = importlib.import_module("mujoco.mjx._src.scan")
+    body_tree = scan.body_tree
 
-        @functools.wraps(body_tree)
-        def guarded(model: Any, f: Any, *rest: Any, **options: Any) -> Any:
-            return body_tree(
-                model, lambda carry, *args: f(jax.lax.optimization_barrier(carry), *args), *rest, **options
-            )
+    @functools.wraps(body_tree)
+    def guarded(model: Any, f: Any, *rest: Any, **options: Any) -> Any:
+        return body_tree(model, lambda carry, *args: f(jax.lax.optimization_barrier(carry), *args), *rest, **options)
 
-        scan.body_tree = guarded
-    return True
+    scan.body_tree = guarded
 
 
 def needs_guard() -> bool:
     """Return whether programs run on a CPU under a release of jaxlib with the slow fusion."""
-    return default_backend() == "cpu" and AFFECTED_JAXLIB <= _jaxlib_version() < FIXED_JAXLIB
+    return default_backend() == "cpu" and _jaxlib_version() < FIXED_JAXLIB
 
 
 def _jaxlib_version() -> tuple[int, ...]:
     return tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
 
 
+@functools.cache
 def sum_cones_by_contact() -> None:
     """Let MJX's Newton solver add the Hessian of each friction cone to that of the joints, in one product for all.
 
     MJX writes the cones one after another into a matrix of all constraint rows, and a GPU copies that matrix of every
     lane each time: 22 of 31 ms of a control step of 500 lanes of the Sawyer door.
-
-    Raises:
-        ImportError: MJX has no `solver._update_gradient`; the message names its version.
     """
-    solver, original = _module_with("solver", "_update_gradient")
-    if hasattr(original, "__wrapped__"):
-        return
+    solver: Any = importlib.import_module("mujoco.mjx._src.solver")
+    original = solver._update_gradient
 
     @functools.wraps(original)
     def update_gradient(model: Any, data: Any, context: Any) -> Any:
@@ -88,14 +78,3 @@ def _cone_hessian(jacobian: jax.Array, contact: Any, cones: jax.Array) -> jax.Ar
         curved = jnp.einsum("nij,njk->nik", cones[chosen, :size, :size], block)
         total = total + jnp.einsum("nij,nik->jk", block, curved)
     return total
-
-
-def _module_with(name: str, function: str) -> tuple[Any, Any]:
-    """Return MJX's private module `name` and its `function`. Errors as the functions above."""
-    module = importlib.import_module(f"mujoco.mjx._src.{name}")
-    if not hasattr(module, function):
-        version = metadata.version("mujoco-mjx")
-        raise ImportError(
-            f"mujoco-mjx {version} has no {name}.{function}; install a release that pyproject.toml allows"
-        )
-    return module, getattr(module, function)
