@@ -8,20 +8,16 @@ from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError
 from earl_jax.physics import fastest_engine, resolve_engine
 
-KINEMATIC = "kinematic"
-"""The engine's name of a task without a physics engine."""
-
 
 def chosen_engine(env: Env) -> str:
     """Return the physics engine of `env` as chosen: its name, `auto`, or `kinematic`."""
     task = without_budget(env)
-    return task.engine if isinstance(task, MujocoEnv) else KINEMATIC
+    return task.engine if isinstance(task, MujocoEnv) else "kinematic"
 
 
 def resolved_engine(env: Env) -> str:
     """Return the physics engine that steps `env`: its name, that of `auto` for few lanes, or `kinematic`."""
-    chosen = chosen_engine(env)
-    return chosen if chosen == KINEMATIC else resolve_engine(chosen)
+    return resolve_engine(chosen_engine(env))
 
 
 def for_lanes(env: Env, lanes: int) -> Env:
