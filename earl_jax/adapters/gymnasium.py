@@ -4,7 +4,6 @@ Importing this module registers the ids, and `gymnasium.make("earl_jax.adapters.
 imports it. Since version 1.0, gymnasium loads no plugins by itself.
 """
 
-from collections.abc import Iterable
 from typing import Any
 
 import gymnasium
@@ -23,12 +22,12 @@ def env_id(name: str) -> str:
     return f"earl_jax/{''.join(part.capitalize() for part in name.split('_'))}-v0"
 
 
-def register_envs(names: Iterable[str] | None = None) -> None:
-    """Register an id for each of the tasks `names`, by default all of `list_envs()`; existing ids stay as they are.
+def register_envs() -> None:
+    """Register an id for each task of `list_envs()`; existing ids stay as they are.
 
     Call it again for tasks that `register_env` added after this module was imported.
     """
-    for name in list_envs() if names is None else names:
+    for name in list_envs():
         if env_id(name) not in gymnasium.registry:
             single, vector = f"{__name__}:ResetFreeEnv", f"{__name__}:ResetFreeVectorEnv"
             gymnasium.register(env_id(name), single, kwargs={"task": name}, vector_entry_point=vector)

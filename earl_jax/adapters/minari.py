@@ -92,7 +92,7 @@ def _environments(env: Env) -> dict[str, EnvSpec]:
     """Return gymnasium's specifications of `env` for Minari, none if it has no id with these options."""
     if env.name not in list_envs() or type(env) is not env_class(env.name):
         return {}
-    register_envs([env.name])
+    register_envs()
     changed = {
         field.name: getattr(env, field.name)
         for field in dataclasses.fields(env)
