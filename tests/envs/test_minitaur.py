@@ -50,7 +50,7 @@ def test_motors_follow_the_closed_form(xp):
     angle, command = rng.uniform(-3, 3, (2, 500))
     speed, volts, viscosity = rng.uniform(-60, 60, 500), rng.uniform(14.8, 16.8, 500), rng.uniform(0, 0.01, 500)
     speed[:250] *= 0.05
-    exerted, reported = torque(xp, *map(xp.asarray, (angle - command, speed, volts, viscosity)), 1.0, 0.02)
+    exerted, reported = torque(xp, *map(xp.asarray, (angle - command, speed, volts, viscosity)))
     expected = np.array([closed_form(*row) for row in zip(angle, speed, command, volts, viscosity, strict=True)])
     np.testing.assert_allclose(np.stack([exerted, reported], axis=1), expected, atol=1e-5)
     assert (np.abs(expected[:, 0]) == 3.5).any()

@@ -16,6 +16,8 @@ DIRECTION = np.array([-1, -1, -1, -1, 1, 1, 1, 1], np.float32)
 each first."""
 POSITIONS, SPEEDS = slice(7, 23, 2), slice(6, 22, 2)
 """Indices of the motors in qpos and qvel; each is followed by the knee that it carries."""
+DAMPING = 0.02
+"""Share of the battery's voltage for each rad/s against the speed; the share for each radian to the command is 1."""
 RESISTANCE = 0.186
 TORQUE_CONSTANT = 0.0954
 """N m per ampere, and volts per rad/s of back-EMF."""
@@ -44,13 +46,13 @@ def legs_to_motors(xp: Any, action: Any) -> Any:
     return np.pi - np.pi / 4 * (extension + 1.5) + sign * np.pi / 4 * swing
 
 
-def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any, kp: float, kd: float) -> tuple[Any, Any]:
+def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any) -> tuple[Any, Any]:
     """Return the torques [N m] that motors exert and the torques that they report.
 
     `error` is the actual minus the commanded angle [rad], `speed` is in rad/s, `voltage` is the battery's, and
     `viscosity` [V s/rad] adds to the back-EMF.
     """
-    applied = xp.clip(-kp * error - kd * speed, -1.0, 1.0) * voltage
+    applied = xp.clip(-error - DAMPING * speed, -1.0, 1.0) * voltage
     reported = xp.clip(TORQUE_CONSTANT / RESISTANCE * applied, -MAX_REPORTED_TORQUE, MAX_REPORTED_TORQUE)
     current = xp.clip(applied - (TORQUE_CONSTANT + viscosity) * speed, -MAX_VOLTS, MAX_VOLTS) / RESISTANCE
     return xp.sign(current) * xp.interp(xp.abs(current), CURRENTS, TORQUES), reported
@@ -67,8 +69,6 @@ class MinitaurMotors:
 
     timestep: float = 0.002
     overheat: bool = True
-    kp: float = 1.0
-    kd: float = 0.02
 
     @property
     def max_hot(self) -> int:
@@ -79,7 +79,7 @@ class MinitaurMotors:
         angle, speed = qpos[..., POSITIONS] * DIRECTION, qvel[..., SPEEDS] * DIRECTION
         hot, voltage, viscosity = memory[..., :MOTORS], memory[..., -2:-1], memory[..., -1:]
         error = xp.clip(angle - command, -MAX_LEAD, MAX_LEAD)
-        exerted, reported = torque(xp, error, speed, voltage, viscosity, self.kp, self.kd)
+        exerted, reported = torque(xp, error, speed, voltage, viscosity)
         hot = xp.where(hot > self.max_hot, hot, (hot + 1) * (xp.abs(exerted) > OVERHEAT_TORQUE))
         controls = exerted * DIRECTION
         controls = controls * (hot <= self.max_hot) if self.overheat else controls
@@ -102,12 +102,12 @@ class MinitaurMotors:
         motors before every substep.
         """
         angle, speed, target = qpos[:, POSITIONS], qvel[:, SPEEDS], command * DIRECTION
-        hot, volts, viscosity = memory[:, :MOTORS], self.kp * memory[:, -2:-1], memory[:, -1:]
-        amperes, back_emf = volts / RESISTANCE, (TORQUE_CONSTANT + viscosity) / RESISTANCE
+        hot, voltage, viscosity = memory[:, :MOTORS], memory[:, -2:-1], memory[:, -1:]
+        amperes, back_emf = voltage / RESISTANCE, (TORQUE_CONSTANT + viscosity) / RESISTANCE
         effort, max_hot = np.zeros_like(target), self.max_hot
         stopped = hot > max_hot
         for _ in range(substeps):
-            effort = _within(_within(target - angle, MAX_LEAD) - self.kd / self.kp * speed, 1.0 / self.kp)
+            effort = _within(_within(target - angle, MAX_LEAD) - DAMPING * speed, 1.0)
             current = effort * amperes - back_emf * speed
             exerted = np.interp(current, SIGNED_CURRENTS, SIGNED_TORQUES)
             hot = np.where(stopped, hot, (hot + 1) * (np.abs(exerted) > OVERHEAT_TORQUE))
@@ -116,7 +116,7 @@ class MinitaurMotors:
                 exerted[stopped] = 0.0
             ctrl[:] = exerted
             step()
-        reported = _within(TORQUE_CONSTANT / RESISTANCE * effort * volts, MAX_REPORTED_TORQUE)
+        reported = _within(TORQUE_CONSTANT / RESISTANCE * effort * voltage, MAX_REPORTED_TORQUE)
         return np.concatenate([hot, reported * DIRECTION, memory[:, -2:]], axis=1)
 
 
