@@ -34,6 +34,8 @@ OVERHEAT_SECONDS = 1.0
 """Uninterrupted seconds of heating after which a motor shuts down until the next reset."""
 SIGNED_CURRENTS = np.concatenate([-CURRENTS[:0:-1], CURRENTS]).astype(np.float64)
 SIGNED_TORQUES = np.concatenate([-TORQUES[:0:-1], TORQUES]).astype(np.float64)
+LEAD, FULL, REPORTED = ((np.array(-limit), np.array(limit)) for limit in (MAX_LEAD, 1.0, MAX_REPORTED_TORQUE))
+ZERO = np.array(0.0)
 
 
 def legs_to_motors(xp: Any, action: Any) -> Any:
@@ -98,28 +100,36 @@ class MinitaurMotors:
         """Return the memory [n, 18] after `substeps` calls of `step()` on the host, as `Actuator` describes.
 
         It computes in the joints' signs, because each function of the model is odd, and omits the limit of 50 V, because
-        the torque is constant from 11 V on. A control step of one lane takes two thirds of the time of one that calls the
-        motors before every substep.
+        the torque is constant from 11 V on. Unless a motor can stop in this control step, its heating is counted once, at
+        the end. A control step of one lane takes half the time of one that calls the motors before every substep.
         """
         angle, speed, target = qpos[:, POSITIONS], qvel[:, SPEEDS], command * DIRECTION
         hot, voltage, viscosity = memory[:, :MOTORS], memory[:, -2:-1], memory[:, -1:]
         amperes, back_emf = voltage / RESISTANCE, (TORQUE_CONSTANT + viscosity) / RESISTANCE
-        effort, max_hot = np.zeros_like(target), self.max_hot
-        stopped = hot > max_hot
-        for _ in range(substeps):
-            effort = _within(_within(target - angle, MAX_LEAD) - DAMPING * speed, 1.0)
-            current = effort * amperes - back_emf * speed
-            exerted = np.interp(current, SIGNED_CURRENTS, SIGNED_TORQUES)
-            hot = np.where(stopped, hot, (hot + 1) * (np.abs(exerted) > OVERHEAT_TORQUE))
-            stopped = hot > max_hot
+        torques, stopped = np.empty((substeps, *target.shape)), hot > self.max_hot
+        may_stop = ((hot > self.max_hot - substeps) & ~stopped).any()
+        for torque in torques:
+            effort = _within(FULL, _within(LEAD, target - angle) - DAMPING * speed)
+            torque[:] = np.interp(effort * amperes - back_emf * speed, SIGNED_CURRENTS, SIGNED_TORQUES)
+            if may_stop:
+                hot = _heated(hot, stopped, torque[None])
+                stopped = hot > self.max_hot
+            ctrl[:] = torque
             if self.overheat:
-                exerted[stopped] = 0.0
-            ctrl[:] = exerted
+                np.copyto(ctrl, ZERO, where=stopped)
             step()
-        reported = _within(TORQUE_CONSTANT / RESISTANCE * effort * voltage, MAX_REPORTED_TORQUE)
+        hot = hot if may_stop else _heated(hot, stopped, torques)
+        reported = _within(REPORTED, TORQUE_CONSTANT / RESISTANCE * effort * voltage)
         return np.concatenate([hot, reported * DIRECTION, memory[:, -2:]], axis=1)
 
 
-def _within(x: np.ndarray, limit: float) -> np.ndarray:
-    """Return `x` clipped to [-limit, limit], on few numbers in a fraction of the time of `numpy.clip`."""
-    return np.minimum(np.maximum(x, -limit), limit)
+def _heated(hot: np.ndarray, stopped: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    """Return the counts [n, 8] of heating after `hot`, with `torques [k, n, 8]` in k substeps; those of `stopped` stay."""
+    cool = np.abs(torques) <= OVERHEAT_TORQUE
+    since = cool[::-1].argmax(axis=0)
+    return np.where(stopped, hot, np.where(cool.any(axis=0), since, hot + len(torques)))
+
+
+def _within(limits: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> np.ndarray:
+    """Return `x` after it was clipped in place; on few numbers `numpy.clip` and limits that are no arrays take longer."""
+    return np.minimum(np.maximum(x, limits[0], out=x), limits[1], out=x)
