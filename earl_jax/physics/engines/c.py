@@ -86,7 +86,8 @@ class Simulations:
         varied = [self.batch.expand(field).reshape(count, -1) for field in simulator.varied]
         parts = [*self.outputs, self.warmstart, self.memory, *mocap, *varied]
         ends = np.cumsum([part.shape[1] for part in parts])
-        self.inputs = [(part, slice(end - part.shape[1], end)) for part, end in zip(parts, ends, strict=True)]
+        columns = [slice(end - part.shape[1], end) for part, end in zip(parts, ends, strict=True)]
+        self.inputs = [(part, span) for part, span in zip(parts, columns, strict=True) if part.size]
         self.command = slice(ends[-1], None)
 
     def _rows(self, field: str) -> np.ndarray:
