@@ -153,6 +153,9 @@ def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
     parts: list[Any] = [SETTINGS[config.setting["name"]]]
     try:
         parts.append(env_class(config.env))
+    except InputError:
+        unknown = dict.fromkeys(names, "default")
+    try:
         method = dataclasses.replace(config, options=learner).build_method()
         parts += [method, method.learner]
         defaults["learner"] = method.learner.name
