@@ -1,5 +1,7 @@
 """The interface of the original benchmark: its scripts run with one changed import."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -175,3 +177,11 @@ def test_unsupported_calls_are_refused_and_the_peg_ignores_wide_starts():
         short().get_envs()[0].render("human")
     peg = earl_benchmark.EARLEnvs("sawyer_peg", "dense", wide_init_distr=True)
     assert peg._task == make("sawyer_peg", reward_type="dense")
+
+
+def test_an_env_is_pickled():
+    env = short().get_envs()[0]
+    env.reset()
+    twin = pickle.loads(pickle.dumps(env))
+    assert twin.is_successful() == env.is_successful()
+    assert (twin.step(HOLD)[0] == env.step(HOLD)[0]).all()

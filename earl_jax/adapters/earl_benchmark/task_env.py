@@ -1,7 +1,7 @@
 """A task with the four-tuple `step` of old gym, as the original's environments have it."""
 
 import dataclasses
-from collections.abc import Callable
+import functools
 from typing import Any
 
 import jax
@@ -27,8 +27,6 @@ class TaskEnv:
         task = dataclasses.replace(task, eval_horizon=LARGEST_INT)
         self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array")
         self._seed: int | None = int(np.random.randint(2**31))
-        self._reward = jax.jit(task.reward)
-        self._success = jax.jit(task.success)
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
@@ -64,15 +62,15 @@ class TaskEnv:
 
     def is_successful(self, obs: np.ndarray | None = None) -> Any:
         """Return whether `obs [..., s + g]`, or the current state, has reached its goal: bool, or bool [...]."""
-        return self._evaluate(self._success, obs)
+        return self._evaluate("success", obs)
 
     def compute_reward(self, obs: np.ndarray | None = None) -> Any:
         """Return the reward of arriving in `obs [..., s + g]`, or in the current state: a number, or [...]."""
-        return self._evaluate(self._reward, obs)
+        return self._evaluate("reward", obs)
 
-    def _evaluate(self, function: Callable, obs: np.ndarray | None) -> Any:
+    def _evaluate(self, name: str, obs: np.ndarray | None) -> Any:
         current = self._env.state.env_state.obs if obs is None else obs
-        value = np.array(function(np.asarray(current, np.float32)))
+        value = np.array(_of_obs(self._env.session.env, name, np.asarray(current, np.float32)))
         return value if value.ndim else value.item()
 
     def seed(self, seed: int | None = None) -> list[int | None]:
@@ -98,3 +96,9 @@ class TaskEnv:
     def unwrapped(self) -> "TaskEnv":
         """This env, which wraps none."""
         return self
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _of_obs(task: Env, name: str, obs: jax.Array) -> jax.Array:
+    """Return what the function `name` of `task` makes of `obs [..., s + g]`."""
+    return getattr(task, name)(obs)
