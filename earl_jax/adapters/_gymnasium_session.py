@@ -35,7 +35,8 @@ class GymnasiumSession:
             raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
         self.session, self.render_mode = session, render_mode
         view = session.env.view
-        self.metadata = self.metadata if view is None else {**self.metadata, "render_fps": round(1 / view.dt)}
+        pictures = {"render_modes": []} if view is None else {"render_fps": round(1 / view.dt)}
+        self.metadata = {**self.metadata, **pictures}
         self._state: ProtocolState | None = None
         self._scene: Any = None
         self._picture_size = (height, width)

@@ -13,6 +13,7 @@ from earl_jax.algos.naive import Naive
 from earl_jax.envs import list_envs, make, register_env
 from earl_jax.envs.tabletop import COASTERS, TabletopOrganization
 from earl_jax.protocol import Continuing, Deployment
+from tests.envs.chain import Chain
 
 TABLETOP = "tabletop_organization"
 LIFETIME = {"train_horizon": 7, "attempt_steps": 3}
@@ -45,6 +46,13 @@ def check(name, mode, **options):
 @pytest.mark.parametrize("mode", ["train", "eval"])
 def test_gymnasiums_checker_has_no_remarks(mode):
     assert check(TABLETOP, mode) == []
+
+
+def test_gymnasiums_checker_has_no_remarks_on_a_task_without_pictures(monkeypatch):
+    monkeypatch.setattr("earl_jax.envs._ENVS._table", {"chain": Chain})
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", {})
+    register_envs()
+    assert check("chain", "eval", width=64) == []
 
 
 @pytest.mark.slow
