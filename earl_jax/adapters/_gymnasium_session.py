@@ -41,6 +41,10 @@ class GymnasiumSession:
         self._scene: Any = None
         self._picture_size = (height, width)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy and a pickle take over: all but the scene of the pictures, which is made again."""
+        return {**self.__dict__, "_scene": None}
+
     @property
     def state(self) -> ProtocolState:
         """The current state of the lifetime or the episode; in a vector environment, of all lanes.

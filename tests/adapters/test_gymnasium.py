@@ -1,6 +1,8 @@
 """The gymnasium adapter: gymnasium's checker, and the rules of lifetimes and episodes."""
 
+import copy
 import dataclasses
+import pickle
 import warnings
 
 import gymnasium
@@ -53,6 +55,15 @@ def test_gymnasiums_checker_has_no_remarks_on_a_task_without_pictures(monkeypatc
     monkeypatch.setattr(gymnasium.envs.registration, "registry", {})
     register_envs()
     assert check("chain", "eval", width=64) == []
+
+
+def test_an_env_that_has_drawn_is_copied_and_pickled(graphics):
+    env = ResetFreeEnv(TABLETOP, **EPISODE, **PICTURES)
+    env.reset(seed=0)
+    picture = env.render()
+    for twin in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert (twin.render() == picture).all()
+        assert (twin.step(STAY)[0] == copy.deepcopy(env).step(STAY)[0]).all()
 
 
 @pytest.mark.slow
