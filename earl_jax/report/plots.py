@@ -77,7 +77,7 @@ def caption(smooth: int = 1, published: bool = False) -> str:
     """Return what a picture of `plot_runs` shows, as the caption of a figure."""
     text = f"Means over seeds with 95 % intervals; of fewer than {FEWEST_SEEDS} seeds, each is drawn thin instead."
     if published:
-        text = "Seeds thin and their means, over the five released seeds of the paper in grey with theirs."
+        text = "Seeds thin and their means, over the paper's released seeds, where there are any, in grey with theirs."
     smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
     return text + smoothing
 
