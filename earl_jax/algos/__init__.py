@@ -138,12 +138,15 @@ def method_for(env: Env, name: str, **options) -> Method:
 
 def _leaf(field: dataclasses.Field, value: Any) -> Any:
     """Return `value` as `field` holds it: a list has a value for each lane, or it is a static option, such as sizes."""
-    if not isinstance(value, list | tuple):
-        return value
-    if not field.metadata.get("pytree_node", True):
-        return tuple(value)
     import numpy as np
 
+    is_static = not field.metadata.get("pytree_node", True)
+    if is_static and isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        return value
+    if is_static:
+        return tuple(value)
     try:
         with np.errstate(over="ignore"):  # too large values become infinite, and the check of intervals refuses them
             return np.asarray(value, np.float32)

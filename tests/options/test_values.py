@@ -178,3 +178,7 @@ def test_the_command_line_reads_minutes_and_writes_them():
         with pytest.raises(InputError, match=f"not {shown}$"):
             parse_minutes(text)
     assert [str(TimeLimit.of(minutes)) for minutes in (1, 0.5, 90)] == ["1 minute", "0.5 minutes", "90 minutes"]
+
+
+def test_sizes_can_be_an_array():
+    assert make_algo("naive", hidden_sizes=np.array([16, 8])).learner.hidden_sizes == (16, 8)
