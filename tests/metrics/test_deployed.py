@@ -47,6 +47,12 @@ def test_dense_returns_are_undiscounted_sums(env):
     assert float(total) == pytest.approx(7 * float(reward), rel=1e-5)
 
 
+def test_an_episode_ends_where_the_simulation_breaks(env):
+    """The policy's NaN breaks the simulation at once: no success, and a return of the steps before it, not NaN."""
+    result = jax.jit(lambda: episode(env, lambda obs: jnp.full(3, jnp.nan), env.reset(KEY), 10))()
+    assert (float(result["success"]), float(result["return"])) == (0.0, 0.0)
+
+
 def test_an_unknown_way_to_draw_pairs_is_refused(env):
     with pytest.raises(ValueError, match="pairs must be one of random, balanced, not 'stratified'"):
         deployed(env, idle, KEY, 1, 4, pairs="stratified")

@@ -2,14 +2,12 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from earl_jax.envs import make
 from earl_jax.envs.tabletop import TabletopOrganization
-from earl_jax.metrics.deployed import episode
 from earl_jax.protocol import Deployment
 from earl_jax.training.state import MAP_BINS, Problem
 from tests.conftest import (
@@ -99,28 +97,6 @@ def test_a_fault_is_an_intervention_of_its_lane_alone_and_never_learnt_from(door
     assert row not in index[: counts[1, 0], 1]
     restart = np.asarray(after.replay.state[row + 1, 1])
     np.testing.assert_allclose(restart[:3], door.env.initial_states[0, :3], atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_peg", "minitaur_pen"])
-def test_an_action_that_is_not_finite_is_a_fault(name):
-    """The kinematic task, a task that moves a mocap body, and one that drives actuators."""
-    env = make(name) if name == "tabletop_organization" else make(name, engine="c")
-
-    @jax.jit
-    def fault_after(state, action):
-        return env.fault(env.step(state, action))
-
-    state = jax.jit(env.reset)(jax.random.key(0))
-    action = jnp.zeros(env.action_size)
-    assert not bool(fault_after(state, action))
-    assert bool(fault_after(state, action.at[0].set(jnp.nan)))
-
-
-def test_an_evaluation_episode_ends_where_the_simulation_breaks(env):
-    """The policy's NaN breaks the simulation at once: no success, and a return of the steps before it, not NaN."""
-    result = jax.jit(lambda key: episode(env, lambda obs: jnp.full(3, jnp.nan), env.reset(key), 10))(jax.random.key(0))
-    assert float(result["success"]) == 0.0
-    assert float(result["return"]) == 0.0
 
 
 @dataclasses.dataclass(frozen=True)
