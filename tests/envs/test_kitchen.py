@@ -56,22 +56,15 @@ def test_the_released_starts_have_two_appliances_open_and_its_time_step():
     assert changed == {tuple(sorted(PARTS[first] | PARTS[second])) for first, second in task.PAIRS}
 
 
-def test_the_variant_that_returns_to_the_mean_start_starts_as_the_kitchen(registries):
-    from benchmarks.paper.kitchen_variants import MeanReturnKitchen
+def test_variants_return_to_the_mean_start_from_all_pairs_or_to_the_one_pair_from_which_they_start(registries):
+    from benchmarks.paper.kitchen_variants import MeanReturnKitchen, OnePairKitchen
 
-    variant = MeanReturnKitchen(noise=False)
-    np.testing.assert_allclose(variant.initial_states, ENV.initial_states.mean(axis=0, keepdims=True))
-    np.testing.assert_array_equal(variant.reset(KEY).obs, EXACT.reset(KEY).obs)
-    assert variant.starts.count == 6
-
-
-def test_the_variant_with_one_pair_starts_from_it_and_returns_to_it(registries):
-    from benchmarks.paper.kitchen_variants import OnePairKitchen
-
-    variant = OnePairKitchen(noise=False, pair=3)
-    np.testing.assert_array_equal(variant.initial_states, ENV.initial_states[3:4])
-    np.testing.assert_allclose(variant.reset(KEY).obs[9:23], ENV.initial_states[3, 9:], atol=0.01)
-    assert variant.starts.count == 1
+    mean, one = MeanReturnKitchen(noise=False), OnePairKitchen(noise=False, pair=3)
+    np.testing.assert_allclose(mean.initial_states, ENV.initial_states.mean(axis=0, keepdims=True))
+    np.testing.assert_array_equal(mean.reset(KEY).obs, EXACT.reset(KEY).obs)
+    np.testing.assert_array_equal(one.initial_states, ENV.initial_states[3:4])
+    np.testing.assert_allclose(one.reset(KEY).obs[9:23], ENV.initial_states[3, 9:], atol=0.01)
+    assert (mean.starts.count, one.starts.count) == (6, 1)
 
 
 def test_reset_is_the_state_after_ten_released_steps_of_no_action():

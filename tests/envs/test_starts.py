@@ -138,13 +138,3 @@ def test_balanced_starts_of_a_task_with_one_pair_are_its_own():
     keys = jax.random.split(jax.random.key(3), 4)
     own, balanced = jax.jit(lambda: (jax.vmap(env.reset)(keys), balanced_starts(env, jax.random.key(3), 4)))()
     np.testing.assert_array_equal(own.obs, balanced.obs)
-
-
-@pytest.mark.parametrize(("name", "start"), [("tabletop_organization", "uniform"), ("sawyer_door", "wide")])
-def test_starts_have_the_types_of_a_reset_where_a_user_computes_in_float64(name, start):
-    env, kitchen, key = make(name), make("franka_kitchen"), jax.random.key(0)
-    expected = jax.eval_shape(env.reset, key)
-    with jax.enable_x64(True):
-        assert jax.eval_shape(start_of(env, start), key) == expected
-        balanced = jax.eval_shape(lambda: balanced_starts(kitchen, key, 6))
-    assert balanced == jax.eval_shape(jax.vmap(kitchen.reset), jax.random.split(key, 6))

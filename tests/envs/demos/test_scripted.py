@@ -62,16 +62,3 @@ def test_a_state_can_be_restored_from_a_demonstration(name):
     forward = env.demonstrations.load("forward")
     state = env.demonstrations.state_at(jnp.asarray(forward.states[0]), jnp.asarray(forward.goals[0]))
     np.testing.assert_allclose(state.obs, np.concatenate([forward.states[0], forward.goals[0]]), atol=2e-3)
-
-
-@pytest.mark.parametrize("name", ["dhand_lightbulb", "sawyer_door", "sawyer_peg", "tabletop_organization"])
-def test_expert_and_restored_state_have_their_types_where_a_user_computes_in_float64(name):
-    env = make(name)
-
-    def types():
-        state = env.demonstrations.state_at(np.zeros(env.state_size, np.float32), env.goal_states[0])
-        return state, env.demonstrations.expert(state.obs)
-
-    expected = jax.eval_shape(types)
-    with jax.enable_x64(True):
-        assert jax.eval_shape(types) == expected
