@@ -197,11 +197,6 @@ def test_a_damaged_config_is_one_line(finished, content, cause):
     assert_refused(finished, cause)
 
 
-def test_a_config_that_is_a_pipe_is_refused(finished):
-    damage.replaced("config.json", os.mkfifo)(finished)
-    assert "config.json is a link or not a regular file" in message_of(lambda: RunFolder.open(finished))
-
-
 @pytest.mark.parametrize("log", ['"abacus"', "5"])
 def test_an_unknown_log_concerns_training_only(finished, log):
     damage.set_entry(finished, "logs", f"[{log}]")

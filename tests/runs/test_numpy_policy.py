@@ -25,7 +25,7 @@ np.save(sys.argv[2], NumpyPolicy.load(sys.argv[1])(np.load(sys.argv[2])))
 
 
 def policy_of(env, learner):
-    agent = learner.init(jax.random.key(3), env.observation_size, env.action_size)
+    agent = jax.jit(lambda key: learner.init(key, env.observation_size, env.action_size))(jax.random.key(3))
     return Policy.of_actor(env, learner, agent.actor)
 
 

@@ -71,11 +71,6 @@ def test_options_of_task_and_setting_go_by_name_and_a_list_gives_each_lane_its_o
         tiny_train("naive", reward_scale=[1.0, 2.0, 3.0])
 
 
-def test_options_beside_a_method_object_are_refused():
-    with pytest.raises(ValueError, match="go with a method's name"):
-        train("tabletop_organization", earl_jax.make_algo("naive"), discount=0.9)
-
-
 def test_options_are_split_into_task_setting_and_method():
     options = {"setting": "continuing", "goal_change": 5, "budget": 3, "wide": True, "reward_scale": 1.0}
     env, setting, rest = split_options("tabletop_organization", options)
@@ -103,25 +98,16 @@ def test_options_are_split_into_task_setting_and_method():
         ({"env": TabletopOrganization(wide=np.zeros(2, bool))}, "tabletop_organization: wide must be a plain value"),
         ({"setting": Continuing(), "budget": 5}, r"object here: pass dataclasses.replace\(setting, budget=5\)"),
         ({"env": TabletopOrganization(), "wide": True}, r"object here: pass dataclasses.replace\(task, wide=True"),
+        ({"algo": earl_jax.make_algo("naive"), "discount": 0.9}, "go with a method's name"),
+        ({"env": TabletopOrganization}, r"the task must be a .*; did you mean TabletopOrganization\(\)"),
+        ({"env": None}, "the task must be a name or an object, not None"),
+        ({"algo": Naive}, r"the method must be a name or an object, .*; did you mean Naive\(\)"),
+        ({"algo": SAC()}, r"the method must be a name or an object, not SAC\("),
     ],
 )
-def test_an_unknown_misplaced_or_invalid_option_is_refused_with_the_fix(options, message):
-    with pytest.raises(ValueError, match=message):
-        train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
-
-
-@pytest.mark.parametrize(
-    ("task", "method", "message"),
-    [
-        (TabletopOrganization, "naive", r"the task must be a .*; did you mean TabletopOrganization\(\)"),
-        (None, "naive", "the task must be a name or an object, not None"),
-        ("tabletop_organization", Naive, r"the method must be a name or an object, .*; did you mean Naive\(\)"),
-        ("tabletop_organization", SAC(), r"the method must be a name or an object, not SAC\("),
-    ],
-)
-def test_a_class_in_the_place_of_an_object_is_refused(task, method, message, no_training):
+def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(options, message, no_training):
     with pytest.raises(InputError, match=message):
-        train(task, method, steps=40, eval_every=40)
+        train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
 
 
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):

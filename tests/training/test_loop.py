@@ -172,7 +172,7 @@ def test_demonstrations_are_sampled_until_the_replay_is_full_of_own_transitions_
 ):
     """Two controllers have twice the capacity of one."""
     method = tiny_method(algo, replay_capacity=capacity, keep_demos=keep_demos, batch_size=1024)
-    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK)
+    state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
     rows = jax.jit(lambda step: loop.sample(method, state.replace(step=step), state.lanes.key)[1].row)
     demonstrated = [bool((rows(step) < state.replay.first_row).any()) for step in (CHUNK - 1, CHUNK)]
     assert demonstrated == [True, keep_demos]

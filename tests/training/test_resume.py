@@ -58,12 +58,15 @@ def test_a_run_resumed_from_its_last_checkpoint_but_one_ends_bit_identical(tmp_p
     assert [path.name for path in sorted((tmp_path / "part/checkpoints").iterdir())] == ["000000080", "000000120"]
 
 
-def test_a_finished_run_is_not_trained_again(tmp_path):
+def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_stopped(tmp_path):
     first = tiny_train("naive", out=tmp_path / "run")
     again = earl_jax.resume(tmp_path / "run")
     assert_equal_results(again, first)
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
+    RunFolder.open(tmp_path / "run").record(steps=200)
+    earl_jax.resume(tmp_path / "run", steps=np.int64(120))
+    assert RunFolder.open(tmp_path / "run").config.steps == 120
 
 
 @pytest.mark.parametrize(
@@ -80,13 +83,6 @@ def test_a_finished_run_is_not_trained_again(tmp_path):
 def test_arguments_of_another_kind_are_refused(folder, options, message):
     with pytest.raises(InputError, match=message):
         earl_jax.resume(folder, **options)
-
-
-def test_a_run_can_end_where_it_stopped(tmp_path):
-    tiny_train("naive", out=tmp_path / "run")
-    RunFolder.open(tmp_path / "run").record(steps=200)
-    earl_jax.resume(tmp_path / "run", steps=np.int64(120))
-    assert RunFolder.open(tmp_path / "run").config.steps == 120
 
 
 def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
