@@ -14,7 +14,7 @@ from earl_jax.adapters.gymnasium import ResetFreeEnv, ResetFreeVectorEnv, env_id
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import list_envs, make, register_env
 from earl_jax.envs.tabletop import COASTERS, TabletopOrganization
-from earl_jax.protocol import Continuing, Deployment
+from earl_jax.protocol import Deployment
 from tests.envs.chain import Chain
 
 TABLETOP = "tabletop_organization"
@@ -102,40 +102,12 @@ def test_a_lifetime_never_ends_and_has_interventions_on_schedule_and_at_resets_w
     assert env.state.step == 0
 
 
-def test_a_reached_goal_is_followed_by_another():
-    env = ResetFreeEnv(TABLETOP)
-    obs, _ = env.reset(seed=0)
-    goals = []
-    for _ in range(250):
-        obs, reward, _, _, info = env.step(np.asarray(env.session.env.demonstrations.expert(obs)))
-        assert reward == info["success"]
-        if info["success"]:
-            assert env.state.attempt_age == 0
-            goals.append(info["goal"])
-    assert len(goals) > 4
-    assert len(np.unique(goals, axis=0)) > 1
-    assert all((goal[2:4] == COASTERS).all(axis=1).any() for goal in goals)
-
-
 def test_a_goal_that_is_not_reached_times_out():
     assert ResetFreeEnv(TABLETOP).session.attempt_steps == Naive().episode_length
     env = ResetFreeEnv(TABLETOP, **LIFETIME)
     goals = [env.reset(seed=0)[0][6:], *(env.step(STAY)[0][6:] for _ in range(140))]
     changes = 1 + np.flatnonzero((np.diff(goals, axis=0) != 0).any(axis=1))
     assert set(changes % 7) == {3, 6, 0}  # after three steps, after three more, and at the intervention
-
-
-@pytest.mark.slow
-def test_goals_of_the_continuing_setting_change_on_a_schedule_and_stay_at_a_reset():
-    env = ResetFreeEnv(TABLETOP, setting=Continuing(goal_change=7), train_horizon=50)
-    goals = [env.reset(seed=1)[0][6:], *(env.step(STAY)[0][6:] for _ in range(140))]
-    changes = 1 + np.flatnonzero((np.diff(goals, axis=0) != 0).any(axis=1))
-    assert len(changes) > 5
-    assert (changes % 7 == 0).all()
-    obs, _ = env.reset()
-    np.testing.assert_array_equal(obs[6:], goals[-1])
-    env.set_goal(obs[:6])
-    assert (env.reset()[0][8:10] == COASTERS).all(axis=1).any()
 
 
 def test_a_set_goal_stays_until_the_choice_is_given_back():

@@ -123,6 +123,22 @@ def test_the_environment_chooses_again_when_asked_and_at_an_intervention(own_goa
         assert not np.array_equal(jax.random.key_data(chosen.key), jax.random.key_data(lives.key))
 
 
+def test_the_goal_of_the_schedule_stays_at_an_intervention_and_when_the_choice_is_given_back():
+    env = Chain()
+
+    @jax.jit
+    @jax.vmap
+    def goals(key):
+        life = init(env, Protocol(0, 5, goal_change=7), key)
+        given_back = set_goal(env, set_goal(env, life, 1 + life.task_goal))
+        return life.task_goal, given_back.obs[1:], intervene(env, life).obs[1:]
+
+    first, *later = goals(jax.random.split(jax.random.key(1), 20))
+    assert len(np.unique(first)) == 2
+    for chosen in later:
+        np.testing.assert_array_equal(chosen, first)
+
+
 def test_both_scores_of_a_life_of_two_windows():
     env, protocol = OneGoal(fragile=False), Protocol(0, 4, eval_episodes=3)
 

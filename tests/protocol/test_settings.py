@@ -50,8 +50,6 @@ def test_unknown_settings_and_options_are_refused():
         setting_of("lifelong")
     with pytest.raises(ValueError, match="setting 'deployment' has no option 'goal_change'"):
         setting_of("deployment", goal_change=3)
-    with pytest.raises(ValueError, match=r"setting: goal_change must lie in \[1, .*, not 0"):
-        Continuing(goal_change=0)  # used to leave the goals to the agent
 
 
 def test_a_setting_balances_the_pairs_of_evaluations(env):
