@@ -45,6 +45,12 @@ def start(*arguments):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
 
 
+def start_two(*arguments, minutes=("60", "60")):
+    """Return the processes of one command on two hosts, each with its limit of `minutes`."""
+    address = f"localhost:{free_port()}"
+    return [start(*arguments, "--hosts", f"{address},2,{number}", "--minutes", minutes[number]) for number in range(2)]
+
+
 def run_process(*arguments):
     """Return exit code, stdout and stderr of one command in its own process."""
     process = start(*arguments)

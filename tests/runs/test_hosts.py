@@ -9,7 +9,7 @@ import pytest
 
 from earl_jax.errors import InputError
 from earl_jax.runs.hosts import join_hosts
-from tests.cli.process import free_port, run, start, training
+from tests.cli.process import run, start_two, training
 
 
 def test_hosts_take_auto_or_an_address_with_two_numbers(monkeypatch):
@@ -20,11 +20,6 @@ def test_hosts_take_auto_or_an_address_with_two_numbers(monkeypatch):
     monkeypatch.setattr(jax.distributed, "initialize", Mock(side_effect=ValueError("no address")))
     with pytest.raises(InputError, match=r"--hosts auto: no cluster \(no address\); give ADDRESS:PORT,HOSTS,NUMBER"):
         join_hosts("auto")
-
-
-def start_two(*arguments):
-    address = f"localhost:{free_port()}"
-    return [start(*arguments, "--hosts", f"{address},2,{number}") for number in range(2)]
 
 
 @pytest.mark.slow

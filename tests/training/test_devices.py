@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,8 +9,7 @@ import pytest
 import earl_jax
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.devices import lane_mesh
-from tests.cli.process import free_port, run_code
-from tests.conftest import CACHE
+from tests.cli.process import run_code, start_two
 
 FOUR_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
 SETUP = """
@@ -72,17 +69,9 @@ def test_other_numbers_of_devices_than_there_are_is_an_error(devices, message):
 
 
 def run_on_two_hosts(*arguments, minutes=("60", "60")):
-    address = f"localhost:{free_port()}"
-    env = {**os.environ, "EARL_JAX_CACHE": str(CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
-    hosts = [
-        subprocess.Popen(
-            [sys.executable, "-m", "earl_jax.cli", *arguments, "--hosts", f"{address},2,{number}", "--minutes", minutes[number]],
-            env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )
-        for number in range(2)
-    ]  # fmt: skip
+    hosts = start_two(*arguments, minutes=minutes)
     try:
-        outputs = [host.communicate(timeout=120)[0] for host in hosts]
+        outputs = [host.communicate(timeout=120) for host in hosts]
     finally:
         for host in hosts:
             host.kill()
