@@ -153,19 +153,13 @@ NUMBERS = {
     "earl_jax.algos.naive:Naive.episode_length": 1_000,
     "earl_jax.algos.r3l:R3L.rnd_decay": 0.99,
     "earl_jax.algos.r3l:_NETWORK.layer_sizes": (256, 256, 512),
-    "earl_jax.protocol:Protocol.eval_every": 10_000,
-    "earl_jax.protocol:Protocol.eval_episodes": 10,
     "earl_jax.protocol:Protocol.intervention_chance": 0.0,
     "earl_jax.envs.tabletop:TOLERANCE": 0.2,
-    "earl_jax.envs.sawyer.door:SawyerDoor.radius": {"released": 0.02, "paper": 0.08},
-    "earl_jax.envs.sawyer.peg:SawyerPeg.radius": {"released": 0.05, "paper": 0.05},
     "earl_jax.envs.dhand.observation:FINGERS": 16,
     "earl_jax.envs.dhand.observation:ARM": 7,
     "earl_jax.envs.minitaur.motors:MOTORS": 8,
     "earl_jax.envs.minitaur.pen:EFFORT": {"released": -0.005 * 0.002, "paper": 0.02},
     "earl_jax.paper.figure2:HORIZONS": (1_000, 2_000, 5_000, 10_000, 20_000, 100_000, 200_000),
-    "earl_jax.envs.dm_control.cheetah_run:CheetahRun.eval_horizon": 1_000,
-    "earl_jax.envs.dm_control.fish_swim:FishSwim.eval_horizon": 1_000,
     "earl_jax.paper.artefact:METHODS": ("naive", "fbrl", "r3l", "vaprl", "oracle"),
     "earl_jax.paper.figure3:TASKS": ("tabletop_organization", "sawyer_peg", "minitaur_pen"),
     "earl_jax.paper.figure4:METHODS": ("fbrl", "vaprl", "oracle"),
@@ -184,12 +178,7 @@ def published(table: str, key: str, column: str) -> dict[str, str]:
 
 
 MEASURED = {
-    "observed numbers of the Sawyer tasks by the text": (
-        lambda: [envs.make(name, variant="paper").observation_size for name in ("sawyer_door", "sawyer_peg")],
-        [12, 12],
-    ),
     "object numbers of the kitchen": (lambda: sum(map(len, attribute("earl_jax.envs.kitchen.reward:COMPONENTS"))), 14),
-    "goals": (lambda: [len(envs.make(name).goal_states) for name in envs.PAPER_TASKS], [4, 1, 1, 1, 1, 12]),
     "demonstrations of each tabletop goal": (
         lambda: list(Counter(map(tuple, demonstrated_goals("tabletop_organization"))).values()),
         [3, 3, 3, 3],
