@@ -2,12 +2,13 @@
 
 import contextlib
 import fcntl
+import functools
 import gc
 import os
 import platform
 import shutil
 import sys
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -19,7 +20,7 @@ os.environ.setdefault(
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX"
     " --xla_cpu_parallel_codegen_split_count=1"
     " --xla_disable_hlo_passes=while-loop-invariant-code-motion,while-loop-constant-sinking"
-    if version("jaxlib").startswith("0.10.") and platform.machine().lower() in ("x86_64", "amd64")
+    if metadata.version("jaxlib").startswith("0.10.") and platform.machine().lower() in ("x86_64", "amd64")
     else "",
 )
 
@@ -90,6 +91,8 @@ earl_jax.register_learner("slow", Slow)
 
 
 def pytest_configure(config):
+    search = functools.cache(lambda path, entry_points=metadata.entry_points, **group: entry_points(**group))
+    metadata.entry_points = lambda **group: search(tuple(sys.path), **group)  # it reads the metadata of every package
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
     config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
