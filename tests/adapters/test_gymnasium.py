@@ -14,7 +14,7 @@ from earl_jax.adapters.gymnasium import ResetFreeEnv, ResetFreeVectorEnv, env_id
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import list_envs, make, register_env
 from earl_jax.envs.tabletop import COASTERS, TabletopOrganization
-from earl_jax.protocol import Deployment
+from earl_jax.protocol import Continuing, Deployment, Protocol
 from tests.envs.chain import Chain
 
 TABLETOP = "tabletop_organization"
@@ -100,6 +100,11 @@ def test_a_lifetime_never_ends_and_has_interventions_on_schedule_and_at_resets_w
     assert env.state.step == 15
     assert env.reset(seed=3)[1]["interventions"] == 0
     assert env.state.step == 0
+
+
+def test_a_lifetime_has_the_protocol_of_its_setting():
+    env = ResetFreeEnv(TABLETOP, setting=Continuing(goal_change=7), train_horizon=50)
+    assert env.session.protocol == Protocol(50, 200, goal_change=7)
 
 
 def test_a_goal_that_is_not_reached_times_out():
