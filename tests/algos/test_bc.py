@@ -2,16 +2,14 @@
 
 import jax
 import numpy as np
-import pytest
 
-from earl_jax import InputError
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.cloning import clone, cloning_loss
-from earl_jax.envs import TaskDemos, make
+from earl_jax.envs import TaskDemos
 from earl_jax.training.demos import demo_steps
 from earl_jax.training.plan import prepare
 from tests.algos.lives import OPTIONS, lived
-from tests.conftest import assert_equal_trees, make_problem, make_train_state, take_lane, tiny_method
+from tests.conftest import assert_equal_trees, make_train_state, take_lane, tiny_method
 
 
 def lane_actor(state):
@@ -80,10 +78,3 @@ def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(proble
     assert 0 < len(forward.obs) < len(both.obs)
     assert set(forward.controller.tolist()) == {0}
     assert len(forward.of(1).obs) == len(forward.obs)
-
-
-@pytest.mark.parametrize(("algo", "options"), [("bc", {}), ("naive", {"pretrain_steps": 5})])
-def test_cloning_needs_demonstrations(algo, options):
-    problem = make_problem(make("minitaur_pen"), eval_every=40)
-    with pytest.raises(InputError, match=f"{algo} needs demonstrations to clone, and minitaur_pen has none"):
-        prepare(problem, tiny_method(algo, **options), 2, 120)

@@ -61,10 +61,10 @@ def test_a_seed_is_selected_and_its_policy_can_be_called(env):
 
 
 def test_options_of_task_and_setting_go_by_name_and_a_list_gives_each_lane_its_own_hyper_parameter():
-    world = {"seeds": [5, 6], "wide": True, "intervention_chance": 0.01}
+    world = {"seeds": [5, 6], "train_horizon": 70, "intervention_chance": 0.01}
     mixed = tiny_train("naive", **world, reward_scale=[1.0, 5.0], learning_rate=[1e-3, 1e-4])
     same = tiny_train("naive", **world, reward_scale=5.0, learning_rate=1e-4)
-    assert (same.env.wide, same.config.setting) == (True, {"name": "deployment", "intervention_chance": 0.01})
+    assert (same.env.train_horizon, same.config.setting) == (70, {"name": "deployment", "intervention_chance": 0.01})
     np.testing.assert_array_equal(mixed.metrics["entropy"][1], same.metrics["entropy"][1])
     assert (mixed.metrics["entropy"][0] != same.metrics["entropy"][0]).any()
     with pytest.raises(ValueError, match=r"^reward_scale has shape \(3,\); .* each of 2 lanes"):

@@ -10,7 +10,6 @@ from flax import struct
 
 from earl_jax.algos import SAC, Learner, Method
 from earl_jax.algos.method import RETURN
-from earl_jax.algos.naive import Naive
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
@@ -220,14 +219,6 @@ class Reporter(Method):
         return {"metrics": {"answer": jnp.asarray(42.0)}}
 
 
-def test_scalars_in_the_dict_metrics_of_a_methods_state_are_metrics():
-    """Those of a dict used to be left out without a word; tests/algos/test_methods.py has an attribute, MEDAL's."""
-    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
-    method = per_lane(Reporter(SAC(hidden_sizes=(8,))), 2)
-    metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
-    assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
-
-
 class Idle(struct.PyTreeNode):
     actor: tuple = ()
 
@@ -249,11 +240,12 @@ class Rest(Learner):
         return agent, {}
 
 
-def test_a_learner_without_parameters_is_finite():
-    """Its evaluation used to be a TypeError."""
+def test_scalars_in_the_dict_metrics_of_a_method_are_metrics_and_a_learner_without_parameters_is_finite():
+    """The former used to be left out, and the latter a TypeError; tests/algos/test_methods.py has an attribute, MEDAL's."""
     problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
-    method = per_lane(Naive(Rest()), 2)
+    method = per_lane(Reporter(Rest()), 2)
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
+    assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
     assert metrics["diverged"].tolist() == [0, 0]
 
 

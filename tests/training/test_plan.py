@@ -7,6 +7,7 @@ import pytest
 
 from earl_jax.algos import SAC, Method, Phase, make_algo
 from earl_jax.envs import make
+from earl_jax.errors import InputError
 from earl_jax.runs.files import RunWarning
 from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
 from tests.conftest import make_problem, tiny_method
@@ -42,11 +43,14 @@ def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
         prepare(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
 
 
-@pytest.mark.parametrize("algo", ["medal", "vaprl"])
-def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_them(algo):
+@pytest.mark.parametrize(
+    ("algo", "options", "purpose"),
+    [("medal", {}, ""), ("vaprl", {}, ""), ("bc", {}, " to clone"), ("naive", {"pretrain_steps": 5}, " to clone")],
+)
+def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_them(algo, options, purpose):
     problem = make_problem(make("fish_swim"), eval_every=40)
-    with pytest.raises(ValueError, match=f"{algo} needs demonstrations, and fish_swim has none"):
-        prepare(problem, tiny_method(algo), lanes=2, steps=120)
+    with pytest.raises(InputError, match=f"{algo} needs demonstrations{purpose}, and fish_swim has none"):
+        prepare(problem, tiny_method(algo, **options), lanes=2, steps=120)
 
 
 @pytest.mark.filterwarnings("error")
