@@ -1,6 +1,7 @@
 """Hostile texts stay text in reports."""
 
 import json
+import re
 import shutil
 
 import pytest
@@ -67,7 +68,9 @@ def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch)
             hostile = dict.fromkeys(("commit", "created", "python", "device"), text)
             change_config(folders[-1], provenance={**recorded, **hostile})
     for name, runs in (("clean", folders[:1]), ("page", folders)):
-        succeed("report", *runs, "--out", f"{name}.html")
+        told = succeed("report", *runs, "--out", f"{name}.html")
+        assert re.fullmatch(rf"{name}\.html: \d+\.\d MB\n", told)
     page, clean = ((tmp_path / f"{name}.html").read_text() for name in ("page", "clean"))
+    assert "Visited positions" in clean
     assert not runs_code(page, clean)
     assert all(runs_code(clean + text, clean) for text in HOSTILE[:3])

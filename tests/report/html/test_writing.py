@@ -8,14 +8,12 @@ import re
 import numpy as np
 import pytest
 
-from earl_jax.cli.inspect_runs import report
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.scores import DEFAULT
 from earl_jax.report.html import writing
 from earl_jax.report.html.writing import watch_page, write_page
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
-from tests.conftest import tiny_train
 from tests.report.html.conftest import EVIL, Reader
 from tests.report.run_files import change_config, rising, write_page_run
 
@@ -179,12 +177,3 @@ def test_a_page_that_cannot_be_watched_is_an_error_at_once(tmp_path, pages):
     with pytest.raises(ValueError, match=r"page\.pdf: a report is written as an \.html file"):
         watch(tmp_path, tmp_path / "page.pdf")
     assert "every must be at least 1 second, not 0.1" in run("report", tmp_path, "--watch", "--every", "0.1")[2]
-
-
-@pytest.mark.slow
-def test_a_trained_run_has_a_map_of_its_positions(tmp_path, capsys):
-    tiny_train("fbrl", out=tmp_path / "run", steps=80)
-    report((tmp_path,), tmp_path / "page.html")
-    assert re.fullmatch(r".*page\.html: \d\.\d MB\n", capsys.readouterr().out)
-    [visits] = Reader((tmp_path / "page.html").read_text()).numbers()["t0"]["maps"]
-    assert np.sum([share or 0 for row in visits["shares"] for share in row]) == pytest.approx(1, abs=0.01)
