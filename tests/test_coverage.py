@@ -15,9 +15,8 @@ import pytest
 
 from earl_jax import algos, assets, envs, protocol, training
 from earl_jax.paper import reproduce
-from tests.test_docs import DOCS, PAGES
+from tests.test_docs import DOCS, PAGES, ROOT, table_rows
 
-ROOT = DOCS.parent
 PAGE = DOCS / "developers" / "coverage.md"
 CLASSES = ("same", "differs", "option", "open")
 OBJECT, OPTION, FILE = r"[\w.]*:[\w.]+", r"([a-z]\w*): (\w+)=(\S+)", r"assets/[\w./]+"
@@ -38,21 +37,9 @@ class Item(NamedTuple):
 
 
 def items_of(text: str) -> list[Item]:
-    """Return the items of a page of coverage; comments in it are left out.
-
-    Raises:
-        ValueError: a row of a table of items has another number of cells.
-    """
-    items = []
-    for table in re.findall(
-        r"^\| (?:paper|promise) \| code \| here \|\n\|[-| ]*\n((?:\|.*\n)*)", text, flags=re.MULTILINE
-    ):
-        for row in re.sub(r"<!--.*?-->", "", table).splitlines():
-            cells = [cell.strip() for cell in row.strip("|").split("|")]
-            if len(cells) != len(Item._fields):
-                raise ValueError(f"{row}: expected {len(Item._fields)} cells")
-            items.append(Item(*cells))
-    return items
+    """Return the items of a page of coverage; comments in it are left out. A row must have the cells of an item."""
+    text = re.sub(r"<!--.*?-->", "", text)
+    return [Item(*cells) for first in ("paper", "promise") for cells in table_rows(text, first)]
 
 
 def attribute(path: str) -> Any:
