@@ -15,11 +15,9 @@ from earl_jax.envs import (
     HelpBudget,
     KinematicEnv,
     MujocoEnv,
-    balanced_starts,
     env_class,
     list_envs,
     make,
-    start_of,
     with_engine,
 )
 from earl_jax.envs.dhand.observation import TABLE
@@ -146,23 +144,6 @@ def test_reset_and_step_are_the_same_program_where_a_user_computes_in_float64(na
     expected = traced()
     with jax.enable_x64(True):
         assert traced() == expected
-
-
-@EVERY_TASK
-def test_starts_and_demonstrations_have_their_types_where_a_user_computes_in_float64(name):
-    env, key = make(name), jax.random.key(0)
-    state_at, expert = env.demonstrations.state_at, env.demonstrations.expert
-
-    def types():
-        starts = [start_of(env, kind)(key) for kind in ("uniform", "wide") if getattr(env.starts, kind)]
-        shown = state_at and state_at(np.zeros(env.state_size, np.float32), env.goal_states[0])
-        return starts, balanced_starts(env, key, 6), shown, shown and expert(shown.obs)
-
-    expected, reset = jax.eval_shape(types), jax.eval_shape(env.reset, key)
-    with jax.enable_x64(True):
-        assert jax.eval_shape(types) == expected
-    assert all(state == reset for state in expected[0])
-    assert expected[1] == jax.eval_shape(jax.vmap(env.reset), jax.random.split(key, 6))
 
 
 @pytest.mark.parametrize("name", NUMBERS)

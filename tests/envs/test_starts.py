@@ -138,3 +138,20 @@ def test_balanced_starts_of_a_task_with_one_pair_are_its_own():
     keys = jax.random.split(jax.random.key(3), 4)
     own, balanced = jax.jit(lambda: (jax.vmap(env.reset)(keys), balanced_starts(env, jax.random.key(3), 4)))()
     np.testing.assert_array_equal(own.obs, balanced.obs)
+
+
+@pytest.mark.parametrize("name", list_envs())
+def test_starts_and_demonstrations_have_their_types_where_a_user_computes_in_float64(name):
+    env, key = make(name), jax.random.key(0)
+    state_at, expert = env.demonstrations.state_at, env.demonstrations.expert
+
+    def types():
+        starts = [start_of(env, kind)(key) for kind in ("uniform", "wide") if getattr(env.starts, kind)]
+        shown = state_at and state_at(np.zeros(env.state_size, np.float32), env.goal_states[0])
+        return starts, balanced_starts(env, key, 6), shown, shown and expert(shown.obs)
+
+    expected, reset = jax.eval_shape(types), jax.eval_shape(env.reset, key)
+    with jax.enable_x64(True):
+        assert jax.eval_shape(types) == expected
+    assert all(state == reset for state in expected[0])
+    assert expected[1] == jax.eval_shape(jax.vmap(env.reset), jax.random.split(key, 6))
