@@ -106,15 +106,17 @@ class MinitaurMotors:
         angle, speed, target = qpos[:, POSITIONS], qvel[:, SPEEDS], command * DIRECTION
         hot, voltage, viscosity = memory[:, :MOTORS], memory[:, -2:-1], memory[:, -1:]
         amperes, back_emf = voltage / RESISTANCE, (TORQUE_CONSTANT + viscosity) / RESISTANCE
-        torques, stopped = np.empty((substeps, *target.shape)), hot > self.max_hot
-        may_stop = ((hot > self.max_hot - substeps) & ~stopped).any()
+        torques, most = np.empty((substeps, *target.shape)), self.max_hot
+        stopped = hot > most
+        may_stop = ((hot > most - substeps) & ~stopped).any()
         for number in range(substeps):
             effort = _within(FULL, _within(LEAD, target - angle) - DAMPING * speed)
-            torques[number] = np.interp(effort * amperes - back_emf * speed, SIGNED_CURRENTS, SIGNED_TORQUES)
+            exerted = np.interp(effort * amperes - back_emf * speed, SIGNED_CURRENTS, SIGNED_TORQUES)
+            torques[number] = exerted
             if may_stop:
-                hot = _heated(hot, stopped, torques[number : number + 1])
-                stopped = hot > self.max_hot
-            ctrl[:] = torques[number]
+                hot = _heated(hot, stopped, exerted[None])
+                stopped = hot > most
+            ctrl[:] = exerted
             if self.overheat:
                 np.copyto(ctrl, ZERO, where=stopped)
             step()
