@@ -198,9 +198,9 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
 
 
 @functools.cache
-def jitted(session: Session, name: str, batched: bool = False) -> Callable:
-    """Return the method `name` of `session` under jit, for one lane or over a leading axis of lanes."""
-    method = package_types()(getattr(session, name))
+def jitted(owner: Session | Env, name: str, batched: bool = False) -> Callable:
+    """Return the method `name` of a session or a task under jit, for one lane or over a leading axis of lanes."""
+    method = package_types()(getattr(owner, name))
     return jax.jit(jax.vmap(method) if batched else method)
 
 

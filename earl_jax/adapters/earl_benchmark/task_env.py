@@ -1,12 +1,11 @@
 """A task with the four-tuple `step` of old gym, as the original's environments have it."""
 
 import dataclasses
-import functools
 from typing import Any
 
-import jax
 import numpy as np
 
+from earl_jax.adapters._session import jitted
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
@@ -70,7 +69,7 @@ class TaskEnv:
 
     def _evaluate(self, name: str, obs: np.ndarray | None) -> Any:
         current = self._env.state.env_state.obs if obs is None else obs
-        value = np.array(_of_obs(self._env.session.env, name, np.asarray(current, np.float32)))
+        value = np.array(jitted(self._env.session.env, name)(np.asarray(current, np.float32)))
         return value if value.ndim else value.item()
 
     def seed(self, seed: int | None = None) -> list[int | None]:
@@ -96,9 +95,3 @@ class TaskEnv:
     def unwrapped(self) -> "TaskEnv":
         """This env, which wraps none."""
         return self
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _of_obs(task: Env, name: str, obs: jax.Array) -> jax.Array:
-    """Return what the function `name` of `task` makes of `obs [..., s + g]`."""
-    return getattr(task, name)(obs)
