@@ -75,7 +75,8 @@ class Simulations:
 
     def __init__(self, simulator: "Simulator", model: Any, memory: int, count: int, threads: int):
         batch: Any = importlib.import_module("mujoco.batch")
-        self.actuator, self.substeps, self.timestep = simulator.actuator, simulator.substeps, model.opt.timestep
+        self.substeps, self.timestep = simulator.substeps, model.opt.timestep
+        self.actuator: Any = simulator.actuator
         self.batch = batch.Batch(model, count, threads)
         *self.outputs, self.warmstart = (self._rows(field) for field in CHANGED[:-1])
         _, self.qpos, self.qvel, _ = self.outputs
@@ -102,7 +103,7 @@ class Simulations:
         if self.actuator is None:
             warmstart, memory = self._hold(command), self.memory
         else:
-            warmstart, memory = self.warmstart, self._drive(self.actuator, command, self.memory)
+            warmstart, memory = self.warmstart, self._drive(command)
         return np.concatenate([*self.outputs, warmstart, memory, self.sensors], axis=1, dtype=np.float32)
 
     def _hold(self, command: np.ndarray) -> np.ndarray:
@@ -113,8 +114,9 @@ class Simulations:
         before = speeds[:, last - 1] if last else first
         return (speeds[:, last] - before) / self.timestep
 
-    def _drive(self, actuator: Any, command: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        """Simulate all substeps with the controls that `actuator` computes, and return its memory."""
+    def _drive(self, command: np.ndarray) -> np.ndarray:
+        """Simulate all substeps with the controls that the actuator computes, and return its memory."""
+        actuator, memory = self.actuator, self.memory
         if hasattr(actuator, "drive"):
             return actuator.drive(self.qpos, self.qvel, self.ctrl, command, memory, self.substeps, self.batch.step)
         for _ in range(self.substeps):
