@@ -1,7 +1,4 @@
-"""Variants of the kitchen and of FBRL for difference 13.
-
-earl-jax train TASK --algo METHOD --import benchmarks/paper/kitchen_variants.py
-"""
+"""Variants of the kitchen and of FBRL for difference 13, with `--import benchmarks/paper/kitchen_variants.py`."""
 
 import dataclasses
 from typing import Any, ClassVar
