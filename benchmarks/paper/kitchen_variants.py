@@ -9,6 +9,7 @@ import numpy as np
 import earl_jax
 from earl_jax.algos.fbrl import FBRL
 from earl_jax.algos.method import Moment
+from earl_jax.algos.r3l import R3L
 from earl_jax.envs import Env
 from earl_jax.envs.features import Starts
 from earl_jax.envs.kitchen.franka_kitchen import PAIRS, FrankaKitchen, with_open
@@ -80,6 +81,34 @@ class SuccessFBRL(FBRL):
         return env.success(obs) | super().ends_phase(key, env, agent, obs, moment, method_state)
 
 
+class BothFBRL(FBRL):
+    """FBRL whose two controllers learn at every step, as in VaPRL's released script with two agents.
+
+    This variant was chosen after a look at the released lives.
+    """
+
+    name: ClassVar[str] = "both_fbrl"
+    all_learn: ClassVar[bool] = True
+
+
+class BothSuccessFBRL(SuccessFBRL):
+    """FBRL whose two controllers learn at every step, and whose phases end on success.
+
+    This variant was chosen after a look at the released lives.
+    """
+
+    name: ClassVar[str] = "both_success_fbrl"
+    all_learn: ClassVar[bool] = True
+
+
+class BothR3L(R3L):
+    """R3L whose two controllers learn at every step. This variant was chosen after a look at the released lives."""
+
+    name: ClassVar[str] = "both_r3l"
+    all_learn: ClassVar[bool] = True
+
+
 for variant in (MeanReturnKitchen, OnePairKitchen):
     earl_jax.register_env(variant.name, variant)
-earl_jax.register_algo(SuccessFBRL.name, SuccessFBRL)
+for method in (SuccessFBRL, BothFBRL, BothSuccessFBRL, BothR3L):
+    earl_jax.register_algo(method.name, method)
