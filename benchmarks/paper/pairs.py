@@ -72,6 +72,11 @@ def _both_scores(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[Pair,
     return Pair(first, second), Pair(first, second, CONTINUING)
 
 
+def _ten_seeds(variant: str) -> tuple[str, str]:
+    """Return the run of a variant with seeds 0 to 4 and that with seeds 5 to 9."""
+    return variant, f"{variant}-seeds_5_to_9"
+
+
 def _released_replay(cell: str) -> tuple[Pair, ...]:
     """Return the tests of a cell with the released replay, against all transitions kept and against the released runs."""
     seeds = cell, f"{cell}/seeds_10_to_19"
@@ -138,7 +143,7 @@ DIFFERENCES = (
         Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
         for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
     )),
-    Difference("13", "the kitchen's life: light's weight; reward scale; random steps; float32; entropy; backward goal", (
+    Difference("13", "the kitchen's life: weight; reward; random steps; float32; entropy; backward goal; updates; ends", (
         *(
             Pair((_all_kept(f"{KITCHEN}/{algo}"),), (f"{KITCHEN}/{algo}/unweighted_light",), CONTINUING)
             for algo in ("fbrl", "r3l")
@@ -150,6 +155,17 @@ DIFFERENCES = (
         *(
             Pair((_all_kept(f"{KITCHEN}/fbrl"),), (f"{KITCHEN}/fbrl/{name}",), CONTINUING)
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1", "one_pair")
+        ),
+        *(
+            Pair((f"{KITCHEN}/{algo}",), _ten_seeds(f"{KITCHEN}/{algo}/{name}"), CONTINUING)
+            for algo, name in (
+                ("fbrl", "both"), ("fbrl", "success"), ("fbrl", "both_success"), ("fbrl", "both_mean_return"),
+                ("fbrl", "timeout_bootstrap"), ("r3l", "timeout_bootstrap"),
+            )
+        ),
+        *(
+            Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/{name}",), CONTINUING)
+            for algo, name in (("fbrl", "both_success-timeout_bootstrap"), ("r3l", "both"))
         ),
         *_both_scores((_all_kept(f"{KITCHEN}/fbrl"),), (f"{KITCHEN}/fbrl/mean_return",)),
         Pair((f"{KITCHEN}/fbrl/mean_return",), PUBLISHED, CONTINUING),
@@ -163,7 +179,7 @@ DIFFERENCES = (
             for pair in _both_scores((variant,), other)
         ),
     )),
-    Difference("15", "the Minitaur's oracle and R3L: reward scale 1; ends at success; no randomisation; the paper's reward", (
+    Difference("15", "the Minitaur's oracle and R3L: reward; ends at success; no randomisation; bootstrapped time-outs", (
         *(
             Pair((f"{MINITAUR}/{algo}",), (f"{MINITAUR}/{algo}/{name}",))
             for name in ("reward_scale_1", "terminate_on_success") for algo in ("oracle", "r3l")
@@ -174,6 +190,10 @@ DIFFERENCES = (
             for name in ("no_randomize", "no_randomize-reward_scale_1")
         ),
         Pair((f"{MINITAUR}/oracle",), (f"{MINITAUR}/oracle/variant_paper",), SUCCESS),
+        *(
+            Pair((f"{MINITAUR}/{algo}/{RELEASED_REPLAY}",), (f"{MINITAUR}/{algo}/timeout_bootstrap",), metric)
+            for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
+        ),
     )),
     Difference("16", "the kitchen's oracle: the light's weight, with both of its runs; the release's reward scale 0.1", (
         Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/unweighted_light",)),
@@ -204,5 +224,9 @@ DIFFERENCES = (
     Difference("21", "the kitchen's backward goal of 13 on fresh seeds, with the released replay", (
         *_both_scores((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",)),
         Pair((f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",), PUBLISHED, CONTINUING),
+    )),
+    Difference("22", "figure 2 with the release's script to its 3M steps, fresh seeds; the biased update", tuple(
+        Pair((f"{biased[0]}-seeds_10_to_14",), (f"{bootstrapped[0]}-seeds_10_to_14",))
+        for biased, bootstrapped in zip(RELEASED_BIASED, RELEASED_BOOTSTRAPPED, strict=True)
     )),
 )  # fmt: skip

@@ -87,8 +87,6 @@ class Method(OptionsNode):
     divisor with its steps, and a warning says so."""
     refresh_batch_size: ClassVar[int] = 0
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
-    all_learn: ClassVar[bool] = False
-    """Whether both controllers learn at every step, each from its own transitions; else the one that acts."""
     later_steps: ClassVar[int] = 0
     """Mean number of steps to the states `later` that `prepare` receives, for hindsight goals; 0 for none."""
 

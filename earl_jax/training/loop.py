@@ -77,28 +77,10 @@ def update(
         state, batch = sample(method, state, keys.sample)
     batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
     learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
-    learnt = learn_lane(method, state.lanes, keys, batch)
-    if method.all_learn:
-        state, learnt = _learn_resting(method, state, learnt, keys, learn_lane)
-    pending, lanes = in_step_with_host(started.pending, learnt)
+    pending, lanes = in_step_with_host(started.pending, learn_lane(method, state.lanes, keys, batch))
     if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first
         lanes = jax.vmap(tree_where)(state.replay.counts.any(axis=1), lanes, state.lanes)
     return state.replace(lanes=lanes), started._replace(pending=pending)
-
-
-def _learn_resting(
-    method: Method, state: TrainState, learnt: LaneState, keys: StepKeys, learn_lane: Any
-) -> tuple[TrainState, LaneState]:
-    """Return the `learnt` lanes after an update of the controller that did not act, where it has transitions of its own."""
-    resting = state.replace(lanes=learnt.replace(phase=1 - learnt.phase))
-    keys = jax.tree.map(lambda keys: jax.vmap(jax.random.fold_in, (0, None))(keys, 1), keys)
-    resting, batch = sample(method, resting, keys.sample)
-    batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
-    both = learn_lane(method, resting.lanes, keys, batch)
-    both = both.replace(phase=learnt.phase, counters=learnt.counters)
-    counts = state.replay.counts - state.replay.demos
-    has_own = counts[jnp.arange(len(counts)), controller_of(method, resting.lanes.phase)] > 0
-    return resting.replace(lanes=state.lanes), jax.vmap(tree_where)(has_own, both, learnt)
 
 
 def finish(

@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks.physics import kitchen as benchmark
 from earl_jax import physics
-from earl_jax.algos.method import Moment
 from earl_jax.envs import make
 from earl_jax.envs.kitchen import franka_kitchen as task
 from earl_jax.envs.kitchen import reward as kitchen_reward
@@ -57,24 +56,13 @@ def test_the_released_starts_have_two_appliances_open_and_its_time_step():
     assert changed == {tuple(sorted(PARTS[first] | PARTS[second])) for first, second in task.PAIRS}
 
 
-def test_variants_return_to_the_mean_start_from_all_pairs_or_to_the_one_pair_from_which_they_start(registries):
-    from benchmarks.paper.kitchen_variants import MeanReturnKitchen, OnePairKitchen
+def test_the_variant_that_returns_to_the_mean_starts_from_all_pairs(registries):
+    from benchmarks.paper.kitchen_variants import MeanReturnKitchen
 
-    mean, one = MeanReturnKitchen(noise=False), OnePairKitchen(noise=False, pair=3)
+    mean = MeanReturnKitchen(noise=False)
     np.testing.assert_allclose(mean.initial_states, ENV.initial_states.mean(axis=0, keepdims=True))
     np.testing.assert_array_equal(mean.reset(KEY).obs, EXACT.reset(KEY).obs)
-    np.testing.assert_array_equal(one.initial_states, ENV.initial_states[3:4])
-    np.testing.assert_allclose(one.reset(KEY).obs[9:23], ENV.initial_states[3, 9:], atol=0.01)
-    assert (mean.starts.count, one.starts.count) == (6, 1)
-
-
-def test_a_variant_of_fbrl_ends_a_phase_whose_goal_is_reached(registries):
-    from benchmarks.paper.kitchen_variants import SuccessFBRL
-
-    state, moment = EXACT.reset(KEY), Moment(step=5, phase=jnp.asarray(1), phase_step=5, lane_key=KEY)
-    reached = EXACT.with_goal(state, state.obs[:23])
-    ends = [SuccessFBRL().ends_phase(KEY, EXACT, None, each.obs, moment, ()) for each in (state, reached)]
-    assert ends == [False, True]
+    assert mean.starts.count == 6
 
 
 def test_reset_is_the_state_after_ten_released_steps_of_no_action():
