@@ -3,6 +3,7 @@
 import contextlib
 import datetime
 import json
+import os
 import re
 import sys
 from collections.abc import Iterable, Iterator
@@ -38,6 +39,20 @@ def whole_number(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
         metavar="INT",
         instance_from_str=lambda texts: parse_whole(texts[0]),
         is_instance=lambda value: isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+@REGISTRY.primitive_rule
+def user_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """Return how a path is read: with the folder of the user for `~`, which a shell leaves in `--out=~/runs`."""
+    if kind.type is not Path:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=lambda texts: Path(os.path.expanduser(texts[0])),
+        is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda value: [str(value)],
     )
 

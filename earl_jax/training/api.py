@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 import shlex
 import warnings
 from collections.abc import Sequence
@@ -218,7 +219,7 @@ def _create_folder(
         if names:
             raise InputError(f"the log {names[0]} writes into a run folder: pass one with out=")
         return None
-    path = Path(out)
+    path = Path(os.path.expanduser(out))
     if not first_host():
         return RunFolder(path, run.config, names)
     return RunFolder.create(path, run.config, engine, names, overwrite)

@@ -14,6 +14,7 @@ from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
 from earl_jax.runs.config import method_options
 from earl_jax.training import select_seed, split_options, train
+from tests.cli.process import run
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
 
 
@@ -118,3 +119,16 @@ def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_p
     resumed = earl_jax.resume(tmp_path / "run", env=first.env, algo=first.method)
     assert resumed.config.options["learning_rate"] == 1e-3
     assert method_options(tiny_method("naive", learning_rate=np.array([1e-3, 1e-2])))["learning_rate"] == [1e-3, 1e-2]
+
+
+def test_a_folder_of_the_user_is_expanded_where_no_shell_does(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert (
+        tiny_train("naive", out="~/a run").folder.path
+        == earl_jax.load("~/a run").folder.path
+        == tmp_path / "home/a run"
+    )
+    assert run("table", "~/a run", "--out=~/table.md")[0] == 0
+    assert not (tmp_path / "~").exists()
+    assert (tmp_path / "home" / "table.md").exists()
