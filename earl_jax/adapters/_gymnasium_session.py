@@ -30,13 +30,13 @@ class GymnasiumSession:
         """
         require("width", width, PIXELS)
         require("height", height, PIXELS)
-        modes = self.metadata["render_modes"]
-        if render_mode not in (None, *modes):
-            raise InputError(f"render_mode {render_mode!r} is not one of None, {', '.join(modes)}")
-        self.session, self.render_mode = session, render_mode
         view = session.env.view
         pictures = {"render_modes": []} if view is None else {"render_fps": round(1 / view.dt)}
         self.metadata = {**self.metadata, **pictures}
+        modes = ", ".join(["None", *self.metadata["render_modes"]])
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"render_mode {render_mode!r} is not one of the modes of {session.env.name}: {modes}")
+        self.session, self.render_mode = session, render_mode
         self._state: ProtocolState | None = None
         self._scene: Any = None
         self._picture_size = (height, width)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from earl_jax.adapters import earl_benchmark
+from earl_jax.adapters.earl_benchmark.task_env import TaskEnv
 from earl_jax.adapters.earl_benchmark.wrappers.lifelong_wrapper import LifelongWrapper
 from earl_jax.adapters.earl_benchmark.wrappers.persistent_state_wrapper import PersistentStateWrapper
 from earl_jax.envs import make
+from tests.envs.chain import Chain
 
 HOLD = np.array([0.0, 0.0, -1.0])
 
@@ -177,3 +179,10 @@ def test_an_env_is_pickled():
     twin = pickle.loads(pickle.dumps(env))
     assert twin.is_successful() == env.is_successful()
     assert (twin.step(HOLD)[0] == env.step(HOLD)[0]).all()
+
+
+def test_a_task_without_pictures_can_be_stepped():
+    env = TaskEnv(Chain())
+    assert env.reset().shape == env.step(np.ones(1))[0].shape == (2,)
+    with pytest.raises(ValueError, match="'rgb_array' is not supported; this task has None"):
+        env.render()

@@ -202,6 +202,7 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         ({"task": [1]}, r"unknown task \[1\]"),
         ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
         ({"render_mode": "human"}, "render_mode 'human'"),
+        ({"task": Chain(), "render_mode": "rgb_array"}, "'rgb_array' is not one of the modes of chain: None$"),
         ({"starts": "wide"}, "starts='wide' is for episodes"),
         ({"starts": "far", **EPISODE}, "unknown starts 'far'; choose from initial, uniform, wide"),
         ({"num_envs": 0}, "num_envs must lie in"),

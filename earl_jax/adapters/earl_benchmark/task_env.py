@@ -24,7 +24,7 @@ class TaskEnv:
     def __init__(self, task: Env):
         """Make the env of `task`, with gymnasium's spaces."""
         task = dataclasses.replace(task, eval_horizon=LARGEST_INT)
-        self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array")
+        self._env = ResetFreeEnv(task, mode="eval", render_mode="rgb_array" if task.view else None)
         self._seed: int | None = int(np.random.randint(2**31))
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
@@ -81,10 +81,10 @@ class TaskEnv:
         """Return a picture [480, 640, 3], uint8.
 
         Raises:
-            ValueError: the `mode` is another one; there is no window.
+            ValueError: the `mode` is another one, as there is no window, or the task has no pictures.
         """
-        if mode != "rgb_array":
-            raise InputError(f"render mode {mode!r} is not supported; use rgb_array")
+        if mode != self._env.render_mode:
+            raise InputError(f"render mode {mode!r} is not supported; this task has {self._env.render_mode}")
         return self._env.render()
 
     def close(self) -> None:
