@@ -83,5 +83,7 @@ def test_missing_files_and_directions_are_refused_with_the_choices():
         assets.demos("cheetah", "forward")
     with pytest.raises(ValueError, match=r"no mjcf for 'cheetah'.*tabletop_organization"):
         assets.mjcf("cheetah")
+    with pytest.raises(ValueError, match=r"no mjcf for '/gone/cheetah.xml'; there is no such file$"):
+        assets.mjcf("/gone/cheetah.xml")
     with pytest.raises(ValueError, match=r"no starts for 'fish_swim'; choose from cheetah_run"):
         assets.starts("fish_swim")
