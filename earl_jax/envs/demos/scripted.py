@@ -6,6 +6,7 @@ has no demonstrations of the DHand, so none ship; `--set demo_file=...` trains w
 """
 
 import functools
+import io
 from pathlib import Path
 
 import jax
@@ -19,6 +20,7 @@ from earl_jax.envs.demonstrations import DemoScript
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import SEED, require
+from earl_jax.runs.files import write_atomically
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""
@@ -107,6 +109,7 @@ def stacked(rows: list[tuple]) -> Demos:
 def save(demos: dict[str, Demos], path: Path) -> None:
     """Write `demos`, by direction, to `path` as a compressed npz without pickles."""
     arrays = {f"{name}_{field}": value for name, part in demos.items() for field, value in part._asdict().items()}
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:  # NumPy would add .npz to another suffix
-        np.savez_compressed(file, **arrays)
+    write_atomically(path, content.getvalue())

@@ -1,12 +1,14 @@
 """Demonstrations from the scripts of tasks: which tasks have one, and what a script decides."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from earl_jax import assets
 from earl_jax.envs import DemoScript, DemoStart, demos, make
 from earl_jax.envs.tabletop import TabletopOrganization
 
@@ -46,6 +48,15 @@ def test_a_task_outside_the_package_brings_its_own_script(hold):
     np.testing.assert_allclose(forward.actions[0], first, rtol=1e-6)
     assert (end == 59) == (hold == 60)
     assert forward.rewards[: end + 1].sum() == 1 if hold is None else forward.rewards[end - 4 : end + 1].all()
+
+
+def test_a_file_that_cannot_be_written_leaves_the_older_one(tmp_path, monkeypatch):
+    forward, backward = ({name: assets.demos("sawyer_door", name)} for name in assets.DIRECTIONS)
+    demos.save(forward, tmp_path / "mine.npz")
+    monkeypatch.setattr("os.fsync", Mock(side_effect=OSError("disk full")))
+    with pytest.raises(OSError, match=r"mine.npz can't be written: disk full"):
+        demos.save(backward, tmp_path / "mine.npz")
+    assert assets.demo_directions(str(tmp_path / "mine.npz")) == ("forward",)
 
 
 def test_a_task_without_a_script_names_the_tasks_with_one():
