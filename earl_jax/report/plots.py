@@ -31,7 +31,7 @@ from earl_jax.report.style import (
     task_title,
 )
 
-PANELS = {"deployed": "Deployed, from s0", "continuing": "Continuing, over the lifetime"}
+HEADINGS = "Deployed, from s0", "Continuing, over the lifetime"
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
 COLOUR_COUNT = 10
@@ -116,18 +116,18 @@ def plot_runs(
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
     of_tasks = grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
-    cells = [(group, panel) for group in groups for panel in (PANELS if metric is None else [metric])]
+    cells = [(group, *panel) for group in groups for panel in (_panels(group) if metric is None else [(metric, "")])]
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
     with matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
         figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
         released = False
-        for axis, (group, panel) in zip(axes.flat, cells, strict=False):
-            released |= _draw_panel(axis, group, panel, smooth, published)
+        for axis, (group, drawn, heading) in zip(axes.flat, cells, strict=False):
+            released |= _draw_panel(axis, group, drawn, smooth, published)
             names = [task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
             title = layout.wrapped(", ".join(names), columns, 1.2)  # as matplotlib enlarges titles
-            axis.set_title("\n".join(filter(None, (title, PANELS.get(panel, "")))))
+            axis.set_title("\n".join(filter(None, (title, heading))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
@@ -145,10 +145,14 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
-def _draw_panel(axis: Any, lines: Sequence[Line], panel: str, smooth: int, published: bool) -> bool:
+def _panels(lines: Sequence[Line]) -> list[tuple[str, str]]:
+    """Return the metrics of the panels of `lines` and their headings."""
+    return list(zip((lines[0].curves.deployed_metric, "continuing/reward"), HEADINGS, strict=True))
+
+
+def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, published: bool) -> bool:
     """Draw a metric of `lines`, if `published` each seed over those of the paper, and return whether there were any of these."""
     beside = False
-    metric = {"continuing": "continuing/reward", "deployed": lines[0].curves.deployed_metric}.get(panel, panel)
     for line in lines:
         released = released_beside(line.curves) if published else None
         if released is not None and metric in released.metrics:

@@ -64,6 +64,13 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert axis.get_ylim() == (-0.03, 1.03), "a share is drawn from 0 to 1"
 
 
+def test_a_metric_called_deployed_is_not_the_score(tmp_path, drawn):
+    write_run(tmp_path, TABLETOP, "naive", rising(3, 3), metrics={**METRICS, "deployed": [7.0, 8.0, 9.0]})
+    [axis] = drawn(tmp_path, metric="deployed").axes
+    assert (axis.get_ylabel(), axis.get_title()) == ("deployed", "")
+    np.testing.assert_allclose(axis.lines[0].get_ydata(), [7.0, 8.0, 9.0])
+
+
 def test_runs_of_a_task_by_success_and_by_return_have_panels_of_their_own(tmp_path, drawn):
     for reward in ("sparse", "dense"):
         options = {"reward_type": reward}
