@@ -17,6 +17,7 @@ from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.runs.folder import RunFolder
+from earl_jax.runs.table import KEYS
 from earl_jax.training.forks import require_jax
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
@@ -37,13 +38,25 @@ def _evaluate_lane(
     counters, of_life = continuing(lane.counters, lane.env_state, step, protocol.eval_every)
     count, sparse = len(method.phases), problem.env.sparse
     phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, count, sparse)
-    metrics |= {**of_life, **of_phases, **counters.diagnostics}
-    state = lane.method_state
-    own = state.get("metrics", {}) if isinstance(state, dict) else getattr(state, "metrics", {})
-    metrics |= {f"{method.name}/{name}": value for name, value in own.items()}
     finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
-    metrics[DIVERGED] = (~finite).astype(jnp.int32)
+    metrics |= {**of_life, **of_phases, DIVERGED: (~finite).astype(jnp.int32)}
+    metrics |= _own_metrics(method, lane, {*metrics, *KEYS})
     return lane.replace(counters=counters.replace(phases=phases)), metrics
+
+
+def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, jax.Array]:
+    """Return the scalars of the learner and the method; an InputError if one is no scalar, or its column is `taken`."""
+    state = lane.method_state
+    of_method = state.get("metrics", {}) if isinstance(state, dict) else getattr(state, "metrics", {})
+    own = {**lane.counters.diagnostics, **{f"{method.name}/{name}": value for name, value in of_method.items()}}
+    for name, value in own.items():
+        if name in taken:
+            raise InputError(f"{name!r} is a column of every metrics.csv: give this scalar of the learner another name")
+        if jnp.shape(value):
+            raise InputError(
+                f"{name!r} must be a scalar, as a column of metrics.csv is, not of shape {jnp.shape(value)}"
+            )
+    return own
 
 
 @package_types()

@@ -213,10 +213,11 @@ def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem
 
 
 class Reporter(Method):
+    shape: tuple = struct.field(pytree_node=False, default=())
     name = "reporter"
 
     def init(self, key, env, goals):
-        return {"metrics": {"answer": jnp.asarray(42.0)}}
+        return {"metrics": {"answer": jnp.full(self.shape, 42.0)}}
 
 
 class Idle(struct.PyTreeNode):
@@ -247,6 +248,17 @@ def test_scalars_in_the_dict_metrics_of_a_method_are_metrics_and_a_learner_witho
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
     assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
     assert metrics["diverged"].tolist() == [0, 0]
+    method = per_lane(Reporter(Rest(), shape=(3,)), 2)
+    with pytest.raises(ValueError, match=r"'reporter/answer' must be a scalar, .* not of shape \(3,\)"):
+        evaluate(problem, method, make_train_state(problem, method, [0, 1]))
+
+
+@pytest.mark.parametrize("name", ["seed", "interventions"])
+def test_a_scalar_of_a_learner_does_not_replace_a_column_of_every_run(name):
+    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
+    method = per_lane(Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})()), 2)
+    with pytest.raises(ValueError, match=f"'{name}' is a column of every metrics.csv"):
+        evaluate(problem, method, make_train_state(problem, method, [0, 1]))
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
