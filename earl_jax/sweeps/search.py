@@ -198,6 +198,8 @@ def read_space(path: Path) -> tuple[grid.RunSpec, dict[str, Any], str]:
         spaces = {name: _space(name, value) for name, value in sorted(options.items()) if isinstance(value, dict)}
         if not spaces:
             raise InputError(f"a search needs options with a distribution, {EXAMPLE}")
+        if "reward_type" in spaces:
+            raise InputError("a search compares one score, and reward_type decides between success and return: fix it")
         sampler = table.pop("sampler", SAMPLERS[0])
         if sampler not in SAMPLERS:
             raise InputError(f"unknown sampler {sampler!r}; choose from {', '.join(SAMPLERS)}")

@@ -196,6 +196,7 @@ UNIFORM = "uniform = [0.9, 0.99]"
         ((UNIFORM, "log_uniform = [0, 1]"), "low > 0"),
         ((UNIFORM, "integers = [1, 2.5]"), "integer"),
         ((UNIFORM, "choice = []"), "one or more"),
+        (("discount", "reward_type"), "reward_type decides between success and return"),
         ((SPACE[SPACE.index("learning_rate") :], ""), "needs options with a distribution"),
     ],
 )
