@@ -91,9 +91,12 @@ def check_intervals(owner: str, options: Any) -> None:
 
 
 def literals(cls: type) -> dict[str, tuple[Any, ...]]:
-    """Return the valid values of the fields whose type is `Literal[...]` in `cls` or, before an override, in a base."""
+    """Return the valid values of the `Literal[...]` fields, which may be None too, of `cls` or, before an override, of a base."""
     return {
-        name: typing.get_args(kind) for name, kind in _annotations(cls) if typing.get_origin(kind) is typing.Literal
+        name: typing.get_args(part)
+        for name, kind in _annotations(cls)
+        for part in (kind, *typing.get_args(kind))
+        if typing.get_origin(part) is typing.Literal and kind in (part, part | None)
     }
 
 
@@ -111,9 +114,8 @@ def _annotations(cls: type) -> list[tuple[str, Any]]:
 def check_literals(options: Any) -> None:
     """Raise an InputError if a field of the object `options` has a value that `literals` does not have."""
     for name, valid in literals(type(options)).items():
-        value = getattr(options, name)
-        if value not in valid:
-            raise InputError(f"{name} {brief(value)} is not one of {', '.join(valid)}")
+        if (value := getattr(options, name)) is not None and value not in valid:
+            raise InputError(f"{name} {brief(value)} is not one of {', '.join(map(str, valid))}")
 
 
 def check_storable(owner: str, values: Any, depth: int = 0) -> None:
@@ -199,9 +201,7 @@ def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
         if kind is bool:
             return bool(np.isin(value, (0, 1)).all())
         return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
-    if has_lanes and _is_of_jax(value):
-        return True
-    return kind is float and _is_number(value)
+    return (has_lanes and _is_of_jax(value)) or (kind is float and _is_number(value))
 
 
 def value_text(value: Any) -> str:
