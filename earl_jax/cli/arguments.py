@@ -51,10 +51,16 @@ def user_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=lambda texts: Path(os.path.expanduser(texts[0])),
+        instance_from_str=lambda texts: _expanded(texts[0]),
         is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda value: [str(value)],
     )
+
+
+def _expanded(text: str) -> Path:
+    """Return the path `text`, absolute where only its `./` told it from the user's folder, as in `./~`."""
+    path = Path(os.path.expanduser(text))
+    return path.absolute() if str(path).startswith("~") else path
 
 
 def join_seeds(arguments: list[str]) -> list[str]:

@@ -97,7 +97,7 @@ class RunFolder:
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
         """Return the run folder at `path`; a ValueError if its config is missing or invalid, which names runs in it."""
-        path = Path(os.path.expanduser(path))
+        path = path if os.path.lexists(path / CONFIG) else Path(os.path.expanduser(path))
         file = path / CONFIG
         if not os.path.lexists(file):
             inside = sorted(str(found.parent) for found in path.glob(f"*/{CONFIG}"))[:3]

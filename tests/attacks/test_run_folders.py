@@ -54,7 +54,7 @@ def test_a_start_that_a_crash_left_ends_with_the_identical_table(command, whole,
 LONG = "x" * 200
 NAMES = (
     *("run with spaces", "run\nnewline", "😀", "x" * 256, "/".join([LONG] * 25)),
-    *("run\x1b[31m", "~", "$HOME", "*", "\udcff"),
+    *("run\x1b[31m", "./~", "$HOME", "*", "\udcff"),
 )
 
 
