@@ -29,12 +29,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import algos, assets, envs
-from earl_jax.algos import learner, list_algos, locate_algo, make_algo
+from earl_jax import assets
+from earl_jax.algos import list_algos, make_algo
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.envs import make
 from earl_jax.metrics.phase_stats import BACK, FORWARD
-from earl_jax.options import imports
+from earl_jax.options import imports, registry
 from earl_jax.options.schedule import Schedule
 from earl_jax.protocol import Deployment, Protocol, Rules
 from earl_jax.runs.config import RunConfig
@@ -119,8 +119,8 @@ def pytest_collection_modifyitems(items):
 def own_registries():
     """A context after which what was registered and imported in it is unknown again, as in another process."""
     with pytest.MonkeyPatch.context() as patch:
-        for registry in (envs._ENVS, algos._ALGOS, learner._LEARNERS):
-            patch.setattr(registry, "_table", dict(registry._table))
+        for table in (registry.ENVS, registry.ALGOS, registry.LEARNERS):
+            patch.setattr(table, "_table", dict(table._table))
         patch.setattr(imports, "_noted", {})
         patch.setattr(sys, "path", list(sys.path))
         yield
@@ -173,7 +173,7 @@ def make_problem(env, **protocol):
 
 def own_algos():
     """Return the names of the methods of this package, without those of packages that are installed beside it."""
-    return [name for name in list_algos() if locate_algo(name)[1] == "earl_jax"]
+    return [name for name in list_algos() if registry.ALGOS.locate(name)[1] == "earl_jax"]
 
 
 def tiny_options(algo, **options):

@@ -10,8 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env as BraxEnv
-from brax.envs.base import State as BraxState
+from brax.envs.base import Env as BraxEnv, State as BraxState
 from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session

@@ -1,74 +1,29 @@
-"""The registry of methods. To add one, add a file and a line to the table below; other packages use `register_algo`.
-
-The classes are loaded on first use, so that the names can be listed without jax.
-"""
-
-from __future__ import annotations
+"""Methods. To add one, add a file and a line to the table of `options.registry`; other packages use `register_algo`."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from earl_jax.algos.learner.base import Learner as Learner
+from earl_jax.algos.learner.sac import SAC as SAC
+from earl_jax.algos.learner.td3 import TD3 as TD3
+from earl_jax.algos.method import Method as Method, Phase as Phase
+from earl_jax.envs import Env
 from earl_jax.errors import InputError, brief
-from earl_jax.options import lazy
-from earl_jax.options.registry import Registry
+from earl_jax.options.registry import ALGOS, LEARNER, LEARNERS
+from earl_jax.options.schedule import FIELDS
+from earl_jax.options.values import check, require_object, unknown_option
 
-if TYPE_CHECKING:
-    from earl_jax.algos.learner import list_learners, register_learner
-    from earl_jax.algos.learner.base import Learner
-    from earl_jax.algos.learner.sac import SAC
-    from earl_jax.algos.learner.td3 import TD3
-    from earl_jax.algos.method import Method, Phase
-    from earl_jax.envs import Env
-
-__all__ = [
-    "SAC",
-    "TD3",
-    "Learner",
-    "Method",
-    "Phase",
-    "algo_class",
-    "learner_of",
-    "list_algos",
-    "list_learners",
-    "locate_algo",
-    "make_algo",
-    "method_for",
-    "preset_learner",
-    "register_algo",
-    "register_learner",
-]
-
-__getattr__ = lazy.attributes(
-    __name__,
-    {
-        "learner": "list_learners register_learner",
-        "learner.base": "Learner",
-        "learner.sac": "SAC",
-        "learner.td3": "TD3",
-        "method": "Method Phase",
-    },
-)
-_ALGOS: Registry[Method] = Registry(
-    "algo",
-    "earl_jax.algos.method:Method",
-    {
-        "bc": "earl_jax.algos.bc:BC",
-        "fbrl": "earl_jax.algos.fbrl:FBRL",
-        "medal": "earl_jax.algos.medal:MEDAL",
-        "naive": "earl_jax.algos.naive:Naive",
-        "oracle": "earl_jax.algos.oracle:Oracle",
-        "r3l": "earl_jax.algos.r3l:R3L",
-        "risc": "earl_jax.algos.risc:RISC",
-        "rlpd": "earl_jax.algos.rlpd:RLPD",
-        "vaprl": "earl_jax.algos.vaprl:VaPRL",
-    },
-)
-list_algos = _ALGOS.names
+list_algos = ALGOS.names
 """`list_algos()` returns the names that `make_algo` takes, sorted."""
-register_algo = _ALGOS.register
+register_algo = ALGOS.register
 """`register_algo(name, cls)` registers the `Method` subclass `cls` for `make_algo`. A name that is taken is a ValueError."""
-locate_algo = _ALGOS.locate
-algo_class = _ALGOS.get
+algo_class = ALGOS.get
+list_learners = LEARNERS.names
+"""`list_learners()` returns the names of the learners, sorted."""
+register_learner = LEARNERS.register
+"""`register_learner(name, cls)` registers the `Learner` subclass `cls`. A name that is taken is a ValueError."""
 
 
 def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> Method:
@@ -80,16 +35,11 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     Raises:
         ValueError: the name or an option is unknown; the message has the choices or the nearest.
     """
-    from earl_jax.algos.learner import learner_class
-    from earl_jax.algos.learner.base import Learner
-    from earl_jax.options.schedule import FIELDS
-    from earl_jax.options.values import check, require_object, unknown_option
-
-    method = _ALGOS.get(name)
+    method = ALGOS.get(name)
     base = method.learner if learner is None else learner
     require_object("learner", base, Learner)
     if isinstance(base, str):
-        base = preset_learner(method, learner_class(base))
+        base = preset_learner(method, LEARNERS.get(base))
     shared = {field.name: field for field in dataclasses.fields(base)}
     own = {field.name: field for field in dataclasses.fields(method) if field.name != "learner"}
     known = own | shared
@@ -101,7 +51,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)
     rest = {option: value for option, value in options.items() if option in own}
-    return _ALGOS.make(name, learner=base.replace(**changed), **rest)
+    return ALGOS.make(name, learner=base.replace(**changed), **rest)
 
 
 def learner_of(options: dict[str, Any]) -> Learner:
@@ -109,18 +59,14 @@ def learner_of(options: dict[str, Any]) -> Learner:
 
     It evaluates policies of a run without the class of its method.
     """
-    from earl_jax.algos.learner import DEFAULT, learner_class, make_learner
-
-    name = options.get("learner", DEFAULT)
-    fields = {field.name: field for field in dataclasses.fields(learner_class(name))}
+    name = options.get("learner", LEARNER)
+    fields = {field.name: field for field in dataclasses.fields(LEARNERS.get(name))}
     own = {option: _leaf(fields[option], value) for option, value in options.items() if option in fields}
-    return make_learner(name, **own)
+    return LEARNERS.make(name, **own)
 
 
 def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
     """Return a `learner` with the defaults of `method`: of another class than its own, those that every learner has."""
-    from earl_jax.algos.learner.base import Learner
-
     preset = method.learner
     if type(preset) is learner:
         return preset
@@ -138,8 +84,6 @@ def method_for(env: Env, name: str, **options) -> Method:
 
 def _leaf(field: dataclasses.Field, value: Any) -> Any:
     """Return `value` as `field` holds it: a list has a value for each lane, or it is a static option, such as sizes."""
-    import numpy as np
-
     is_static = not field.metadata.get("pytree_node", True)
     if is_static and isinstance(value, np.ndarray):
         value = value.tolist()

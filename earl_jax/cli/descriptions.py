@@ -16,13 +16,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from earl_jax import algos, envs
-from earl_jax.algos.learner import learner_class, list_learners, locate_learner
 from earl_jax.options.presets import PRESETS
+from earl_jax.options.registry import ALGOS, ENVS, LEARNERS
 from earl_jax.options.values import literals
 
 CATALOG = Path(__file__).with_name("catalog.json")
-LOCATE = {"task": envs.locate_env, "method": algos.locate_algo, "learner": locate_learner}
+REGISTRIES = {"task": ENVS, "method": ALGOS, "learner": LEARNERS}
 TASK_NUMBERS = ("observation_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon")
 """The attributes of a task that its description has."""
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
@@ -32,7 +31,7 @@ YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
 
 def names() -> dict[str, list[str]]:
     """Return the names of all tasks, methods, learners and presets, by kind."""
-    return {"task": envs.list_envs(), "method": algos.list_algos(), "learner": list_learners(), "preset": list(PRESETS)}
+    return {**{kind: known.names() for kind, known in REGISTRIES.items()}, "preset": list(PRESETS)}
 
 
 @functools.cache
@@ -43,7 +42,9 @@ def stored() -> dict[str, Any]:
 
 def task(name: str) -> dict[str, Any]:
     """Return what a task is, its sizes, rewards, horizons, demonstrations and options."""
-    env = envs.make(name)
+    from earl_jax.envs import MujocoEnv
+
+    env = ENVS.make(name)
     options = _options(type(env))
     summary, details = _summary_and_details(type(env))
     return {
@@ -52,7 +53,7 @@ def task(name: str) -> dict[str, Any]:
         "goal_change": env.continuing.goal_change,
         "reward_types": options["reward_type"]["valid"],
         "demonstrations": list(env.demonstrations.directions),
-        "engines": options["engine"]["valid"][1:] if isinstance(env, envs.MujocoEnv) else [],
+        "engines": options["engine"]["valid"][1:] if isinstance(env, MujocoEnv) else [],
         "details": details,
         "options": options,
     }
@@ -60,7 +61,7 @@ def task(name: str) -> dict[str, Any]:
 
 def method(name: str) -> dict[str, Any]:
     """Return what a method does, its source, year, demonstrations and own options."""
-    cls = algos.algo_class(name)
+    cls = ALGOS.get(name)
     return {
         **_sourced(cls),
         "needs_demonstrations": cls.needs_demos,
@@ -80,8 +81,10 @@ def _sourced(cls: type) -> dict[str, Any]:
 
 def learner(name: str) -> dict[str, Any]:
     """Return what a learner does, its source, year and own options."""
-    cls = learner_class(name)
-    shared = {field.name for field in dataclasses.fields(algos.Learner)}
+    from earl_jax.algos import Learner
+
+    cls = LEARNERS.get(name)
+    shared = {field.name for field in dataclasses.fields(Learner)}
     options = {option: values for option, values in _options(cls).items() if option not in shared}
     return {**_sourced(cls), "options": options}
 
@@ -91,10 +94,12 @@ DESCRIBE = {"task": task, "method": method, "learner": learner}
 
 def catalog() -> dict[str, Any]:
     """Return the descriptions of the package's own classes by class, and under `shared` the options of every learner."""
-    described: dict[str, Any] = {"shared": _options(algos.Learner)}
-    for kind, locate in LOCATE.items():
+    from earl_jax.algos import Learner
+
+    described: dict[str, Any] = {"shared": _options(Learner)}
+    for kind, registry in REGISTRIES.items():
         for name in names()[kind]:
-            target, package = locate(name)
+            target, package = registry.locate(name)
             if package == "earl_jax" and isinstance(target, EntryPoint):
                 described[target.value] = DESCRIBE[kind](name)
     return described

@@ -167,8 +167,7 @@ def best(
         top: Number of runs of each task to print.
     """
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.best import best as best_runs
-    from earl_jax.report.best import best_text
+    from earl_jax.report.best import best as best_runs, best_text
     from earl_jax.report.tables import terminal_width
 
     rows = best_runs(folders, test, Window.of(last, window), metric)
@@ -192,8 +191,7 @@ def compare(
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.comparison import compare as compare_runs
-    from earl_jax.report.comparison import table_text, write_comparison
+    from earl_jax.report.comparison import compare as compare_runs, table_text, write_comparison
     from earl_jax.report.tables import terminal_width
 
     rows = compare_runs(folders, against, metric, Window.of(last, window))

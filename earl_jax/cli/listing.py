@@ -7,12 +7,11 @@ from itertools import chain
 from typing import Any
 
 from earl_jax import assets
-from earl_jax.algos.learner import DEFAULT
 from earl_jax.cli.arguments import Positional, emit
-from earl_jax.cli.descriptions import DESCRIBE, LOCATE, names, stored
+from earl_jax.cli.descriptions import DESCRIBE, REGISTRIES, names, stored
 from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
-from earl_jax.options.registry import class_name
+from earl_jax.options.registry import LEARNER, class_name
 from earl_jax.options.values import value_text
 
 WIDTH = 80
@@ -39,7 +38,7 @@ def list_(name: Positional[str | None] = None, json: bool = False) -> None:
         raise InputError(f"there is no task, method, learner or preset {name!r}; {choices(name, known)}")
     described = describe(kind, name)
     if kind == "method":
-        described = {**described, "learner": {**stored()["shared"], **describe("learner", DEFAULT)["options"]}}
+        described = {**described, "learner": {**stored()["shared"], **describe("learner", LEARNER)["options"]}}
     if kind == "learner":
         described = {**described, "shared": stored()["shared"]}
     emit(described, json, _details(described))
@@ -61,7 +60,7 @@ def describe(kind: str, name: str) -> dict[str, Any]:
         return _preset(name)
     head: dict[str, Any] = {"kind": kind, "name": name, "package": ""}
     try:
-        target, head["package"] = LOCATE[kind](name)
+        target, head["package"] = REGISTRIES[kind].locate(name)
         path = target.value if isinstance(target, EntryPoint) else class_name(target)
         head |= {"class": path, "policies": _policies(name)}
         if path in stored():
@@ -120,7 +119,7 @@ def _details(described: dict[str, Any]) -> str:
         lines += ["", *_wrap(paragraph)] if paragraph != described["summary"] else []
     lines += _policies_text(described)
     lines += _options_text("options", described.get("options"))
-    lines += _options_text(f"options of the learner {DEFAULT}; --learner takes another", described.get("learner"))
+    lines += _options_text(f"options of the learner {LEARNER}; --learner takes another", described.get("learner"))
     lines += _options_text("options that every learner has", described.get("shared"))
     return "\n".join(line.rstrip() for line in lines)
 

@@ -89,8 +89,7 @@ def search(
         seed: Random seed of the options; the seeds of training are in the file.
     """
     limit = parse_minutes(minutes)
-    from earl_jax.sweeps.search import STATES, TRIALS
-    from earl_jax.sweeps.search import search as run_search
+    from earl_jax.sweeps.search import STATES, TRIALS, search as run_search
 
     lines: list[str] = []
     with stopping(json, {"out": str(out), "lines": lines, "resume": "repeat the command"}):

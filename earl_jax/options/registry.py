@@ -135,3 +135,41 @@ def class_name(cls: type) -> str:
 def _owner(point: metadata.EntryPoint) -> str:
     """Return the name and version of the package that an entry point belongs to."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else "another package"
+
+
+ENVS: Registry[Any] = Registry(
+    "env",
+    "earl_jax.envs.base:Env",
+    {
+        "cheetah_run": "earl_jax.envs.dm_control.cheetah_run:CheetahRun",
+        "dhand_lightbulb": "earl_jax.envs.dhand.lightbulb:DHandLightbulb",
+        "fish_swim": "earl_jax.envs.dm_control.fish_swim:FishSwim",
+        "franka_kitchen": "earl_jax.envs.kitchen.franka_kitchen:FrankaKitchen",
+        "minitaur_pen": "earl_jax.envs.minitaur.pen:MinitaurPen",
+        "sawyer_door": "earl_jax.envs.sawyer.door:SawyerDoor",
+        "sawyer_peg": "earl_jax.envs.sawyer.peg:SawyerPeg",
+        "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
+    },
+)
+ALGOS: Registry[Any] = Registry(
+    "algo",
+    "earl_jax.algos.method:Method",
+    {
+        "bc": "earl_jax.algos.bc:BC",
+        "fbrl": "earl_jax.algos.fbrl:FBRL",
+        "medal": "earl_jax.algos.medal:MEDAL",
+        "naive": "earl_jax.algos.naive:Naive",
+        "oracle": "earl_jax.algos.oracle:Oracle",
+        "r3l": "earl_jax.algos.r3l:R3L",
+        "risc": "earl_jax.algos.risc:RISC",
+        "rlpd": "earl_jax.algos.rlpd:RLPD",
+        "vaprl": "earl_jax.algos.vaprl:VaPRL",
+    },
+)
+LEARNERS: Registry[Any] = Registry(
+    "learner",
+    "earl_jax.algos.learner.base:Learner",
+    {"sac": "earl_jax.algos.learner.sac:SAC", "td3": "earl_jax.algos.learner.td3:TD3"},
+)
+LEARNER = "sac"
+"""The learner that methods take by default."""

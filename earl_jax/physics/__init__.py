@@ -3,19 +3,11 @@
 MuJoCo is imported lazily, so that kinematic tasks train on a machine without it.
 """
 
-from earl_jax.physics.engine_choice import EngineCost, fastest_engine, resolve_engine
-from earl_jax.physics.models import load_model, mujoco_data
-from earl_jax.physics.simulator import Simulator
-from earl_jax.physics.state import Actuator, PendingStep, PhysicsState
-
-__all__ = [
-    "Actuator",
-    "EngineCost",
-    "PendingStep",
-    "PhysicsState",
-    "Simulator",
-    "fastest_engine",
-    "load_model",
-    "mujoco_data",
-    "resolve_engine",
-]
+from earl_jax.physics.engine_choice import (
+    EngineCost as EngineCost,
+    fastest_engine as fastest_engine,
+    resolve_engine as resolve_engine,
+)
+from earl_jax.physics.models import load_model as load_model, mujoco_data as mujoco_data
+from earl_jax.physics.simulator import Simulator as Simulator
+from earl_jax.physics.state import Actuator as Actuator, PendingStep as PendingStep, PhysicsState as PhysicsState

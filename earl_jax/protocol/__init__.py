@@ -4,45 +4,37 @@
 are here too.
 """
 
-from earl_jax.metrics.deployed import deployed
-from earl_jax.metrics.scores import Scores, deployed_area, lifetime_scores, regret
-from earl_jax.protocol.life import ProtocolState, StepResult, advance, evaluate, init, intervene, set_goal
-from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
-from earl_jax.protocol.settings import (
-    SETTINGS,
-    Continuing,
-    Deployment,
-    Setting,
-    setting_of,
-    split_setting,
-    with_explicit_horizon,
+from earl_jax.metrics.deployed import deployed as deployed
+from earl_jax.metrics.scores import (
+    Scores as Scores,
+    deployed_area as deployed_area,
+    lifetime_scores as lifetime_scores,
+    regret as regret,
 )
-
-__all__ = [
-    "SETTINGS",
-    "Attempt",
-    "Continuing",
-    "Deployment",
-    "Protocol",
-    "ProtocolState",
-    "Rules",
-    "Scores",
-    "Setting",
-    "StepEnd",
-    "StepResult",
-    "advance",
-    "advance_rules",
-    "count_step",
-    "deployed",
-    "deployed_area",
-    "evaluate",
-    "init",
-    "intervene",
-    "lifetime_scores",
-    "regret",
-    "reset_where",
-    "set_goal",
-    "setting_of",
-    "split_setting",
-    "with_explicit_horizon",
-]
+from earl_jax.protocol.life import (
+    ProtocolState as ProtocolState,
+    StepResult as StepResult,
+    advance as advance,
+    evaluate as evaluate,
+    init as init,
+    intervene as intervene,
+    set_goal as set_goal,
+)
+from earl_jax.protocol.rules import (
+    Attempt as Attempt,
+    Protocol as Protocol,
+    Rules as Rules,
+    StepEnd as StepEnd,
+    advance_rules as advance_rules,
+    count_step as count_step,
+    reset_where as reset_where,
+)
+from earl_jax.protocol.settings import (
+    SETTINGS as SETTINGS,
+    Continuing as Continuing,
+    Deployment as Deployment,
+    Setting as Setting,
+    setting_of as setting_of,
+    split_setting as split_setting,
+    with_explicit_horizon as with_explicit_horizon,
+)

@@ -11,8 +11,16 @@ from typing import Any, Literal
 import numpy as np
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, Sample, detectable_difference, holm, permutation, smallest_p, welch
-from earl_jax.metrics.comparison import verdict as verdict_of
+from earl_jax.metrics.comparison import (
+    CANNOT_TELL,
+    Sample,
+    detectable_difference,
+    holm,
+    permutation,
+    smallest_p,
+    verdict as verdict_of,
+    welch,
+)
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import counted

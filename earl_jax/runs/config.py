@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_algo, preset_learner
-from earl_jax.algos.learner import DEFAULT
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
-from earl_jax.options.registry import NOUNS, class_name
+from earl_jax.options.registry import LEARNER, NOUNS, class_name
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals, check_storable
@@ -161,7 +160,7 @@ class RunConfig:
         """Return the method with its hyper-parameters. Errors as `build_task`."""
         _require_registered("algo", self.algo, self.algo_class, algo_class)
         self._require_imported("algo", self.algo, list_algos)
-        self._require_imported("learner", self.options.get("learner", DEFAULT), list_learners)
+        self._require_imported("learner", self.options.get("learner", LEARNER), list_learners)
         return make_algo(self.algo, **self.options)
 
     def require_objects(self, task: Env | None, method: Method | None) -> None:

@@ -51,7 +51,7 @@ def test_gymnasiums_checker_has_no_remarks(mode):
 
 
 def test_gymnasiums_checker_has_no_remarks_on_a_task_without_pictures(monkeypatch):
-    monkeypatch.setattr("earl_jax.envs._ENVS._table", {"chain": Chain})
+    monkeypatch.setattr("earl_jax.options.registry.ENVS._table", {"chain": Chain})
     monkeypatch.setattr(gymnasium.envs.registration, "registry", {})
     register_envs()
     assert check("chain", "eval", width=64) == []
@@ -75,7 +75,7 @@ def test_gymnasiums_checker_has_no_remarks_on_any_task(name, graphics):
 def test_every_task_has_an_id(monkeypatch):
     assert {env_id(name) for name in list_envs()} <= set(gymnasium.registry)
     assert env_id("sawyer_door") == "earl_jax/SawyerDoor-v0"
-    monkeypatch.setattr("earl_jax.envs._ENVS._table", {})
+    monkeypatch.setattr("earl_jax.options.registry.ENVS._table", {})
     monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     register_env("my_fragile", Fragile)

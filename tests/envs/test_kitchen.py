@@ -11,8 +11,7 @@ import pytest
 from benchmarks.physics import kitchen as benchmark
 from earl_jax import physics
 from earl_jax.envs import make
-from earl_jax.envs.kitchen import franka_kitchen as task
-from earl_jax.envs.kitchen import reward as kitchen_reward
+from earl_jax.envs.kitchen import franka_kitchen as task, reward as kitchen_reward
 from tests.envs.programs import first_state, program, run_actions, run_alone, starts
 
 KEY = jax.random.key(3)

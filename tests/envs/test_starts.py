@@ -7,8 +7,7 @@ import pytest
 
 from earl_jax import assets
 from earl_jax.envs import HelpBudget, balanced_starts, list_envs, make, start_of, tabletop
-from earl_jax.envs.sawyer import door
-from earl_jax.envs.sawyer import peg as sawyer_peg
+from earl_jax.envs.sawyer import door, peg as sawyer_peg
 from tests.envs.programs import START_COUNT, first_state, program, starts
 
 SPARSE = ["sawyer_door", "sawyer_peg", "tabletop_organization"]

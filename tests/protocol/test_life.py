@@ -9,8 +9,14 @@ import pytest
 
 from earl_jax.envs import HelpBudget
 from earl_jax.protocol import Protocol, advance, evaluate, init, intervene, lifetime_scores, set_goal
-from tests.conftest import advance as train_steps
-from tests.conftest import assert_equal_trees, lane_rules, make_problem, make_train_state, tiny_method
+from tests.conftest import (
+    advance as train_steps,
+    assert_equal_trees,
+    lane_rules,
+    make_problem,
+    make_train_state,
+    tiny_method,
+)
 from tests.envs.chain import Chain
 
 LEFT, RIGHT = -1.0, 1.0

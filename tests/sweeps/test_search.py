@@ -11,8 +11,7 @@ import pytest
 
 from earl_jax.runs.config import deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.sweeps import search as module
-from earl_jax.sweeps import worker
+from earl_jax.sweeps import search as module, worker
 from earl_jax.sweeps.search import read_space, search
 from earl_jax.training.stopping import Stopped
 from tests.cli.process import one_line, run, succeed

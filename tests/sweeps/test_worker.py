@@ -18,8 +18,7 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
-from earl_jax.sweeps import __main__ as process
-from earl_jax.sweeps import worker
+from earl_jax.sweeps import __main__ as process, worker
 from earl_jax.training import load_lanes, memory, runner
 from tests.conftest import MINE, assert_equal_trees, tiny_method, tiny_train, write_mine
 from tests.sweeps.conftest import GRID, NAMES

@@ -6,7 +6,6 @@ has no demonstrations of the DHand, so none ship; `--set demo_file=...` trains w
 """
 
 import functools
-import io
 from pathlib import Path
 
 import jax
@@ -20,7 +19,6 @@ from earl_jax.envs.demonstrations import DemoScript
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import SEED, require
-from earl_jax.runs.files import write_atomically
 
 MAX_STEPS = 400
 """Steps after which a demonstration that ends at success has failed."""
@@ -109,7 +107,8 @@ def stacked(rows: list[tuple]) -> Demos:
 def save(demos: dict[str, Demos], path: Path) -> None:
     """Write `demos`, by direction, to `path` as a compressed npz without pickles."""
     arrays = {f"{name}_{field}": value for name, part in demos.items() for field, value in part._asdict().items()}
-    content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content.getvalue())
+    part = path.with_name(f"{path.name}.part")
+    with part.open("wb") as file:  # NumPy would add .npz to another suffix
+        np.savez_compressed(file, **arrays)
+    part.replace(path)  # a full disk leaves the old file

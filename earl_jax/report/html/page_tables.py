@@ -8,8 +8,7 @@ from typing import Any
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.report.comparison import COLUMNS, pair_row, verdict_text, with_verdicts
 from earl_jax.report.html.curves import PANELS, Line
-from earl_jax.report.leaderboard import COLUMNS as BOARD
-from earl_jax.report.leaderboard import OURS, ranked, run_row, shipped_rows, texts
+from earl_jax.report.leaderboard import COLUMNS as BOARD, OURS, ranked, run_row, shipped_rows, texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
 from earl_jax.report.runs import common_step, label
