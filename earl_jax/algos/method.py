@@ -17,6 +17,7 @@ from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
 from earl_jax.errors import InputError, brief
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
@@ -55,6 +56,9 @@ class Phase:
         given = self.demos
         if not isinstance(given, tuple) or not all(isinstance(demos, PhaseDemos) for demos in given):
             raise InputError(f"demos of a Phase must be a tuple of PhaseDemos, such as (FORWARD,), not {brief(given)}")
+        require("the controller of a Phase", self.controller, COUNT_OR_NEVER)
+        if self.length is not None:
+            require("the length of a Phase", self.length, COUNT)
 
 
 class Moment(NamedTuple):

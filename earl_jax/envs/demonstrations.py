@@ -70,7 +70,11 @@ class TaskDemos:
     @property
     def directions(self) -> tuple[str, ...]:
         """The directions with recorded demonstrations; a ValueError if `file` is missing."""
-        return assets.demo_directions(self.file or self.task) if self.recorded else ()
+        return assets.demo_directions(self._source) if self.recorded else ()
+
+    @property
+    def _source(self) -> str:
+        return self.task if self.file is None else self.file
 
     def load(self, direction: str) -> assets.Demos:
         """Return the recorded demonstrations of `direction` (forward or backward) in the task's layout.
@@ -79,13 +83,12 @@ class TaskDemos:
             ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices. Or their
                 transitions have other sizes than those of the task.
         """
-        source = self.file or self.task
-        demos = self.layout(assets.demos(source, direction))
+        demos = self.layout(assets.demos(self._source, direction))
         for name, size in zip(("states", "goals", "actions"), self.sizes, strict=True):
             own = getattr(demos, name).shape[1]
             if own != size:
                 raise InputError(
-                    f"{source} is of another task or variant than this {self.task}: its {direction} {name} have {own} "
+                    f"{self._source} is of another task or variant than this {self.task}: its {direction} {name} have {own} "
                     f"numbers, not {size}"
                 )
         return demos

@@ -25,6 +25,12 @@ def test_the_demonstrations_of_a_phase_are_a_tuple(demos):
         Phase(demos)
 
 
+@pytest.mark.parametrize("number", [{"controller": -1}, {"length": 0}, {"length": 2.5}])
+def test_the_numbers_of_a_phase_are_checked(number):
+    with pytest.raises(InputError, match=f"the {next(iter(number))} of a Phase must"):
+        Phase(**number)
+
+
 def test_a_method_has_at_most_eight_functions_and_each_is_overridden_by_two():
     """CFBRL counts, because it is a method of this repository."""
     own = {name for name, value in vars(Method).items() if callable(value) and not name.startswith("_")} - {"replace"}

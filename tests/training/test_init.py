@@ -106,6 +106,7 @@ CHANGES = [
     ("task", "file", "message"),
     [
         (DEMO_TASK, "missing.npz", r"no demos for 'missing.npz'; choose from sawyer_door"),
+        (DEMO_TASK, "", r"no demos for ''"),
         (DEMO_TASK, "/dev/null", r"no demos for '/dev/null'; there is no such file"),
         ("sawyer_door", DEMO_TASK, f"{DEMO_TASK} is of another task or variant .* states have 6 numbers, not 7"),
         ("franka_kitchen", DEMO_TASK, "forward states have 6 numbers, not 23"),
