@@ -1,6 +1,7 @@
 """The tables of the pages follow from the kept runs, and say what was not run."""
 
 import itertools
+import re
 import shutil
 
 import jax
@@ -13,6 +14,7 @@ from benchmarks.paper import cells, differences, grid, pairs, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
 from earl_jax.paper.reproduce import ARTEFACTS
+from earl_jax.report.tables import number_text
 from tests.report.run_files import DOOR, change_config, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
@@ -212,6 +214,47 @@ def test_one_controller_is_tested_from_uniform_starts():
     assert loss["difference"] == pytest.approx(0.6)
     assert success["p"] == loss["p"] == pytest.approx(2 / 252)
     assert differences.starts_rows({differences.TWO: TWO}) == []
+
+
+REPLAYS = [row for row in read_csv(cells.RUNS / "pairs.csv") if row["number"] in ("11", "14", "19")]
+TASKS = {"tabletop": pairs.TABLETOP, "door": DOOR, "peg": pairs.PEG}
+RESULTS_PAGE = output.DOCS / "results.md"
+
+
+def replay_lines():
+    """Yield task, method and the other cells of each line of the table of the released replay."""
+    for line in RESULTS_PAGE.read_text().splitlines():
+        if re.match(r"\| (tabletop|door|peg), .*\d", line):
+            name, *values = [cell.strip() for cell in line.strip("|").split("|")]
+            task, method = name.split(", ")
+            if len(values) == 6:
+                yield TASKS[task], method.lower().removesuffix(" rl"), values
+
+
+def test_the_table_of_the_released_replay_has_the_tests_of_its_runs():
+    tested = list(replay_lines())
+    assert len(tested) == 12
+    for env, algo, values in tested:
+        own = [row for row in REPLAYS if (row["env"], row["metric"]) == (env, "deployed")]
+        [paper] = [row for row in own if (row["first"], row["second"]) == (algo, "published")]
+        [kept] = [row for row in own if (row["first"], row["second"]) == (f"{algo}/{pairs.ALL_KEPT}", algo)]
+        for row, (first, second, p) in ((paper, values[:3]), (kept, values[3:])):
+            scores = [float(row[name]) for name in ("mean", "other_mean")]
+            assert [float(first), float(second)] == pytest.approx(scores, abs=5.1e-4), (env, algo)
+            assert p == number_text(float(row["p_holm"]), ".2g", 0.001).replace("<", "< "), (env, algo)
+
+
+@pytest.mark.parametrize(
+    ("number", "env", "seconds", "text"),
+    [
+        ("5, 6", DOOR, ("vaprl/no_nearest_fallback", "vaprl/no_unmet_goals"), "(p = {} and {}; 0.518"),
+        ("4", pairs.PEG, ("oracle/scale_1-seeds_20_to_29",), "0.554 (p = {}; 0.612"),
+    ],
+)
+def test_the_results_have_the_adjusted_p_of_a_difference(number, env, seconds, text):
+    own = [row for row in read_csv(cells.RUNS / "pairs.csv") if (row["number"], row["env"]) == (number, env)]
+    adjusted = [f"{float(row['p_holm']):.2g}" for second in seconds for row in own if row["second"] == second]
+    assert text.format(*adjusted) in RESULTS_PAGE.read_text()
 
 
 def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(whole_run, monkeypatch):
