@@ -137,7 +137,7 @@ DIFFERENCES = (
     )),
     Difference("11", "naive RL on the door: a goal for 1,000 steps; the release: 400, after 10,000 random steps; its replay", (
         Pair((_all_kept(f"{DOOR}/naive"),), (f"{DOOR}/naive/episode_400-random_10000",)),
-        *_replays(f"{DOOR}/naive"),
+        *_replays(f"{DOOR}/naive"), Pair((_all_kept(f"{DOOR}/naive"),), PUBLISHED),
     )),
     Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
         Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
