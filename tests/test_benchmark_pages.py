@@ -14,7 +14,7 @@ from benchmarks.paper import cells, differences, grid, pairs, uniform_starts
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import holm, permutation
 from earl_jax.paper.reproduce import ARTEFACTS
-from earl_jax.report.tables import number_text
+from earl_jax.report.tables import millions, number_text
 from tests.report.run_files import DOOR, change_config, constant, rising, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
@@ -257,6 +257,11 @@ def test_the_results_have_the_adjusted_p_of_a_difference(number, env, ends, text
     named = {f"{row['first']} {row['second']}": f"{float(row['p_holm']):.2g}" for row in own}
     adjusted = [p for end in ends for name, p in named.items() if name.endswith(end)]
     assert text.format(*adjusted) in RESULTS_PAGE.read_text()
+
+
+def test_the_results_have_the_lengths_of_all_runs_of_the_trade_off():
+    steps = [int(row["steps"]) for row in read_csv(redraw.KEPT / "tradeoff" / "tradeoff.csv")]
+    assert f"{millions(min(steps))} to {millions(max(steps))}\nsteps" in RESULTS_PAGE.read_text()
 
 
 def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(whole_run, monkeypatch):
