@@ -12,7 +12,7 @@ from benchmarks import output, redraw
 from benchmarks.output import RESULTS, read_csv, with_tables
 from benchmarks.paper import cells, differences, grid, pairs, uniform_starts
 from earl_jax.cli import quickstart
-from earl_jax.metrics.comparison import holm, permutation
+from earl_jax.metrics.comparison import holm, permutation, smallest_p
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.tables import millions, number_text
 from tests.report.run_files import DOOR, change_config, constant, rising, write_run
@@ -262,6 +262,15 @@ def test_the_results_have_the_adjusted_p_of_a_difference(number, env, ends, text
 def test_the_results_have_the_lengths_of_all_runs_of_the_trade_off():
     steps = [int(row["steps"]) for row in read_csv(redraw.KEPT / "tradeoff" / "tradeoff.csv")]
     assert f"{millions(min(steps))} to {millions(max(steps))}\nsteps" in RESULTS_PAGE.read_text()
+
+
+def test_the_results_name_the_test_of_a_p_that_no_permutation_of_five_seeds_has():
+    page = RESULTS_PAGE.read_text()
+    assert (
+        f"permutation test, with five seeds against five {smallest_p(5, 5):.2g} or more, or Welch's: figures\n  2, 3"
+        in page
+    )
+    assert "by Welch's t-test" in (redraw.KEPT / "figure3" / "figure3.md").read_text()
 
 
 def test_policies_of_the_published_length_are_evaluated_from_each_kind_of_start(whole_run, monkeypatch):
