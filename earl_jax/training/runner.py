@@ -90,7 +90,7 @@ class Run:
         if self.folder and first_host():
             self.folder.append(step, metrics)
         for log in self._logs:
-            log.log(step, metrics)
+            log.log(step, {name: values.copy() for name, values in metrics.items()})
         self.steps.append(step)
         for name in self.evaluations or metrics:
             self.evaluations.setdefault(name, []).append(metrics[name])

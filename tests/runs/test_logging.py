@@ -134,6 +134,18 @@ def test_any_object_with_log_and_close_is_a_log(tmp_path):
     assert list((tmp_path / "run/tensorboard").iterdir())
 
 
+def test_a_log_that_changes_its_metrics_changes_those_of_no_other_log_and_no_result():
+    class Shifted(ListLog):
+        def log(self, step, metrics):
+            metrics["deployed/success"] += 2.0
+            metrics.clear()
+
+    log = ListLog()
+    result = tiny_train("naive", logs=[Shifted(), log])
+    assert np.max(log.successes) <= 1.0
+    assert result.metrics["deployed/success"].max() <= 1.0
+
+
 @pytest.mark.parametrize(
     ("log", "message"),
     [
