@@ -22,6 +22,8 @@ from earl_jax.runs.table import COLUMNS
 def find_runs(folders: Sequence[Path]) -> list[Path]:
     """Return the run folders among `folders`, and those below the others, each once; links to folders are not followed.
 
+    A `RunWarning` names a folder below them that cannot be read.
+
     Raises:
         ValueError: a folder does not exist, or holds no run.
     """
@@ -40,10 +42,14 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
 
 
 def _runs_below(folder: Path) -> Iterator[Path]:
-    for path, folders, files in os.walk(folder):
+    for path, folders, files in os.walk(folder, onerror=_warn_of_unread):
         folders[:] = sorted(set(folders) - {CHECKPOINTS})
         if CONFIG in files or METRICS in files:
             yield Path(path)
+
+
+def _warn_of_unread(error: OSError) -> None:
+    warnings.warn(f"left out: {error.filename} can't be read: {error.strerror}", RunWarning, stacklevel=2)
 
 
 def gather(

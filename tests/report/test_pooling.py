@@ -1,6 +1,8 @@
 """Runs found in folders, and the pools of their seeds."""
 
+import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,6 +55,21 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
     np.testing.assert_allclose(pooled.metrics["deployed/success"], [[0.5], [0.0]])
     with pytest.raises(ValueError, match="no evaluation step in common"):
         read_all(paths)
+
+
+def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    for name in ("a", "closed"):
+        write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3))
+    scandir = os.scandir
+
+    def refusing(path):
+        if Path(path) == tmp_path / "closed":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    with pytest.warns(RunWarning, match="left out: .*closed can't be read: Permission denied"):
+        assert find_runs([tmp_path]) == [tmp_path / "a"]
 
 
 def test_no_runs_are_an_error(tmp_path):
