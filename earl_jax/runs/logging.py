@@ -151,8 +151,8 @@ def check_logs(logs: Sequence[Any]) -> None:
             raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
         if isinstance(log, str):
             optional(LIBRARIES[log], f"the log {log} needs", log)
-        elif not (hasattr(log, "log") and hasattr(log, "close")):
-            raise InputError(f"{log!r} is not a log: it needs the methods log(step, metrics) and close()")
+        elif isinstance(log, type) or not (hasattr(log, "log") and hasattr(log, "close")):
+            raise InputError(f"{log!r} is not a log, an object with the methods log(step, metrics) and close()")
 
 
 def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> list[Log]:

@@ -151,6 +151,7 @@ def test_a_log_that_changes_its_metrics_changes_those_of_no_other_log_and_no_res
     [
         ("mlflow", "unknown log 'mlflow'; choose from tensorboard, wandb"),
         (print, "is not a log"),
+        (ListLog, "ListLog'> is not a log, an object with"),
         ("tensorboard", r"tensorboard writes into a run folder: pass one with out="),
     ],
 )
