@@ -5,6 +5,7 @@ layers, so nobody has to remember its sizes.
 """
 
 import contextlib
+import math
 from typing import Any
 
 import jax
@@ -65,7 +66,8 @@ def apply(params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     """
     network = _network(params["params"])
     if precision == "bf16":
-        return bf16.apply(network, params["params"], x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], -1)
+        rows = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
+        return bf16.apply(network, params["params"], rows).reshape(*x.shape[:-1], network.layer_sizes[-1])
     with jax.default_matmul_precision("highest") if precision == "float32" else contextlib.nullcontext():
         return jnp.asarray(network.apply(params, x))
 

@@ -92,6 +92,7 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, laye
     assert {leaf.dtype for leaf in jax.tree.leaves(coarse)} == {jnp.dtype("float32")}
     single = jax.jit(lambda: apply(params, x[0, 0], "bf16"))()
     np.testing.assert_allclose(single, coarse[0][0, 0], rtol=1e-5, atol=1e-5)
+    assert apply(params, x[:, :0], "bf16").shape == (3, 0, outputs)
 
 
 def test_an_unknown_precision_is_an_error_that_lists_the_choices():
