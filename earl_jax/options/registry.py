@@ -3,18 +3,17 @@
 import dataclasses
 import functools
 from importlib import metadata
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from earl_jax.errors import InputError, choices
 
-T = TypeVar("T")
 NOUNS = {"env": "task", "algo": "method"}
 """What messages call a kind."""
 REGISTERED: list[type] = []
 """The classes that were registered in this process, of every kind."""
 
 
-class Registry(Generic[T]):
+class Registry:
     """The names of one kind (`env`, `algo`) and their classes, extended by the entry-point group `earl_jax.<kind>s`.
 
     The classes are dataclasses and subclasses of `base`, which is named as those of the `table` are: `module:class`.
@@ -25,7 +24,7 @@ class Registry(Generic[T]):
     def __init__(self, kind: str, base: str, table: dict[str, str]):
         self.kind, self._base = kind, metadata.EntryPoint("base", base, kind)
         self._noun = NOUNS.get(kind, kind)
-        self._table: dict[str, str | type[T]] = dict(table)
+        self._table: dict[str, str | type[Any]] = dict(table)
 
     def _entry_points(self) -> list[metadata.EntryPoint]:
         return list(metadata.entry_points(group=f"earl_jax.{self.kind}s"))
@@ -39,7 +38,7 @@ class Registry(Generic[T]):
         """Return every name that can be made, sorted."""
         return sorted({*self._table, *(point.name for point in self._entry_points())})
 
-    def register(self, name: str, cls: type[T]) -> None:
+    def register(self, name: str, cls: type[Any]) -> None:
         """Register the dataclass `cls` as `name` in this process; its own `name` must be the same.
 
         A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one.
@@ -52,7 +51,7 @@ class Registry(Generic[T]):
         self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
 
-    def get(self, name: str) -> type[T]:
+    def get(self, name: str) -> type[Any]:
         """Return the class of `name`.
 
         Raises:
@@ -63,7 +62,7 @@ class Registry(Generic[T]):
             return target.load() if name in self._table else self._loaded(target)
         return target
 
-    def locate(self, name: str) -> tuple[metadata.EntryPoint | type[T], str]:
+    def locate(self, name: str) -> tuple[metadata.EntryPoint | type[Any], str]:
         """Return where the class of `name` is, or the class if it was registered, and the package or module it is from.
 
         Nothing is imported.
@@ -87,7 +86,7 @@ class Registry(Generic[T]):
             raise InputError(f"unknown {self._noun} {name!r}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
-    def _loaded(self, point: metadata.EntryPoint) -> type[T]:
+    def _loaded(self, point: metadata.EntryPoint) -> type[Any]:
         """Return the class of an entry point. Any error in its package becomes a ValueError that names the package."""
         try:
             factory = point.load()
@@ -109,7 +108,7 @@ class Registry(Generic[T]):
             )
         return factory
 
-    def make(self, /, name: str, **options: Any) -> T:
+    def make(self, /, name: str, **options: Any) -> Any:
         """Return an object of the class of `name` with these options.
 
         Raises:
@@ -137,7 +136,7 @@ def _owner(point: metadata.EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else "another package"
 
 
-ENVS: Registry[Any] = Registry(
+ENVS = Registry(
     "env",
     "earl_jax.envs.base:Env",
     {
@@ -151,7 +150,7 @@ ENVS: Registry[Any] = Registry(
         "tabletop_organization": "earl_jax.envs.tabletop:TabletopOrganization",
     },
 )
-ALGOS: Registry[Any] = Registry(
+ALGOS = Registry(
     "algo",
     "earl_jax.algos.method:Method",
     {
@@ -166,7 +165,7 @@ ALGOS: Registry[Any] = Registry(
         "vaprl": "earl_jax.algos.vaprl:VaPRL",
     },
 )
-LEARNERS: Registry[Any] = Registry(
+LEARNERS = Registry(
     "learner",
     "earl_jax.algos.learner.base:Learner",
     {"sac": "earl_jax.algos.learner.sac:SAC", "td3": "earl_jax.algos.learner.td3:TD3"},
