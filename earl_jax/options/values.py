@@ -91,9 +91,9 @@ def check_intervals(owner: str, options: Any) -> None:
 
 
 def literals(cls: type) -> dict[str, tuple[Any, ...]]:
-    """Return the valid values of the `Literal[...]` fields, which may be None too, of `cls` or, before an override, of a base."""
+    """Return the valid values of the fields of type `Literal[...]`, or None too, of `cls` or, before an override, of a base."""
     return {
-        name: typing.get_args(part)
+        name: (*typing.get_args(part), *[None] * (kind != part))
         for name, kind in _annotations(cls)
         for part in (kind, *typing.get_args(kind))
         if typing.get_origin(part) is typing.Literal and kind in (part, part | None)
@@ -114,7 +114,7 @@ def _annotations(cls: type) -> list[tuple[str, Any]]:
 def check_literals(options: Any) -> None:
     """Raise an InputError if a field of the object `options` has a value that `literals` does not have."""
     for name, valid in literals(type(options)).items():
-        if (value := getattr(options, name)) is not None and value not in valid:
+        if (value := getattr(options, name)) not in valid:
             raise InputError(f"{name} {brief(value)} is not one of {', '.join(map(str, valid))}")
 
 

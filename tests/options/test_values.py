@@ -72,6 +72,8 @@ def test_the_types_of_options_can_be_text():
         check("example", Postponed, {"limit": "much"})
     with pytest.raises(ValueError, match="mode 'c' is not one of a, b"):
         check_literals(Postponed(mode="c"))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="mode None is not one of a, b"):
+        check_literals(Postponed(mode=None))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="other 3 is not one of 1, 2"):
         check_literals(Postponed(other=3))  # pyright: ignore[reportArgumentType]
     check_literals(Postponed(other=2))
