@@ -6,7 +6,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,27 +32,22 @@ Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 @REGISTRY.primitive_rule
 def whole_number(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     """Return how an int is read: also as 1e6, 2.5e6 or 2_500_000."""
-    if kind.type is not int:
-        return None
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="INT",
-        instance_from_str=lambda texts: parse_whole(texts[0]),
-        is_instance=lambda value: isinstance(value, int),
-        str_from_instance=lambda value: [str(value)],
-    )
+    return _read_by(parse_whole, int, "INT") if kind.type is int else None
 
 
 @REGISTRY.primitive_rule
 def user_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     """Return how a path is read: with the folder of the user for `~`, which a shell leaves in `--out=~/runs`."""
-    if kind.type is not Path:
-        return None
+    return _read_by(_expanded, Path, "PATH") if kind.type is Path else None
+
+
+def _read_by(read: Callable[[str], Any], kind: type, metavar: str) -> PrimitiveConstructorSpec:
+    """Return how an argument becomes a value of a `kind`, by `read`."""
     return PrimitiveConstructorSpec(
         nargs=1,
-        metavar="PATH",
-        instance_from_str=lambda texts: _expanded(texts[0]),
-        is_instance=lambda value: isinstance(value, Path),
+        metavar=metavar,
+        instance_from_str=lambda texts: read(texts[0]),
+        is_instance=lambda value: isinstance(value, kind),
         str_from_instance=lambda value: [str(value)],
     )
 
