@@ -31,7 +31,6 @@ from earl_jax.report.style import (
     task_title,
 )
 
-HEADINGS = "Deployed, from s0", "Continuing, over the lifetime"
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
 COLOUR_COUNT = 10
@@ -116,7 +115,7 @@ def plot_runs(
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
     of_tasks = grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
-    cells = [(group, *panel) for group in groups for panel in (_panels(group) if metric is None else [(metric, "")])]
+    cells = [(group, *panel) for group in groups for panel in _panels(group, metric)]
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
@@ -145,9 +144,12 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
 
-def _panels(lines: Sequence[Line]) -> list[tuple[str, str]]:
-    """Return the metrics of the panels of `lines` and their headings."""
-    return list(zip((lines[0].curves.deployed_metric, "continuing/reward"), HEADINGS, strict=True))
+def _panels(lines: Sequence[Line], metric: str | None) -> list[tuple[str, str]]:
+    """Return the metrics of the panels of `lines` and their headings: `metric`, or by default the two scores."""
+    if metric is not None:
+        return [(metric, "")]
+    deployed = lines[0].curves.deployed_metric
+    return [(deployed, "Deployed, from s0"), ("continuing/reward", "Continuing, over the lifetime")]
 
 
 def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, published: bool) -> bool:
