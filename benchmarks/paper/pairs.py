@@ -56,10 +56,14 @@ SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
 HORIZONS = 1_000, 10_000, 200_000
 
 
+def _ten_seeds(variant: str) -> tuple[str, str]:
+    """Return the run of a variant with seeds 0 to 4 and that with seeds 5 to 9."""
+    return variant, f"{variant}-seeds_5_to_9"
+
+
 def _released(update: str, horizon: int) -> tuple[str, str]:
     """Return the run of the released script with an `update` and its further seeds, which trained longer."""
-    name = f"{CHEETAH}/naive/{SCRIPT_OPTIONS}{update}-train_horizon_{horizon}"
-    return name, f"{name}-seeds_5_to_9"
+    return _ten_seeds(f"{CHEETAH}/naive/{SCRIPT_OPTIONS}{update}-train_horizon_{horizon}")
 
 
 def _all_kept(cell: str) -> str:
@@ -70,11 +74,6 @@ def _all_kept(cell: str) -> str:
 def _both_scores(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[Pair, ...]:
     """Return the tests of two sets by the deployed score and by the reward of the life."""
     return Pair(first, second), Pair(first, second, CONTINUING)
-
-
-def _ten_seeds(variant: str) -> tuple[str, str]:
-    """Return the run of a variant with seeds 0 to 4 and that with seeds 5 to 9."""
-    return variant, f"{variant}-seeds_5_to_9"
 
 
 def _released_replay(cell: str) -> tuple[Pair, ...]:
