@@ -14,7 +14,7 @@ PUBLISHED = ("published",)
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled.
+    """Two sets of run folders below results/paper that differ in one thing; the seeds of a set are pooled, each once.
 
     They are compared by the `metric`, by default the deployed score. The second set may be `PUBLISHED`.
     """
