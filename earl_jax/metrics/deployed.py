@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.envs import Env, State, balanced_starts
 from earl_jax.envs.starts import require_pairs
+from earl_jax.options.values import EPISODES, require
 
 WIDE = "deployed/success_wide"
 """The metric of episodes from `Env.starts.wide`, on tasks that have it."""
@@ -51,9 +52,10 @@ def deployed(
     docs/formalism.md says why). They are part of the same scan, and change no other episode.
 
     Raises:
-        ValueError: `pairs` is unknown.
+        ValueError: `pairs` is unknown, or `episodes` are fewer than one.
     """
     require_pairs("pairs", pairs)
+    require("episodes", episodes, EPISODES)
     if pairs == "balanced":
         states = balanced_starts(env, key, episodes)
     else:

@@ -164,8 +164,7 @@ def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
     for option, value in options.items():
         if option not in fields:
             raise InputError(f"{owner} has no option {option!r}; choose from {', '.join(fields)}")
-        expected = _expected(fields[option], types[option], value)
-        if expected:
+        if expected := _expected(fields[option], types[option], value):
             raise InputError(f"{owner}: {option} must be {expected}, not {brief(value)}")
         if "interval" in fields[option].metadata and value is not None:
             require(f"{owner}: {option}", value, fields[option].metadata["interval"])
@@ -175,8 +174,11 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
     """Return the kind of value that `field` takes by its `annotation` if `value` is of another kind, else None."""
     default = field.default
     if isinstance(default, tuple):
-        is_sizes = isinstance(value, tuple) and value and all(_fits(int, size) and size for size in value)
-        return None if is_sizes else "whole numbers of at least 1"
+        kind = type(default[0]) if default else None
+        fits = isinstance(value, tuple) and all(kind not in KINDS or _fits(kind, item) for item in value)
+        if kind is int:
+            return None if fits and value and all(value) else "whole numbers of at least 1"
+        return None if fits else "a list" + f", each of its values {KINDS.get(kind)}" * (kind in KINDS)
     parts = typing.get_args(annotation)
     may_be_none = default is None or type(None) in parts
     declared = next((part for part in parts if part is not type(None)), None) if may_be_none else annotation
@@ -245,7 +247,6 @@ def _known(value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    """Return whether `value` is a finite number."""
     try:
         return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:  # an int of hundreds of digits

@@ -33,7 +33,7 @@ class Log(Protocol):
         ...
 
     def close(self) -> None:
-        """Close the log after all metrics are written."""
+        """Close the log after all metrics are written. An error is a `RunWarning`, because the run has ended."""
         ...
 
 

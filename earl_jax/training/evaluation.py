@@ -15,7 +15,7 @@ from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import EPISODES, SEED, require
+from earl_jax.options.values import SEED, require
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.table import KEYS
 from earl_jax.training.forks import require_jax
@@ -86,7 +86,6 @@ def evaluate(
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
     require_jax()
-    require("episodes", episodes, EPISODES)
     require("seed", seed, SEED)
     run = RunFolder.open(Path(folder))
     env, policies = with_engine(run.config.build_task(), engine), load_policies(run)

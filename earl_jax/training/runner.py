@@ -22,7 +22,7 @@ from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host, gathered
-from earl_jax.runs.logging import Log, open_logs
+from earl_jax.runs.logging import Log, OptionalLog, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
 from earl_jax.runs.table import Table
@@ -83,7 +83,7 @@ class Run:
             yield
         finally:
             for log in self._logs:
-                log.close()
+                OptionalLog(type(log).__name__, log).close()
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
         """Write `metrics [n]` at `step` to the table and to every log and keep them, in the columns of the evaluations so far."""

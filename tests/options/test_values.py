@@ -23,6 +23,8 @@ class Example:
     fast: bool = False
     word: str = "a"
     layers: tuple[int, ...] = (8,)
+    shares: tuple[float, ...] = (0.5, 0.5)
+    parts: tuple[object, ...] = ()
     limit: float | None = None
     weight: float = 1
 
@@ -32,7 +34,8 @@ class Example:
     [
         {"rate": 1}, {"rate": np.array([0.1, 0.2])}, {"size": np.int64(3)}, {"fast": True}, {"fast": np.array([1.0, 0.0])},
         {"fast": np.True_},
-        {"layers": (4, 4)}, {"limit": None}, {"limit": 2.0}, {"word": "b"},
+        {"layers": (4, 4)}, {"shares": (0, 0.25)}, {"shares": ()}, {"parts": ("a", 1)},
+        {"limit": None}, {"limit": 2.0}, {"word": "b"},
         {"weight": 0.5}, {"weight": -1},
     ],
 )  # fmt: skip
@@ -43,13 +46,15 @@ def test_values_of_the_right_type_are_accepted(options):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"speed": 1}, "example has no option 'speed'; choose from rate, size, fast, word, layers, limit, weight"),
+        ({"speed": 1}, "example has no option 'speed'; choose from rate, size, fast, word, layers, shares, parts, limit, weight"),
         ({"rate": "fast"}, "rate must be a finite number, not 'fast'"), ({"rate": np.nan}, "rate must be a finite number"),
         ({"rate": True}, "rate must be a finite number"), ({"limit": "much"}, "limit must be a finite number or null"),
         ({"size": 2.5}, "size must be a whole number of at least 0, not 2.5"), ({"size": -1}, "size must be a whole number"),
         ({"fast": "no"}, "fast must be true or false, not 'no'"), ({"fast": np.array([1, 2])}, "fast must be true or false"),
         ({"word": 3}, "word must be text, not 3"),
         ({"layers": ()}, "layers must be whole numbers of at least 1"), ({"layers": (8, 0)}, "whole numbers of at least 1"),
+        ({"shares": (0.5, "much")}, "shares must be a list, each of its values a finite number, not (0.5, 'much')"),
+        ({"shares": 0.5}, "shares must be a list"), ({"parts": 1}, "parts must be a list, not 1"),
     ],
 )  # fmt: skip
 def test_unknown_options_and_wrong_types_are_refused(options, message):

@@ -146,6 +146,18 @@ def test_a_log_that_changes_its_metrics_changes_those_of_no_other_log_and_no_res
     assert result.metrics["deployed/success"].max() <= 1.0
 
 
+def test_a_log_that_cannot_be_closed_costs_no_result_and_the_others_are_closed():
+    class Stuck(ListLog):
+        def close(self):
+            raise OSError("no space left")
+
+    log = ListLog()
+    with pytest.warns(RunWarning, match="the log Stuck has failed .*: no space left"):
+        result = tiny_train("naive", logs=[Stuck(), log])
+    assert result.step == result.config.steps
+    assert log.closed == 1
+
+
 @pytest.mark.parametrize(
     ("log", "message"),
     [
