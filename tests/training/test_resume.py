@@ -13,7 +13,7 @@ from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.runs.folder import RunFolder
-from earl_jax.training import api, runner
+from earl_jax.training import runner
 from tests.cli.process import unchanged
 from tests.conftest import TINY, TINY_RUN, assert_equal_trees, tiny_train
 
@@ -176,19 +176,11 @@ def test_a_longer_run_that_fails_before_its_first_steps_leaves_its_config(folder
         earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120)
 
 
-def test_a_crashed_start_does_not_block_its_folder(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(api, "run_program", fail)
-        with pytest.raises(RuntimeError, match="out of memory"):
-            tiny_train("naive", out=tmp_path / "run", seeds=3)
-    tiny_train("naive", out=tmp_path / "run")
-    with pytest.raises(ValueError, match="holds another run"):
-        tiny_train("naive", out=tmp_path / "run")
-
-
-def test_overwriting_removes_the_earlier_run_only_after_the_new_one_is_accepted(tmp_path, capsys):
+def test_an_earlier_run_is_removed_on_request_only_and_after_the_new_one_is_accepted(tmp_path, capsys):
     out = tmp_path / "run"
     tiny_train("naive", out=out)
+    with unchanged(out), pytest.raises(ValueError, match="holds another run"):
+        tiny_train("naive", out=out)
     for invalid in ({"steps": 50}, {"logs": ["abacus"]}, {"discount": "high"}, {"devices": 1000}):
         with unchanged(out), pytest.raises(ValueError, match=r".+"):
             tiny_train("naive", out=out, overwrite=True, **invalid)
