@@ -20,11 +20,10 @@ def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
     )
 
 
-class Endless(Chain):
-    continuing = ContinuingDefaults(goal_change=8, train_horizon=0)
-
-
 def test_the_lifelong_h_t_of_a_task_can_be_never():
+    class Endless(Chain):
+        continuing = ContinuingDefaults(goal_change=8, train_horizon=0)
+
     assert Continuing().protocol(Endless()).train_horizon == 0
     assert Continuing().protocol(Chain()).train_horizon == Chain().train_horizon
 

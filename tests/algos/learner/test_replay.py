@@ -130,11 +130,6 @@ def test_demonstrations_are_left_out_of_a_sample_of_own_transitions_if_there_are
         assert set(np.asarray(batch.row).ravel().tolist()) == expected
 
 
-def assert_equal_samples(*buffers):
-    for controller in np.eye(2, dtype=np.int32):
-        assert_equal_trees(*(sample(buffer, KEYS, controller, DRAWS, NO_DEMO_SHARE) for buffer in buffers))
-
-
 def ring(own):
     """Return an empty replay that keeps `own` transitions."""
     return replay.create(own + 1, 2, 1, 1, False, slots=2 * own)
@@ -153,11 +148,9 @@ def test_a_replay_of_a_short_run_is_restored_in_one_that_evicts():
     rows, more = (LONG[0][:6], LONG[1][:6]), (LONG[0][6:], LONG[1][6:])
     short = fill_replay(*rows)
     grown = jax.tree.map(jnp.asarray, snapshot.spread([snapshot.filled(short, slice(None), 6)], [2], ring(7)))
-    assert_equal_samples(fill_replay(*more, buffer=grown, first=6), fill_replay(*LONG, buffer=ring(7)))
-
-
-def total_bytes(tree):
-    return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))
+    buffers = fill_replay(*more, buffer=grown, first=6), fill_replay(*LONG, buffer=ring(7))
+    for controller in np.eye(2, dtype=np.int32):
+        assert_equal_trees(*(sample(buffer, KEYS, controller, DRAWS, NO_DEMO_SHARE) for buffer in buffers))
 
 
 @pytest.mark.parametrize("capacity", [None, pytest.param(50_000, marks=pytest.mark.slow)])
@@ -167,7 +160,7 @@ def test_no_step_copies_the_buffer(problem, capacity):
     state = make_train_state(problem, method, [0, 1], steps=200_000)
     run = jax.jit(lambda m, state: run_steps(problem, m, state, 20), donate_argnums=1)
     memory = run.lower(method, state).compile().memory_analysis()
-    buffer_bytes = total_bytes(state.replay)
+    buffer_bytes = sum(leaf.nbytes for leaf in jax.tree.leaves(state.replay))
     assert buffer_bytes > (10_000_000 if capacity is None else 8_000_000)
     assert memory.temp_size_in_bytes < buffer_bytes / 10
     assert memory.alias_size_in_bytes > buffer_bytes
