@@ -20,16 +20,6 @@ KEYS = jax.random.split(jax.random.key(0), 4000)
 OBS = jnp.zeros(12)
 
 
-class Impatient(FBRL):
-    """Leaves every phase after five steps."""
-
-    controllers: int = struct.field(pytree_node=False, default=1)
-    name = "impatient"
-
-    def ends_phase(self, key, env, agent, obs, moment, method_state):
-        return moment.phase_step + 1 >= 5
-
-
 def moment(phase_step):
     return Moment(jnp.asarray(phase_step), jnp.asarray(TASK), phase_step, KEYS[0])
 
@@ -54,6 +44,15 @@ def switch_share(env):
 
 
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
+    class Impatient(FBRL):
+        """Leaves every phase after five steps."""
+
+        controllers: int = struct.field(pytree_node=False, default=1)
+        name = "impatient"
+
+        def ends_phase(self, key, env, agent, obs, moment, method_state):
+            return moment.phase_step + 1 >= 5
+
     method = per_lane(Impatient(tiny_method("fbrl").learner, fixed_phases=True), 2)
     start = make_train_state(problem, method, [0, 1])
     end = run_whole(problem, method, start, 20, warmup=True)

@@ -63,14 +63,11 @@ def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_
             earl_jax.NumpyPolicy.load(tmp_path / other)
 
 
-class Linear(SAC):
-    """A learner whose greedy action is not squashed."""
-
-    def greedy(self, actor, obs):
-        return 0.1 * super().greedy(actor, obs)
-
-
 def test_a_policy_without_a_numpy_form_is_refused(env):
+    class Linear(SAC):
+        def greedy(self, actor, obs):
+            return 0.1 * super().greedy(actor, obs)
+
     with pytest.raises(ValueError, match="the learner 'sac' has no NumPy form"):
         policy_of(env, Linear(hidden_sizes=(16,))).numpy()
     one = policy_of(env, SAC(hidden_sizes=(16,)))

@@ -58,12 +58,11 @@ def test_training_starts_at_rho_in_the_row_after_the_demonstrations(problem):
     assert int(state.step) == 0
 
 
-class Backwards(Method):
-    name = "backwards"
-    phases = Phase((BACKWARD,)), Phase((FORWARD,))
-
-
 def test_demonstrated_rows_have_the_order_of_the_goals_whatever_the_first_phase_samples(problem):
+    class Backwards(Method):
+        name = "backwards"
+        phases = Phase((BACKWARD,)), Phase((FORWARD,))
+
     np.testing.assert_array_equal(demo_rows(problem, Backwards()).states, problem.goals.candidates)
 
 

@@ -32,13 +32,13 @@ def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_
     assert plan.chunk_steps == chunk_steps
 
 
-class Crowd(Method):
-    name = "crowd"
-    phases = tuple(Phase((), controller=number) for number in range(3))
-
-
 def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
     """The transitions of a third one used to be dropped, and it learnt from those of the second one."""
+
+    class Crowd(Method):
+        name = "crowd"
+        phases = tuple(Phase((), controller=number) for number in range(3))
+
     with pytest.raises(ValueError, match="crowd has 3 controllers, and the replay has parts for 2"):
         prepare(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
 

@@ -1,7 +1,5 @@
 """Rules in training: interventions, faults, the absorbing end, lanes that diverge, and the map of visits."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -99,16 +97,14 @@ def test_a_fault_is_an_intervention_of_its_lane_alone_and_never_learnt_from(door
     np.testing.assert_allclose(restart[:3], door.env.initial_states[0, :3], atol=1e-6)
 
 
-@dataclasses.dataclass(frozen=True)
-class BrokenReward(TabletopOrganization):
-    name = "broken_reward"
-
-    def reward(self, obs):
-        """Return a reward that is not finite in the right half of the table."""
-        return jnp.where(obs[..., 0] > 0, jnp.nan, -jnp.abs(obs[..., 0]))
-
-
 def test_a_reward_that_is_not_finite_is_a_fault_of_its_lane():
+    class BrokenReward(TabletopOrganization):
+        name = "broken_reward"
+
+        def reward(self, obs):
+            """Return a reward that is not finite in the right half of the table."""
+            return jnp.where(obs[..., 0] > 0, jnp.nan, -jnp.abs(obs[..., 0]))
+
     problem = make_problem(BrokenReward(reward_type="dense"), eval_every=40, eval_episodes=2)
     method = tiny_method("naive")
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
