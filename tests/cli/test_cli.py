@@ -117,6 +117,7 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "messages"),
     [
+        (["train"], ["earl-jax: train needs a task"]),
         (["train", "cheetah"], ["earl-jax: unknown task 'cheetah'", "tabletop_organization"]),
         ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),

@@ -93,10 +93,6 @@ def test_a_signal_leaves_one_json_object(command, folder, monkeypatch):
     assert run(command, *arguments)[1] == ""
 
 
-def test_a_missing_task_is_named(repeated):
-    assert "train needs a task" in repeated()[2]
-
-
 def test_a_preset_gives_lengths_and_options_and_what_is_given_besides_wins(repeated):
     config = repeated("tabletop_organization", "--preset", "quick", "--steps", "400", "--set", "batch_size=16")[1]
     assert (config.seeds, config.steps, config.eval_every) == ((0, 1), 400, 400)
