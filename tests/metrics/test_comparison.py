@@ -145,12 +145,6 @@ def test_equal_constant_scores_do_not_differ_and_single_seeds_tell_nothing():
     assert math.isnan(detectable_difference(Sample.of(ones[:1]), Sample.of(zeros)))
 
 
-def test_a_score_that_is_nan_tells_nothing():
-    result = permutation(np.array([0.9, math.nan, 0.8]), np.zeros(3))
-    assert math.isnan(result.p)
-    assert result.verdict == "cannot tell"
-
-
 def test_two_seeds_have_a_test_but_no_interval():
     two, five = np.array([0.2, 0.6]), np.zeros(5)
     pair = permutation(two, five)

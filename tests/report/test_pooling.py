@@ -13,17 +13,6 @@ from earl_jax.runs.files import RunWarning
 from tests.report.run_files import TABLETOP, change_config, rising, write_page_run, write_run
 
 
-def test_seeds_of_equal_runs_are_pooled_and_others_kept_apart(tmp_path):
-    paths = [
-        write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3)),
-        write_run(tmp_path / "b", TABLETOP, "naive", rising(3, 3), seeds=(2, 3, 4)),
-        write_run(tmp_path / "c", TABLETOP, "naive", rising(2, 3), reward_scale=1.0),
-    ]
-    pooled, other = read_all(paths)
-    assert pooled.metrics["deployed/success"].shape == (5, 3)
-    assert other.metrics["deployed/success"].shape == (2, 3)
-
-
 def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labelled_with_it(tmp_path):
     paths = [write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3) / n) for n, name in enumerate("ab", 1)]
     change_config(paths[1], algo_class="lab.methods:Naive")
