@@ -228,4 +228,8 @@ DIFFERENCES = (
         Pair((f"{biased[0]}-seeds_10_to_14",), (f"{bootstrapped[0]}-seeds_10_to_14",))
         for biased, bootstrapped in zip(RELEASED_BIASED, RELEASED_BOOTSTRAPPED, strict=True)
     )),
+    Difference("23", "the bootstrapped time-outs of 15 on fresh seeds, with the released replay", tuple(
+        Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
+        for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
+    )),
 )  # fmt: skip
