@@ -12,7 +12,7 @@ import pytest
 
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
-from earl_jax.physics.host_call.workers import DEPTH, SPAN
+from earl_jax.physics.host_call.workers import ACTIVE_S, DEPTH, SPAN
 from tests.cli.process import run_code
 from tests.physics.host_work import Jobs, refuse, wait_for, where
 
@@ -53,8 +53,12 @@ def test_numbers_of_jobs_may_pass_the_span_of_a_word():
     assert jobs.number > SPAN
 
 
-def test_a_thread_of_this_process_calls_what_no_other_process_can_import():
+def test_a_thread_of_this_process_calls_what_no_other_process_can_import_and_rests_without_jobs():
     assert set(Jobs(lambda rows: where(rows), 2)(4)) == {os.getpid()}
+    time.sleep(2 * ACTIVE_S)
+    before = time.process_time()
+    time.sleep(0.3)
+    assert time.process_time() - before < 0.015
 
 
 @pytest.mark.parametrize("serve", [refuse, lambda rows: refuse(rows)])

@@ -113,6 +113,11 @@ def work(shared: Shared, serve: Serve, index: int, count: int, first: int, idle:
         number += 1
 
 
+def nap(seconds: float) -> None:
+    """Let others run for a moment, or for longer after many `seconds` without work."""
+    time.sleep(0 if seconds < ACTIVE_S else min(seconds / 8, LONGEST_NAP_S))
+
+
 class Workers:
     """Up to `count` processes that map rows to rows with `serve`, as many as the largest job has rows.
 
@@ -161,7 +166,7 @@ class Workers:
 
     def _work_here(self, job: int) -> None:
         try:
-            work(self.shared, self.serve, 0, 1, job, lambda seconds: time.sleep(0))
+            work(self.shared, self.serve, 0, 1, job, nap)
         except Exception as error:
             self._fail(repr(error))
 
@@ -191,7 +196,7 @@ def main() -> None:
             return os.sched_yield()
         if os.getppid() != parent:
             raise SystemExit
-        time.sleep(min(seconds / 8, LONGEST_NAP_S))
+        nap(seconds)
 
     try:
         work(Shared(descriptor, width), pickle.load(sys.stdin.buffer), index, count, first, idle)
