@@ -51,7 +51,7 @@ SHARED = {
     "window": "Steps at the end of a run whose evaluations its score averages, instead of --last.",
 }
 """What arguments of several commands mean."""
-CONTINUED = re.compile(r"\n {12,}(?=\S)")
+CONTINUED = re.compile(r"\n {8,}(?=\S)")
 """The break of a line within the description of an argument, which the parser would print."""
 
 
@@ -61,7 +61,7 @@ def readable(command: Callable[..., Any]) -> Callable[..., Any]:
         hint = "" if parameter.default in NO_DEFAULTS else None
         argument = tyro.conf.arg(metavar=_metavar(parameter), help=SHARED.get(name), help_behavior_hint=hint)
         command.__annotations__[name] = Annotated[parameter.annotation, argument]
-    command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
+    command.__doc__ = CONTINUED.sub(" ", inspect.cleandoc(command.__doc__ or ""))
     return command
 
 

@@ -1,6 +1,7 @@
 """The origin of a run, which config.json records: time, versions, machine, and the commit or the release."""
 
 import base64
+import csv
 import datetime
 import hashlib
 import json
@@ -67,10 +68,13 @@ def installed_release(package: Path) -> tuple[str | None, str | None]:
         wheel = metadata.distribution("earl-jax")
     except metadata.PackageNotFoundError:
         return None, None
-    hashes = {Path(str(file.locate())).resolve(): file.hash for file in wheel.files or () if file.suffix == ".py"}
+    record = csv.reader(
+        (wheel.read_text("RECORD") or "").splitlines()
+    )  # wheel.files lacks removed files since Python 3.12
+    hashes = {Path(str(wheel.locate_file(name))).resolve(): known for name, known, *_ in record if name.endswith(".py")}
     if package / "__init__.py" not in hashes:
         return None, None
-    mark = CHANGED * any(known and _sha256(path) != known.value for path, known in hashes.items())
+    mark = CHANGED * any(known and _sha256(path) != known for path, known in hashes.items())
     source = json.loads(wheel.read_text("direct_url.json") or "{}")
     commit = source.get("vcs_info", {}).get("commit_id")
     return wheel.version + mark, commit and commit + mark
@@ -82,7 +86,7 @@ def _sha256(path: Path) -> str | None:
         digest = hashlib.sha256(path.read_bytes()).digest()
     except OSError:
         return None
-    return base64.urlsafe_b64encode(digest).decode().rstrip("=")
+    return "sha256=" + base64.urlsafe_b64encode(digest).decode().rstrip("=")
 
 
 def made_by(values: Any) -> str:
