@@ -123,7 +123,7 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     alternatives = {}
     for name, value in sorted(options.items()):
         listed = value if isinstance(value, list) else [value]
-        alternatives[name] = values = [None if item == NULL else item for item in listed]
+        alternatives[name] = values = list(map(without_null, listed))
         if not values or len(set(map(_text, values))) < len(values):
             raise InputError(
                 f"option {name} = {values} must list at least one value, each once; a list holds alternatives"
@@ -136,6 +136,11 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
                 "write it as [[256, 256]]"
             )
     return alternatives
+
+
+def without_null(value: Any) -> Any:
+    """Return a value of TOML as an option takes it: None for `NULL`."""
+    return None if value == NULL else value
 
 
 def _slug(options: dict[str, Any]) -> str:

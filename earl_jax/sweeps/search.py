@@ -220,7 +220,7 @@ def _space(option: str, distribution: dict[str, Any]) -> Any:
     try:
         [(kind, values)] = distribution.items()
         if kind == "choice":
-            return spaces.CategoricalDistribution([json.dumps(value) for value in values])
+            return spaces.CategoricalDistribution([json.dumps(grid.without_null(value)) for value in values])
         low, high = values
         if kind == "integers":
             return spaces.IntDistribution(operator.index(low), operator.index(high))

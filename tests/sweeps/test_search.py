@@ -128,6 +128,12 @@ def test_a_signal_leaves_one_json_object(space, tmp_path, batches, monkeypatch):
     assert json.loads(out) == values
 
 
+def test_a_choice_can_be_null(space, tmp_path, batches):
+    space.write_text(SPACE.replace("[[16], [32, 32]] }", "[[16]] }\nreplay_capacity = { choice = ['null'] }"))
+    [trial] = search(space, tmp_path / "out", trials=1, emit=lambda line: None)
+    assert (trial.options["replay_capacity"], trial.state) == (None, "done")
+
+
 @pytest.mark.parametrize("rungs", [1, 3])
 def test_a_trial_whose_score_is_nan_has_failed(space, tmp_path, batches, rungs):
     space.write_text(SPACE + "reward_scale = 0.5\n")
