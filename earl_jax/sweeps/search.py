@@ -5,18 +5,14 @@ proposes what it would have proposed.
 """
 
 import dataclasses
-import itertools
-import json
 import math
-import operator
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError, optional
+from earl_jax.errors import InputError
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, counted, require
@@ -25,14 +21,13 @@ from earl_jax.runs.contents import CONFIG
 from earl_jax.runs.files import check_kind, locked
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
+from earl_jax.sweeps.space import check_ends, option, optuna, read_space
 from earl_jax.sweeps.worker import planned_run, work
 from earl_jax.training.stopping import Stopped
 
 TRIALS = "search.journal"
 """Optuna's file of the trials in the folder of a search."""
 STATES = {"RUNNING": "running", "COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed"}
-SAMPLERS = ("tpe", "random", "qmc")
-EXAMPLE = "as in learning_rate = { log_uniform = [1e-5, 1e-2] }"
 
 
 class Trial(NamedTuple):
@@ -76,6 +71,7 @@ def search(
     require("seed", seed, COUNT_OR_NEVER)  # the number of a trial is added, and the sum is a seed of NumPy
     optuna()
     base, spaces, sampler = read_space(space)
+    check_ends(base, spaces)
     if len(base.seeds) % sharing:
         raise InputError(
             f"a search needs seeds that divide over its {sharing} devices, not {counted(len(base.seeds), 'seed')}, "
@@ -117,7 +113,7 @@ class Search:
         ]
 
     def _options(self, trial: Any) -> dict[str, Any]:
-        return {name: _option(self.spaces[name], value) for name, value in trial.params.items()}
+        return {name: option(self.spaces[name], value) for name, value in trial.params.items()}
 
     def _running(self) -> list[Any]:
         return [trial for trial in self.study.trials if not trial.state.is_finished()]
@@ -184,63 +180,6 @@ class Search:
             self.emit(f"{state:<10} {options}  score {score:.4g} at step {steps}")
 
 
-def read_space(path: Path) -> tuple[grid.RunSpec, dict[str, Any], str]:
-    """Return the run of a file with one task and one method, Optuna's distributions of its other options, and its sampler.
-
-    Raises:
-        ValueError: as `grid.read`, or there are several tasks, methods or values of an option, or no distribution.
-    """
-    table = grid.read_table(path)
-    try:
-        if "runs" in table:
-            raise InputError("a search has no [[runs]]; it draws the options of its runs itself")
-        options = grid.options_of(table)
-        spaces = {name: _space(name, value) for name, value in sorted(options.items()) if isinstance(value, dict)}
-        if not spaces:
-            raise InputError(f"a search needs options with a distribution, {EXAMPLE}")
-        if "reward_type" in spaces:
-            raise InputError("a search compares one score, and reward_type decides between success and return: fix it")
-        sampler = table.pop("sampler", SAMPLERS[0])
-        if sampler not in SAMPLERS:
-            raise InputError(f"unknown sampler {sampler!r}; choose from {', '.join(SAMPLERS)}")
-        fixed = {name: value for name, value in options.items() if name not in spaces}
-        base, *others = itertools.islice(grid.block_specs({**table, "options": fixed}), 2)
-        if others:
-            raise InputError(
-                "a search has one task, one method and one value of each option; a list can be a choice = [...]"
-            )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    return base, spaces, sampler
-
-
-def _space(option: str, distribution: dict[str, Any]) -> Any:
-    """Return Optuna's distribution of an option; choices are JSON texts, because Optuna has no lists."""
-    spaces = optuna().distributions
-    try:
-        [(kind, values)] = distribution.items()
-        if kind == "choice":
-            return spaces.CategoricalDistribution([json.dumps(grid.without_null(value)) for value in values])
-        low, high = values
-        if kind == "integers":
-            return spaces.IntDistribution(operator.index(low), operator.index(high))
-        if kind not in ("uniform", "log_uniform") or not math.isfinite(high - low):
-            raise ValueError(f"unknown distribution {kind!r}, or an end that is not finite")
-        return spaces.FloatDistribution(float(low), float(high), log=kind == "log_uniform")
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"option {option} = {distribution} must be a choice of values, or the two ends of uniform, log_uniform or "
-            f"integers, {EXAMPLE} ({error})"
-        ) from error
-
-
-def _option(space: Any, value: Any) -> Any:
-    """Return an option as Optuna proposed it, a float with four significant digits: the run's name has the exact value."""
-    if isinstance(value, float):
-        return min(max(float(f"{value:.4g}"), space.low), space.high)
-    return json.loads(value) if isinstance(value, str) else value
-
-
 def _sampler(name: str, seed: int, number: int) -> Any:
     """Return Optuna's sampler for the trial `number`."""
     samplers = optuna().samplers
@@ -289,11 +228,3 @@ def _open_study(path: Path, identity: str) -> Any:
         raise InputError(f"{path} is of a search with other values; choose another --out, or the values that it had")
     study.set_user_attr("search", identity)
     return study
-
-
-def optuna() -> Any:
-    """Return the module of Optuna with a silent log; an InputError names the extra that installs it."""
-    module = optional("optuna", "search needs", "search")
-    module.logging.set_verbosity(module.logging.ERROR)
-    warnings.filterwarnings("ignore", category=module.exceptions.ExperimentalWarning)
-    return module

@@ -114,17 +114,24 @@ def _described(group: list[PlannedRun]) -> dict[str, Any]:
 
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training. Errors as `plan`."""
+    run, path = resolved_run(spec), out / spec.name
     try:
-        env, setting, options = split_options(spec.env, spec.options)
-        method = method_for(env, spec.algo, **options)
-        config = RunConfig.from_objects(env, method, setting, spec.seeds, spec.schedule)
-        run = Run.resolve(config, env, method)
-        demo_rows(Problem(env, run.protocol), run.method)
-        path = out / spec.name
-        step = _reached(open_folder(path, config)) if has_results(path) else 0
+        step = _reached(open_folder(path, run.config)) if has_results(path) else 0
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error
     return PlannedRun(name=spec.name, run=run, step=step)
+
+
+def resolved_run(spec: grid.RunSpec) -> Run:
+    """Return the objects of a run of a grid, after the checks that need no folder. Errors as `plan`."""
+    try:
+        env, setting, options = split_options(spec.env, spec.options)
+        method = method_for(env, spec.algo, **options)
+        run = Run.resolve(RunConfig.from_objects(env, method, setting, spec.seeds, spec.schedule), env, method)
+        demo_rows(Problem(env, run.protocol), run.method)
+    except InputError as error:
+        raise InputError(f"{spec.name}: {error}") from error
+    return run
 
 
 def _reached(folder: RunFolder) -> int:

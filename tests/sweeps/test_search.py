@@ -12,7 +12,8 @@ import pytest
 from earl_jax.runs.config import deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module, worker
-from earl_jax.sweeps.search import read_space, search
+from earl_jax.sweeps.search import search
+from earl_jax.sweeps.space import read_space
 from earl_jax.training.stopping import Stopped
 from tests.cli.process import one_line, run, succeed
 
@@ -210,3 +211,18 @@ def test_invalid_spaces_are_refused(space, change, message):
     space.write_text(SPACE.replace(*change))
     with pytest.raises(ValueError, match=message):
         read_space(space)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ((UNIFORM, "uniform = [0.9, 2.0]"), r"discount must lie in .*, not 2"),
+        (("[1, 4]", "[-5, 4]"), "random_steps must be .*, not -5"),
+        (("[[16], [32, 32]]", "[[16], [0]]"), "hidden_sizes must be"),
+    ],
+)
+def test_a_value_that_could_be_drawn_later_is_refused_before_the_first_trial(space, tmp_path, batches, change, message):
+    space.write_text(SPACE.replace(*change))
+    with pytest.raises(ValueError, match=message):
+        search(space, tmp_path / "out", trials=1)
+    assert not (tmp_path / "out").exists()
