@@ -157,6 +157,6 @@ def check_logs(logs: Sequence[Any]) -> None:
 
 def open_logs(folder: RunFolder | None, others: Sequence[Any], since: int) -> list[Log]:
     """Return the open logs of a run that continues from step `since`: those that its folder names, then `others`."""
-    named = [OptionalLog(name, LOGS[name](folder, since)) for name in folder.logs] if folder else []
+    named = [OptionalLog(name, LOGS[name](folder, since)) for name in dict.fromkeys(folder.logs)] if folder else []
     attached = [log.attach(folder, named) if hasattr(log, "attach") else log for log in others]
     return [*named, *attached]

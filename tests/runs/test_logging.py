@@ -59,6 +59,11 @@ def test_tensorboard_receives_the_metrics_and_purges_steps_after_the_checkpoint(
     assert tensorboard.return_value.mock_calls[-5:] == [*expected, call.flush(), call.close()]
 
 
+def test_a_log_that_is_named_twice_is_opened_once(tmp_path, tensorboard):
+    log_metrics(make_folder(tmp_path / "run", "tensorboard", "tensorboard"), 0, 40)
+    assert tensorboard.call_count == 1
+
+
 def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, wandb):
     folder = make_folder(tmp_path / "run", "wandb")
     log_metrics(folder, 0, 40)
