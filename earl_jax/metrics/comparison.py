@@ -98,8 +98,9 @@ def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:
 
 def band(curves: np.ndarray, rate: bool = False) -> Estimate:
     """Return the mean of `curves [seeds, E]` with its 95 % interval at each evaluation, without width where no seed differs."""
-    mean, low, high = mean_interval(curves, rate)
-    same = (np.var(curves, axis=0) <= SAME) & (len(curves) >= FEWEST_SEEDS)
+    with np.errstate(invalid="ignore"):  # infinite values, such as the loss of a seed that diverged, have none
+        mean, low, high = mean_interval(curves, rate)
+        same = (np.var(curves, axis=0) <= SAME) & (len(curves) >= FEWEST_SEEDS)
     return Estimate(mean, np.where(same, mean, low), np.where(same, mean, high))
 
 

@@ -1,6 +1,7 @@
 """Tests of metrics/comparison.py. Rates of false alarms and coverage are simulated: five per cent has to mean five."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -101,6 +102,13 @@ def test_an_interval_needs_three_seeds_and_a_band_has_no_width_where_seeds_agree
     assert flat.tolist() == [0, 0, 0]
     assert risen.tolist() == pytest.approx(mean_interval(curves[:, 1], rate=True))
     assert np.isnan(band(curves[:2], rate=True).low).all()
+
+
+def test_a_band_has_no_ends_where_a_value_is_infinite():
+    with warnings.catch_warnings(action="error"):
+        mean, low, high = band(np.array([[1.0, math.inf], [2.0, 2.0], [3.0, 3.0]]))
+    assert mean.tolist() == [2.0, math.inf]
+    assert np.isnan([low, high]).tolist() == [[False, True]] * 2
 
 
 def test_the_permutation_test_enumerates_few_seeds_and_draws_among_many():
