@@ -36,7 +36,9 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
         raise InputError(f"{curves.algo} on {curves.env} has no evaluation in the first {step:,} steps")
     steps, values = curves.steps[until], curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(values[:, -curves.window.count(steps) :]).all():
-        raise InputError(f"{metric} of {curves.algo} has no value at some evaluations, so it has no score")
+        raise InputError(
+            f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so it has no score"
+        )
     return final_scores(steps, values, curves.window)
 
 

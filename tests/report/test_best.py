@@ -71,6 +71,14 @@ def test_another_metric_changes_the_ranking(tmp_path):
     ]
 
 
+def test_a_metric_without_a_value_is_refused_with_the_options_of_its_run(tmp_path):
+    for scale, loss in ((3.0, math.inf), (1.0, 1.0)):
+        folder = tmp_path / str(scale)
+        write_run(folder, TABLETOP, "naive", constant(0.5), metrics={"loss": loss}, reward_scale=scale)
+    with pytest.raises(ValueError, match=r"loss of naive \(reward_scale=3\) has no value"):
+        best([tmp_path], metric="loss")
+
+
 def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
     rows = best([write_cells(tmp_path, good_short=GOOD, bad=BAD, close=CLOSE)])
     assert [row["verdict"] for row in rows] == ["best", "below", "shorter"]
