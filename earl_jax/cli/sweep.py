@@ -37,7 +37,7 @@ def sweep(
     pairs = tuple(itertools.chain(*slurm))
     if dry_run:
         launchers.check_options(launcher, pairs, devices, per_device, limit)
-        plan = launchers.plan_sweep(grid, out, max_lanes)
+        plan = launchers.plan_sweep(grid, out, max_lanes, tuple(itertools.chain(*log)))
         emit(plan, json, launchers.describe(plan))
         return
     lines: list[str] = []

@@ -66,7 +66,7 @@ def sweep(
     """
     limit = TimeLimit.of(minutes)
     options = check_options(launcher, slurm, devices, per_device, limit)
-    plan = plan_sweep(grid, out, max_lanes)
+    plan = plan_sweep(grid, out, max_lanes, logs)
     for name in plan["finished"]:
         emit(f"done       {name}  (before)")
     common = {"out": plan["out"], "imports": plan["imports"], "devices": devices, "logs": list(logs), "limit": limit}
@@ -114,15 +114,17 @@ def check_options(
     return slurm_arrays.options_of(slurm)
 
 
-def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
+def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None, logs: Sequence[str] = ()) -> dict[str, Any]:
     """Return the names of finished runs of a grid and the program groups of the others, from a worker on the CPU.
 
     Keys: `out`, the folder; `imports`, the files that workers run first; `finished`; `groups`, each with the configs of its
     `runs` by name, its `lanes`, the `step` from which they continue, their `steps` and `replay_bytes`.
     Errors as `sweep`.
     """
+    if max_lanes is not None:
+        require("max_lanes", max_lanes, COUNT)
     files = [{**record, "file": os.path.abspath(record["file"])} for record in imports.records()]
-    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes, "imports": files}
+    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes, "logs": logs, "imports": files}
     with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
         reply: Event = next(events(planner), {"detail": "the planner ended without a plan; its error is above"})
     if "plan" not in reply:

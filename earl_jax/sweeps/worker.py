@@ -235,7 +235,7 @@ def serve(task: dict[str, Any]) -> int:
     """Plan the `grid` of `task`, or train its `runs`; print the plan or every event as a line of JSON, and return the failures.
 
     Both have the folder `out`, and `imports`, the files that the process runs first, if they have not changed. A grid has
-    `max_lanes`; runs can have the other arguments of `work` by name.
+    `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
     return _serve_grid(task) if "grid" in task else _serve_runs(task)
@@ -245,6 +245,7 @@ def _serve_grid(task: dict[str, Any]) -> int:
     """Print the plan of the grid of `task`, or why there is none."""
     try:
         _run_imports(task)
+        check_logs(task.get("logs", ()))
         planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
         answer = {"state": "planned", "plan": planned}
     except Exception as error:

@@ -40,7 +40,7 @@ def _shared_programs(monkeypatch):
 @pytest.fixture
 def planner_in_process(monkeypatch):
     """Plan in this process; tests/sweeps/test_launcher.py starts the planner's own, which takes seconds to import."""
-    monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None: plan(path, out.resolve(), lanes))
+    monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None, logs=(): plan(path, out.resolve(), lanes))
 
 
 @pytest.fixture

@@ -188,6 +188,7 @@ def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers,
     [
         ({"per_device": 0}, "must be auto, or a number from 1 to 48, not 0"),
         ({"devices": 0}, "devices must lie in .1, 2147483647., not 0"),
+        ({"max_lanes": 0}, "max_lanes must lie in .1, 2147483647., not 0"),
         ({"per_device": 2, "devices": 2}, "choose one of them"),
         ({"per_device": 2, "launcher": "slurm"}, "--per-device goes with --launcher local"),
         ({"launcher": "slurm", "slurm": ("time=5",), "minutes": 5}, "time=MINUTES limits each job"),

@@ -84,6 +84,17 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("logs", "message"),
+    [(["tensorbord"], "unknown log 'tensorbord'; choose from tensorboard, wandb"), ("wandb", "logs must be a list")],
+)
+def test_logs_that_no_run_can_have_are_refused_before_any_training(tmp_path, grid, logs, message, capsys):
+    worker.serve({"grid": str(grid), "out": str(tmp_path / "out"), "max_lanes": None, "logs": logs})
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["state"] == "refused"
+    assert message in answer["detail"]
+
+
 def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     config = RunConfig(**worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
