@@ -91,7 +91,7 @@ def check_options(
     launcher: str, slurm: tuple[str, ...], devices: int | None, per_device: PerDevice, limit: TimeLimit | None
 ) -> dict[str, str]:
     """Return the options of sbatch, after a check of the options of `sweep` against each other. Errors as `sweep`."""
-    is_count = per_device in (None, "auto") or 1 <= per_device <= MOST
+    is_count = per_device in (None, "auto", *range(1, MOST + 1))
     if devices is not None:
         require("devices", devices, COUNT)
     for is_wrong, message in (
