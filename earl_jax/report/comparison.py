@@ -80,6 +80,8 @@ def compare(
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
+    if against not in ("runs", "published"):
+        raise InputError(f"unknown against {against!r}; choose from runs, published")
     runs = read_methods(folders, window)
     if against == "published":
         rows = published_rows(runs, metric)

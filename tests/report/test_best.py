@@ -44,6 +44,11 @@ def test_a_window_of_another_kind_is_refused_before_any_run_is_read(tmp_path):
         best([tmp_path], window=5)
 
 
+def test_an_unknown_test_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="unknown test 't'; choose from permutation, welch"):
+        best([write_cells(tmp_path, good=GOOD)], test="t")
+
+
 def test_runs_that_share_the_highest_score_are_tied(tmp_path):
     rows = best([write_cells(tmp_path, zero=[0.0] * 3, none=[0.0] * 3, nil=[0.0] * 3, less=[-0.1] * 3)])
     assert [(row["rank"], row["verdict"]) for row in rows[:3]] == [(1, "tied")] * 3

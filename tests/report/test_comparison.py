@@ -113,6 +113,8 @@ def test_what_cannot_be_compared_is_refused(folders, tmp_path):
         compare([dense, sparse])
     with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
         compare([sparse], against="published")
+    with pytest.raises(ValueError, match="unknown against 'publised'; choose from runs, published"):
+        compare(folders, against="publised")
 
 
 def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
