@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, read
 from earl_jax.runs.config import RunConfig
@@ -25,8 +25,10 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     A `RunWarning` names a folder below them that cannot be read.
 
     Raises:
-        ValueError: a folder does not exist, or holds no run.
+        ValueError: a folder does not exist, holds no run, or is no `Path`.
     """
+    if not isinstance(folders, Sequence) or not all(isinstance(folder, Path) for folder in folders):
+        raise InputError(f"the folders must be a list of paths, such as [Path('runs')], not {brief(folders)}")
     if not folders:
         raise InputError("name at least one run folder, or a folder of them")
     paths: dict[Path, Path] = {}

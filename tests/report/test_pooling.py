@@ -66,6 +66,9 @@ def test_no_runs_are_an_error(tmp_path):
         read_all([])
     with pytest.raises(ValueError, match=r"no config\.json in it or below"):
         read_all([tmp_path])
+    for folders in (tmp_path, str(tmp_path), [str(tmp_path)]):
+        with pytest.raises(ValueError, match=r"must be a list of paths, such as \[Path\('runs'\)\], not"):
+            read_all(folders)
 
 
 def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):
