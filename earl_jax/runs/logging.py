@@ -7,6 +7,7 @@ TensorBoard purges the events after the checkpoint. Weights & Biases continues t
 
 import dataclasses
 import importlib
+import logging
 import os
 import struct
 import warnings
@@ -52,6 +53,8 @@ class TensorBoardLog:
     def __init__(self, folder: RunFolder, since: int):
         from tensorboardX import SummaryWriter
 
+        # It warns of each nan, as shares of a phase that the method lacks are.
+        logging.getLogger("tensorboardX.x2num").setLevel(logging.ERROR)
         self._seeds = folder.config.seeds
         make_folder(folder.path / TENSORBOARD)
         purge_step = since + 1 if since else None

@@ -64,6 +64,14 @@ def test_a_log_that_is_named_twice_is_opened_once(tmp_path, tensorboard):
     assert tensorboard.call_count == 1
 
 
+def test_a_metric_that_is_nan_prints_nothing(tmp_path, caplog):
+    pytest.importorskip("tensorboardX", reason="the test needs the extra 'tensorboard'")
+    [log] = open_logs(make_folder(tmp_path / "run", "tensorboard"), (), 0)
+    log.log(40, {"continuing/back_success": np.array([np.nan, 0.5])})
+    log.close()
+    assert not caplog.records
+
+
 def test_wandb_receives_the_metrics_and_a_resumed_run_keeps_its_id(tmp_path, wandb):
     folder = make_folder(tmp_path / "run", "wandb")
     log_metrics(folder, 0, 40)
