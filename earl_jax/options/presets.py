@@ -49,7 +49,8 @@ PRESETS = {
     ),
     "strong": Preset(
         "The paper's steps and networks with layer norm in the critics, which kept them from diverging on sawyer_peg, and "
-        "bootstrapping through time-outs, without which cheetah_run lost up to half of its return. Not tested on other tasks.",
+        "bootstrapping through time-outs, without which cheetah_run lost up to half of its return, and the oracle and R3L "
+        "returned less on minitaur_pen. Not tested on other tasks.",
         {"layer_norm": True, "timeout_bootstrap": True},
         published_steps=True,
     ),
