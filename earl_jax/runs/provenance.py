@@ -68,10 +68,9 @@ def installed_release(package: Path) -> tuple[str | None, str | None]:
         wheel = metadata.distribution("earl-jax")
     except metadata.PackageNotFoundError:
         return None, None
-    record = csv.reader(
-        (wheel.read_text("RECORD") or "").splitlines()
-    )  # wheel.files lacks removed files since Python 3.12
-    hashes = {Path(str(wheel.locate_file(name))).resolve(): known for name, known, *_ in record if name.endswith(".py")}
+    lines = (wheel.read_text("RECORD") or "").splitlines()  # wheel.files lacks removed files since Python 3.12
+    recorded = [(name, known) for name, known, *_ in csv.reader(lines) if name.endswith(".py")]
+    hashes = {Path(str(wheel.locate_file(name))).resolve(): known for name, known in recorded}
     if package / "__init__.py" not in hashes:
         return None, None
     mark = CHANGED * any(known and _sha256(path) != known for path, known in hashes.items())
