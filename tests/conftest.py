@@ -17,10 +17,11 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # the last set. An unknown flag ends the process, so only releases that are known to have them get them.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX"
-    " --xla_cpu_parallel_codegen_split_count=1"
+    "--xla_backend_optimization_level=0 --xla_cpu_max_isa=AVX --xla_cpu_parallel_codegen_split_count=1"
     " --xla_disable_hlo_passes=while-loop-invariant-code-motion,while-loop-constant-sinking"
-    if metadata.version("jaxlib").startswith("0.10.") and platform.machine().lower() in ("x86_64", "amd64")
+    + " --xla_cpu_use_fusion_emitters=false"
+    * metadata.version("jaxlib").startswith("0.10.")
+    if metadata.version("jaxlib").startswith(("0.10.", "0.12.")) and platform.machine().lower() in ("x86_64", "amd64")
     else "",
 )
 
