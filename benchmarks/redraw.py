@@ -12,14 +12,14 @@ from pathlib import Path
 import tyro
 
 from benchmarks.output import RESULTS, shrink, write_files
-from benchmarks.paper import cells, cfbrl, cloning, differences, leaderboard, learners, lives, uniform_starts
+from benchmarks.paper import cells, differences, leaderboard, lives, uniform_starts
 from benchmarks.speed import method_cost
 from earl_jax.paper import figure3
 from earl_jax.paper.artefact import Report
 from earl_jax.paper.reproduce import ARTEFACTS
 
 KEPT = RESULTS / "reproduce"
-PAGES = (cells, differences, lives, uniform_starts, leaderboard, cfbrl, cloning, learners, method_cost)
+PAGES = (cells, differences, lives, uniform_starts, leaderboard, method_cost)
 """The modules that write tables into pages."""
 
 
@@ -48,7 +48,7 @@ def main(out: Path = KEPT) -> None:
     if out == KEPT:
         for module in PAGES:
             write_files(module.files())
-        for module in (cells, differences, cfbrl, learners):
+        for module in (cells, differences):
             module.draw()
 
 
