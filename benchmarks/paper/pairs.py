@@ -232,4 +232,6 @@ DIFFERENCES = (
         Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
         for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
     )),
+    Difference("24", "the kitchen's FBRL at its whole length, four of its five seeds, each alone on a GPU",
+               _both_scores((f"{KITCHEN}/fbrl/seeds_5_to_8",), PUBLISHED)),
 )  # fmt: skip
